@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.flight_window.pictures import Pyramid, ground_window
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis
@@ -162,6 +163,15 @@ def chosen(view: FlightView, frame: int, address: str) -> dict[str, Any]:
         "homography": answer.homography if laid and answer is not None else None,
         "size": [located.frame.width, located.frame.height],
     }
+
+
+def progress(registration: BackgroundJob[None] | None) -> str:
+    """Return a sentence about a registration that goes on or failed; empty without one."""
+    if registration is None:
+        return ""
+    if registration.wait(0):
+        return "" if registration.error is None else f"Registration failed: {registration.error}"
+    return f"Registering photos: {registration.done} of {registration.total or '…'}"
 
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:

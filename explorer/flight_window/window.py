@@ -18,7 +18,6 @@ from explorer.flight_window.pictures import FlightPictures
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
-from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.locate.coverage import seen_by
 
@@ -26,7 +25,7 @@ from lpn.locate.coverage import seen_by
 _PAIR_SHARE = 0.42
 # Height of the panel's own frame in pixels.
 _FRAME_HEIGHT = 52
-# Seconds between two looks at a flight that is still being located.
+# Seconds between two looks at a registration that goes on in the background.
 _INTERVAL = 1.0
 
 
@@ -76,7 +75,7 @@ class FlightWindow:
         with self._panel.add_tab("Flight", viser.Icon.DRONE):
             self._shell = Html(gui)
             # The script of each element runs again when the page shows the window again.
-            self._data, self._chosen, self._painting, self._spot = (Html(gui) for _ in range(4))
+            self._data, self._chosen, self._painting, self._spot, self._progress = (Html(gui) for _ in range(5))
         self._worker = Worker(self._work, on_error)
         viewport.watch(self._resize)
 
@@ -138,10 +137,11 @@ class FlightWindow:
         self._place(choices.full_height if is_open else None)
         if not is_open:
             return None
+        job = self._workspace.registration
+        running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
         flight = self._workspace.flight
-        if flight is None:
-            self._shell.show(render("flight/waiting", text="The flight is being located."))
-            return _INTERVAL
+        assert flight is not None
+        self._progress.show(page.calls({"status": page.progress(job)}))
         view = self._view
         if view is None or view.flight is not flight:
             view = self._view = FlightView.of(flight)
@@ -162,7 +162,7 @@ class FlightWindow:
             frames = seen_by(view.outlines, *choices.spot)
             html = page.spot_list(view, frames, choices.spot)
             self._spot.show(page.calls({"spot": {"spot": choices.spot, "frames": frames, "html": html}}))
-        return _INTERVAL
+        return _INTERVAL if running else None
 
     @property
     def _panel_height(self) -> int:

@@ -36,6 +36,7 @@
     const [width, height] = size();
     return [view.x + (left - width / 2) / view.scale, view.y - (top - height / 2) / view.scale];
   };
+  flight.pixels = (at) => toPixels(at);
   flight.degrees = ([x, y]) => {
     const [west, south, east, north] = data.bounds;
     const u = (2 * x - west - east) / (east - west), v = (2 * y - south - north) / (north - south);
@@ -495,6 +496,7 @@
     if (!same) view = null;
     refresh();
   };
+  flight.status = (text) => ((flight.state = text), refresh());
   flight.lists = (given) => ((flight.html = { ...flight.html, ...given }), refresh());
   flight.follow = (given) => {
     followed = given;
@@ -545,6 +547,7 @@
     if (!root || !data) return;
     const html = flight.html || {};
     fill(find(".legend"), legend());
+    find(".status").textContent = flight.state || "";
     fill(find(".lists"), html.counts || "");
     fill(find(".listed"), html[list] || '<p class="dim">Shift and click on the map: the frames that show the spot.</p>');
     if (followed && followed.frame === chosen) fill(find(".about"), followed.card);

@@ -1,0 +1,204 @@
+"""The flight window as a person uses it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from playwright.sync_api import FloatRect, Locator, Page, expect
+
+import lpn
+from explorer.app import App
+from explorer.compute.ranking_job import RankingJob
+from explorer.workspace import Workspace
+from lpn.flights import Flight, Frame
+from lpn.locate.audit import TagAudit
+from lpn.locate.pipeline import LocateOptions, StageRecord, locate
+from lpn.locate.task import flight_task
+from lpn.maps import open_map
+from tests.e2e.conftest import ExplorerPage
+from tests.lpn.locate.scenery import ground_to_photo
+from tests.lpn.maps.small_maps import smooth, write_geotiff
+from tools.fixtures.processes import free_port
+
+SIZE = (96, 72)
+WIDTH = 60.0
+# Metres east and north of the map's middle, which is 200 m wide.
+PLACES = [(x, 0.0) for x in (-60.0, -40.0, -20.0, 0.0, 20.0, 40.0)]
+# The frame whose registration is refused.
+REFUSED = 4
+# The photos are red, the map is not.
+RED = (200, 30, 40)
+
+
+@pytest.fixture(scope="module")
+def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The app on six red photos over a map; five of them are registered where they are."""
+    pytest.importorskip("rasterio")
+    folder = tmp_path_factory.mktemp("flight")
+    ground = smooth(400, 400)
+    ground[..., 0] = 60
+    town = open_map(write_geotiff(folder / "town.tif", ground))
+    frames = []
+    for i, (latitude, longitude) in enumerate(town.frame.degrees(PLACES).tolist()):
+        file = folder / f"photo{i}.png"
+        cv2.imwrite(str(file), np.full((SIZE[1], SIZE[0], 3), RED[::-1], np.uint8))
+        known = {"heading": 0.0, "heading_source": "gimbal", "pitch": -90.0, "roll": 0.0, "fov": 90.0}
+        frames.append(Frame(file.name, file, *SIZE, 5.0 * i, latitude, longitude, WIDTH / 2, **known))  # type: ignore[arg-type]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(folder / "cache"))
+        model = lpn.load(model_file)
+        located = locate(town, Flight("monday", tuple(frames)), model, LocateOptions(register=False, overlap=0.5))
+        for i, (frame, place) in enumerate(zip(located.frames, PLACES, strict=True)):
+            matrix = np.linalg.inv(ground_to_photo(place, 0.0, WIDTH, SIZE)).ravel().tolist()
+            accepted = StageRecord("accepted", "Matches agree.", *place, True, 1.5, 0.0, 0.0, WIDTH, 50, matrix)
+            frame.stages["registration"] = StageRecord("refused", "Too few.") if i == REFUSED else accepted
+        located.audit = TagAudit(5, 0.0, 0.0)
+        task = flight_task(model, "a.onnx", located, folder)
+        ranking = RankingJob(task)
+        ranking.start()
+        workspace = Workspace("a.onnx", "monday", [ranking], task.spec, dict(task.map_sizes), task.model, None, folder)
+        workspace.flight = located
+        app = App(workspace, "127.0.0.1", free_port())
+        yield f"http://127.0.0.1:{app.server.get_port()}"
+        app.close()
+
+
+class FlightPage(ExplorerPage):
+    """A page of the app with the flight window open."""
+
+    def enter(self, url: str) -> None:
+        """Load the page, open the window, and wait for its tiles."""
+        self.open(url)
+        self.key("w")
+        expect(self.verdict_of_frame).to_have_attribute("data-frame", "0")
+        expect(self.map).to_have_attribute("data-missing", "0")
+
+    @property
+    def map(self) -> Locator:
+        """The map with all its layers."""
+        return self.page.locator("#lpn-flight .view")
+
+    @property
+    def timeline(self) -> Locator:
+        """The timeline, a slider."""
+        return self.page.get_by_role("slider", name="frame")
+
+    @property
+    def verdict_of_frame(self) -> Locator:
+        """The verdict on the chosen frame."""
+        return self.page.locator("#lpn-flight-verdict")
+
+    def expect_frame(self, frame: int) -> None:
+        """Wait until stage and window show a frame."""
+        self.expect_status("query", str(frame))
+        expect(self.verdict_of_frame).to_have_attribute("data-frame", str(frame))
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """Where metres of the map's frame lie in the page."""
+        left, top = self.page.evaluate("(at) => lpn.flight.pixels(at)", [x, y])
+        shown = box(self.map)
+        return shown["x"] + left, shown["y"] + top
+
+
+def box(locator: Locator) -> FloatRect:
+    found = locator.bounding_box()
+    assert found is not None
+    return found
+
+
+@pytest.fixture
+def window(flight_app: str, new_page: Callable[[], Page]) -> FlightPage:
+    page = FlightPage(new_page())
+    page.enter(flight_app)
+    return page
+
+
+def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> None:
+    window.timeline.focus()
+    window.page.keyboard.press("End")
+    window.expect_frame(5)
+    window.page.keyboard.press("ArrowLeft")
+    window.expect_frame(REFUSED)
+    expect(window.verdict_of_frame).to_contain_text("Too few.")
+    window.key("n")
+    window.expect_frame(5)
+    window.page.mouse.click(*window.at(*PLACES[2]))
+    window.expect_frame(2)
+    expect(window.verdict_of_frame).to_contain_text("Registered to ± 1.5 m")
+    shown = box(window.timeline)
+    window.timeline.click(position={"x": shown["width"] - 12, "y": 30})
+    window.expect_frame(5)
+    window.page.locator(".entry", has_text="Too few.").click()
+    window.expect_frame(REFUSED)
+
+
+@pytest.mark.slow
+def test_playing_ends_at_the_last_frame(window: FlightPage) -> None:
+    window.page.get_by_label("frames a second").select_option("10")
+    window.timeline.focus()
+    window.page.keyboard.press("Space")
+    window.expect_frame(5)
+    expect(window.page.locator("[data-act=play]")).to_have_text("▶")
+
+
+@pytest.mark.slow
+def test_scores_are_painted_over_the_map_whole_or_by_a_part(window: FlightPage) -> None:
+    for track in window.page.locator("#lpn-flight [data-track]").all():
+        track.click()
+    plain = window.at_rest(window.map)
+    scores = window.page.locator("#lpn-flight .scores")
+    expect(scores).to_be_hidden()
+    window.page.locator("[data-part=all]").click()
+    expect(scores).to_contain_text("score")
+    whole = window.at_rest(window.map, lambda picture: (np.abs(picture - plain).max(axis=2) > 20).mean() > 0.3)
+    window.page.locator('[data-part="0"]').click()
+    expect(scores).to_contain_text("cosine of 1 centre")
+    window.at_rest(window.map, lambda picture: (np.abs(picture - whole).max(axis=2) > 8).mean() > 0.05)
+    window.page.locator("[data-part=off]").click()
+    expect(scores).to_be_hidden()
+
+
+@pytest.mark.slow
+def test_a_registered_photo_is_swiped_over_the_place_that_it_shows(window: FlightPage) -> None:
+    def red(x: float, y: float) -> bool:
+        """Return whether the page is as red as the photos at a place of the map."""
+        left, top = window.at(x, y)
+        shot = window.page.screenshot(clip={"x": left - 2, "y": top - 2, "width": 4, "height": 4})
+        blue, green, strength = cv2.imdecode(np.frombuffer(shot, np.uint8), cv2.IMREAD_COLOR).mean(axis=(0, 1))
+        return bool(strength > 150 and green < 80 and blue < 90)
+
+    def check(*expected: bool) -> Callable[[], None]:
+        """Return a check of five spots: inside at the left and right, and outside beyond left, right, and top."""
+        spots = [(-85.0, -12.0), (-35.0, -12.0), (-94.0, -12.0), (-25.0, -12.0), (-60.0, 27.0)]
+
+        def look() -> None:
+            assert [red(*spot) for spot in spots] == list(expected)
+
+        return look
+
+    window.eventually(check(False, False, False, False, False))
+    window.page.locator("[data-photo=swipe]").click()
+    slider = window.page.get_by_label("swipe")
+    slider.fill("0")
+    window.eventually(check(True, True, False, False, False))
+    left = window.at(-60.0, 0.0)[0] - box(window.map)["x"]
+    slider.fill(str(round(100 * left / box(window.map)["width"])))
+    window.eventually(check(False, True, False, False, False))
+    window.page.locator("[data-photo=off]").click()
+    window.eventually(check(False, False, False, False, False))
+
+
+@pytest.mark.slow
+def test_a_spot_lists_the_frames_that_show_it(window: FlightPage) -> None:
+    window.page.keyboard.down("Shift")
+    window.page.mouse.click(*window.at(25.0, 15.0))
+    window.page.keyboard.up("Shift")
+    listed = window.page.locator("#lpn-flight .listed")
+    # Pictures are 60 m wide, and 45 m high.
+    expect(listed).to_contain_text("3 of 6 frames show")
+    expect(listed.locator(".entry")).to_have_count(3)
+    assert [one.get_attribute("data-frame") for one in listed.locator(".entry").all()] == ["3", "4", "5"]
