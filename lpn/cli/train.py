@@ -10,6 +10,7 @@ from typing import Any, Literal, cast
 
 import tyro
 
+from lpn.core.errors import InputError
 from lpn.training import recipes
 from lpn.training.recipes import Recipe, RecipeName
 
@@ -31,13 +32,19 @@ MethodName = Literal[
 class TrainCommand:
     """Train an LPN by a named recipe; every number of the recipe is a flag."""
 
-    data: Path
-    """Data set with pictures to train on, in any layout of docs/data.md."""
     out: Path
     """Folder of the run: last.safetensors, best.safetensors, log.csv, tensorboard, and what --resume needs."""
+    data: Path | None = None
+    """Data set with pictures to train on, in any layout of docs/data.md."""
+    map: Path | None = None
+    """Map to train on alone, in place of --data: a folder of lpn map, or a georeferenced picture."""
+    window_sizes: tuple[float, float] | None = None
+    """Smallest and largest side in metres of the windows of --map, about those that photos of the flight show; by default half to
+    twice what the network's input shows at the map's resolution."""
     recipe: RecipeName = recipes.DEFAULT
     """Recipe: as the paper states (paper, cvusa-paper, safa-paper), as the released code does (released, cvusa-released,
-    safa-released), for some hundred places (small), or the same for all headings (world); see docs/recipes.md."""
+    safa-released), for some hundred places (small), the same for all headings (world), or for a map alone (map, the default with
+    --map); see docs/recipes.md."""
     method: MethodName | None = None
     """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
     another loss, strips, or SAFA."""
@@ -64,11 +71,11 @@ class TrainCommand:
             print(import_module("lpn.training.recipe_sources").difference(*self.compare_recipes))
             return
         trainer = import_module("lpn.training.trainer").Trainer
-        dataset = import_module("lpn.datasets").open_dataset(self.data)
+        source = self._source()
         group = import_module("lpn.training.multi_process").join()
         run = group.run_on_all(
             lambda: trainer(
-                dataset,
+                source,
                 self.out,
                 self.settings,
                 self.init,
@@ -79,6 +86,7 @@ class TrainCommand:
                 group=group,
                 compiled=self.compile,
                 from_scratch=self.from_scratch,
+                window_sizes=self.window_sizes,
             )
         )
         run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")
@@ -86,6 +94,16 @@ class TrainCommand:
         group.leave()
         if group.is_leader:
             print(f"The model is in {model}.")
+
+    def _source(self) -> Any:
+        """Open the data set or the map."""
+        if (self.data is None) == (self.map is None):
+            raise InputError("A training needs a data set or a map; give either --data or --map.")
+        if self.map is not None:
+            return import_module("lpn.maps").open_map(self.map)
+        if self.window_sizes is not None:
+            raise InputError("A data set has no windows; give --window-sizes with --map only.")
+        return import_module("lpn.datasets").open_dataset(self.data)
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
@@ -100,11 +118,12 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
     Raises:
         InputError: if the recipe or the method is unknown.
     """
-    name, chosen = flag_value(arguments, "--recipe") or recipes.DEFAULT, flag_value(arguments, "--method")
+    default = recipes.DEFAULT if flag_value(arguments, "--map") is None else "map"
+    name, chosen = flag_value(arguments, "--recipe") or default, flag_value(arguments, "--method")
     settings = recipes.find(name, chosen)
-    # A comparison of recipes needs neither data nor a folder.
+    # A comparison of recipes needs no folder.
     folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
-    named = TrainCommand(folder, folder, cast(Any, name), method=cast(Any, chosen), settings=settings)
+    named = TrainCommand(folder, recipe=cast(Any, name), method=cast(Any, chosen), settings=settings)
     return tyro.cli(TrainCommand, args=arguments, prog=program, default=named)
 
 

@@ -25,7 +25,7 @@ from lpn.locate.audit import TagAudit, audit_tags
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
 from lpn.locate.registration import Expectation, Registration, register
-from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain, map_identity, retrieve
+from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain, retrieve
 from lpn.locate.sequence import MotionModel, emissions, smooth
 from lpn.locate.tracks import State, TrackPoint
 from lpn.maps import Map
@@ -466,7 +466,7 @@ def _registered(
     features = [MapFeatures(town, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
-    key = [FORMAT, map_identity(town), names, asdict(replace(options, top=_TOP)), model and model.fingerprint]
+    key = [FORMAT, town.digest(), names, asdict(replace(options, top=_TOP)), model and model.fingerprint]
     records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
     widths: list[float] = []
     ratios: list[float] = []

@@ -15,22 +15,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-import cv2
 import numpy as np
 
 from lpn.core import images
-from lpn.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import cache_folder, write_atomic
 from lpn.core.views import View
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.flights import Flight, Frame, ground_width
+from lpn.flights import Flight, Frame
+from lpn.flights.cut import CUT, cut_size, cut_square
 from lpn.maps import Map, Window
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
-# The square that is cut from a frame, as a share of its shorter side. Its corners leave the picture at some headings.
-CUT = 0.85
 # Windows and pictures of one file in the cache, which is what a killed run loses.
 _CHUNK = 256
 # Ratio of one size of the pyramid to the next, and the most sizes without a known width.
@@ -151,37 +149,6 @@ def pyramid_sizes(town: Map, frames: Sequence[Frame]) -> list[float]:
     return [largest / _PYRAMID**i for i in reversed(range(_SIZES))]
 
 
-def cut_size(frame: Frame) -> float | None:
-    """Return the side in metres of the square that is cut from a frame; None if its width on the ground is unknown."""
-    width = ground_width(frame)
-    return None if width is None else CUT * min(1.0, frame.height / frame.width) * width
-
-
-def cut_square(picture: UInt8Array, heading: float, share: float, pixels: int) -> UInt8Array:
-    """Turn a photo north-up and cut a square from its middle, (pixels, pixels, 3); beyond its edges it is mirrored.
-
-    Args:
-        heading: of the picture's top, degrees clockwise from north.
-        share: of the picture's width that the square's side shows.
-    """
-    height, width = picture.shape[:2]
-    side = share * width
-    # Pixels are averaged before they are turned, so that fine texture does not alias.
-    shrink = max(int(side / pixels), 1)
-    if shrink > 1:
-        size = (max(width // shrink, 1), max(height // shrink, 1))
-        picture = cast(UInt8Array, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-        side *= size[0] / width
-        height, width = picture.shape[:2]
-    scale = pixels / side
-    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), -heading, scale)
-    matrix[:, 2] += ((pixels - width) / 2, (pixels - height) / 2)
-    turned = cv2.warpAffine(
-        picture, matrix, (pixels, pixels), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
-    )
-    return cast(UInt8Array, turned)
-
-
 def retrieve(
     model: Model,
     town: Map,
@@ -235,7 +202,7 @@ def retrieve(
         picture = images.load_picture(flight.frames[job[0]].file)
         return model.prepare(cut_square(picture, job[1], job[2], side), query)
 
-    ground_key = [map_identity(town), model.fingerprint, side, [(w.x, w.y, w.size) for w in windows]]
+    ground_key = [town.digest(), model.fingerprint, side, [(w.x, w.y, w.size) for w in windows]]
     frame_key = [model.fingerprint, side, query, [(frame_identity(flight.frames[i]), h, s) for i, h, s in jobs]]
     tiles, _ = _described(model, windows, of_window, "satellite", ground_key, on_progress, "windows")
     queries, broken = _described(model, jobs, of_frame, query, frame_key, on_progress, "frames")
@@ -259,13 +226,6 @@ def retrieve(
     places = np.array([(window.x, window.y) for window in windows])
     window_sizes = np.array([window.size for window in windows])
     return MapRetrieval(windows, places, window_sizes, tiles, found, headings, levels, shares, side, means, bad, notes)
-
-
-def map_identity(town: Map) -> str:
-    """Return a digest of a map's bounds, resolution, and overview, which changes when its content does."""
-    picture, _ = town.overview(512)
-    text = json.dumps([town.bounds, town.resolution, town.frame.latitude, town.frame.longitude])
-    return hashlib.sha256(text.encode() + picture.tobytes()).hexdigest()
 
 
 def frame_identity(frame: Frame) -> list[Any]:

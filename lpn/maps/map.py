@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Sequence
 from threading import Lock
@@ -168,6 +170,12 @@ class Map:
         columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
         whole = Window(west + side / 2, north - side / 2, side)
         return self._read(whole, pixels, (0, 0, columns, rows))
+
+    def digest(self) -> str:
+        """Return a digest of bounds, resolution, and overview, which changes when the map's content does."""
+        picture, _ = self.overview(512)
+        text = json.dumps([self.bounds, self.resolution, self.frame.latitude, self.frame.longitude])
+        return hashlib.sha256(text.encode() + picture.tobytes()).hexdigest()
 
     def close(self) -> None:
         """Close the files of all sheets."""

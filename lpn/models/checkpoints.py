@@ -294,6 +294,30 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     return filled, total, list(missing)
 
 
+def load_heads(network: LPN, path: str | Path) -> str:
+    """Fill the heads of the parts from a whole model with the same parts, without class layers.
+
+    Returns:
+        A sentence that says whether they were filled, and if not, why.
+
+    Raises:
+        ModelFileError: if the file cannot be read.
+    """
+    path, spec = Path(path), network.spec
+    if path.suffix != ".safetensors" or "spec" not in _read_tensors(path)[1]:
+        return f"{path.name} is no .safetensors of a whole LPN, so the heads of the parts start anew."
+    held, state = _read_safetensors(path)
+    names = ("n_parts", "layout", "weighting", "activation", "pooling", "embedding", "last_layer")
+    differs = [name for name in names if getattr(held, name) != getattr(spec, name)]
+    if differs:
+        described = ", ".join(f"{name} {getattr(held, name)} for {getattr(spec, name)}" for name in differs)
+        return f"{path.name} has other parts ({described}), so the heads of the parts start anew."
+    for name, head in zip(network.head_names, network.heads, strict=True):
+        for key, tensor in head.add_block.state_dict().items():
+            tensor.copy_(state[f"{name}.add_block.{key}"])
+    return f"{path.name} fills the heads of all {spec.n_parts} parts."
+
+
 def _own_keys(network: LPN) -> set[str]:
     """Return the keys of the state dict, without duplicates of shared branches."""
     spec = network.spec

@@ -11,6 +11,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.views import View
+from lpn.training.appearance import compress, recolour
 from lpn.training.recipes import Recipe
 
 
@@ -39,7 +40,7 @@ def augment(
     height, width = recipe.input_size
     unrolled = recipe.polar and view == "satellite"
     if recipe.compression and rng.random() < recipe.compression:
-        picture = _compress(picture, int(rng.integers(40, 96)))
+        picture = compress(picture, int(rng.integers(40, 96)))
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(UInt8Array, np.ascontiguousarray(picture[:, ::-1]))
     if panorama:
@@ -59,7 +60,7 @@ def augment(
     if recipe.padding:
         top, left = (int(start) for start in rng.integers(0, 2 * recipe.padding + 1, 2))
         picture = cast(UInt8Array, np.ascontiguousarray(picture[top : top + height, left : left + width]))
-    return _recolour(picture, recipe.colour, rng) if recipe.colour else picture
+    return recolour(picture, recipe.colour, rng) if recipe.colour else picture
 
 
 def _pad(picture: UInt8Array, pixels: int) -> UInt8Array:
@@ -79,21 +80,3 @@ def _warp(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Gene
     border = corners if angle else cv2.BORDER_REPLICATE
     flags = cv2.INTER_CUBIC if recipe.interpolation == "cubic" else cv2.INTER_NEAREST
     return cast(UInt8Array, cv2.warpAffine(picture, matrix, (width, height), flags=flags, borderMode=border))
-
-
-def _compress(picture: UInt8Array, quality: int) -> UInt8Array:
-    """Compress as JPEG, so that a network does not overfit to the artefacts of one quality."""
-    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return cast(UInt8Array, cv2.cvtColor(cast(UInt8Array, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
-
-
-def _recolour(picture: UInt8Array, strength: float, rng: np.random.Generator) -> UInt8Array:
-    """Change brightness, colour cast, and contrast, and sometimes remove all colour."""
-    values = picture.astype(np.float32)
-    gain = (1 + 0.3 * strength * rng.uniform(-1, 1)) * (1 + 0.15 * strength * rng.uniform(-1, 1, 3))
-    values = values * gain.astype(np.float32) + np.float32(20 * strength * rng.uniform(-1, 1))
-    mean = values.mean()
-    values = mean + (values - mean) * np.float32(1 + 0.3 * strength * rng.uniform(-1, 1))
-    if rng.random() < 0.2 * strength:
-        values[:] = values.mean(axis=2, keepdims=True)
-    return cast(UInt8Array, np.clip(values, 0, 255).astype(np.uint8))

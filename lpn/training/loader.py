@@ -18,11 +18,12 @@ import torch
 from torch import Tensor
 
 from lpn.core import images
-from lpn.core.arrays import Int64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Int64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.resources import usable_cores
 from lpn.core.views import branch_of
 from lpn.training.augmentation import augment, draw_place_pose
+from lpn.training.map_windows import MapWindows
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import TrainingSet
 
@@ -32,6 +33,8 @@ _MAX_WORKERS = 16
 
 # Draws one picture of each set of a place, or one picture of one set.
 _Row = Callable[[], dict[str, UInt8Array]]
+# The class of each row of a batch, by set.
+_Labels = dict[str, Int64Array]
 
 
 @dataclass(frozen=True)
@@ -41,10 +44,12 @@ class TrainingBatch:
     Attributes:
         sets: for each picture set, this process's share of the batch: (b, 3, H, W) float32, normalised, channels last.
         labels: for each picture set, the class of each row of the whole batch, (B,) int64.
+        overlaps: of windows of a map, which rows of the whole batch share ground, (B, B) bool; else None.
     """
 
     sets: dict[str, Tensor]
     labels: dict[str, Tensor]
+    overlaps: Tensor | None = None
 
     @property
     def pictures(self) -> int:
@@ -69,7 +74,7 @@ class Loader:
 
     def __init__(
         self,
-        places: TrainingSet,
+        places: TrainingSet | MapWindows,
         recipe: Recipe,
         device: torch.device,
         share: slice = slice(None),
@@ -78,7 +83,9 @@ class Loader:
     ) -> None:
         if len(places) < 2:
             raise InputError(f"The training set has {len(places) or 'no'} place; training needs at least two.")
-        self._pictures = places.pictures() if recipe.sampling == "pictures" else {}
+        self._pictures = {}
+        if recipe.sampling == "pictures" and isinstance(places, TrainingSet):
+            self._pictures = places.pictures()
         # An epoch ends with the shortest set.
         self._length = min(map(len, self._pictures.values()), default=len(places))
         if self._length < recipe.batch:
@@ -110,11 +117,11 @@ class Loader:
             PictureError: when a picture cannot be read.
         """
         pool = ThreadPoolExecutor(self.workers, "lpn-loader")
-        ahead: deque[tuple[dict[str, Int64Array], list[Future[dict[str, UInt8Array]]]]] = deque()
+        ahead: deque[tuple[_Labels, BoolArray | None, list[Future[dict[str, UInt8Array]]]]] = deque()
         try:
             for epoch in range(first, end):
-                for labels, rows in self._batches(epoch):
-                    ahead.append((labels, [pool.submit(row) for row in rows]))
+                for labels, overlaps, rows in self._batches(epoch):
+                    ahead.append((labels, overlaps, [pool.submit(row) for row in rows]))
                     if len(ahead) > self._prefetch:
                         yield self._batch(*ahead.popleft())
             while ahead:
@@ -122,12 +129,18 @@ class Loader:
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
-    def _batches(self, epoch: int) -> Iterator[tuple[dict[str, Int64Array], list[_Row]]]:
-        """Yield each batch's labels of each set, and the work for this process's rows."""
+    def _batches(self, epoch: int) -> Iterator[tuple[_Labels, BoolArray | None, list[_Row]]]:
+        """Yield each batch's labels of each set, its windows that share ground, and the work for this process's rows."""
+        rows: list[_Row]
+        if isinstance(self.places, MapWindows):
+            for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
+                rows = [partial(self.places.draw, int(place), epoch) for place in places[self.share]]
+                yield dict.fromkeys(self.places.views, places), self.places.overlapping(places, epoch), rows
+            return
         if self.recipe.sampling == "places":
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
-                rows: list[_Row] = [partial(self._draw_place, int(place), epoch) for place in places[self.share]]
-                yield dict.fromkeys(self.places.files, places), rows
+                rows = [partial(self._draw_place, self.places, int(place), epoch) for place in places[self.share]]
+                yield dict.fromkeys(self.places.files, places), None, rows
             return
         orders = [
             self._chunks(len(pictures), [self.recipe.seed, epoch, number])
@@ -135,11 +148,15 @@ class Loader:
         ]
         # The orders of longer sets have more chunks.
         for chunks in zip(*orders, strict=False):
-            labels, rows = {}, []
+            labels: _Labels = {}
+            rows = []
             for number, ((name, pictures), chunk) in enumerate(zip(self._pictures.items(), chunks, strict=True)):
                 labels[name] = np.array([pictures[index][1] for index in chunk], np.int64)
-                rows += [partial(self._draw_picture, name, number, int(index), epoch) for index in chunk[self.share]]
-            yield labels, rows
+                rows += [
+                    partial(self._draw_picture, self.places, name, number, int(index), epoch)
+                    for index in chunk[self.share]
+                ]
+            yield labels, None, rows
 
     def _chunks(self, count: int, seed: list[int]) -> list[Int64Array]:
         """Shuffle the numbers below `count`, and cut them into whole batches."""
@@ -147,30 +164,37 @@ class Loader:
         batch = self.recipe.batch
         return [order[start : start + batch] for start in range(0, count - batch + 1, batch)]
 
-    def _draw_picture(self, name: str, number: int, index: int, epoch: int) -> dict[str, UInt8Array]:
+    def _draw_picture(
+        self, places: TrainingSet, name: str, number: int, index: int, epoch: int
+    ) -> dict[str, UInt8Array]:
         """Augment one picture of a set, (H, W, 3) uint8; runs in a worker."""
         # A zero in the last place would repeat the random numbers of the set's order.
         rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
-        return {name: self._augmented(self._pictures[name][index][0], name, rng, 0.0, False)}
+        return {name: self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)}
 
-    def _draw_place(self, place: int, epoch: int) -> dict[str, UInt8Array]:
+    def _draw_place(self, places: TrainingSet, place: int, epoch: int) -> dict[str, UInt8Array]:
         """Draw and augment one picture of each set, (H, W, 3) uint8; runs in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
-        for name, files in self.places.files.items():
+        for name, files in places.files.items():
             path = files[place][int(rng.integers(len(files[place])))]
-            drawn[name] = self._augmented(path, name, rng, angle, mirror)
+            drawn[name] = self._augmented(places, path, name, rng, angle, mirror)
         return drawn
 
-    def _augmented(self, path: Path, name: str, rng: np.random.Generator, angle: float, mirror: bool) -> UInt8Array:
-        panorama = self.places.panoramas and name == "street"
-        return augment(self.places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
+    def _augmented(
+        self, places: TrainingSet, path: Path, name: str, rng: np.random.Generator, angle: float, mirror: bool
+    ) -> UInt8Array:
+        panorama = places.panoramas and name == "street"
+        return augment(places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
 
-    def _batch(self, labels: dict[str, Int64Array], tasks: Sequence[Future[dict[str, UInt8Array]]]) -> TrainingBatch:
+    def _batch(
+        self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[dict[str, UInt8Array]]]
+    ) -> TrainingBatch:
         drawn = [task.result() for task in tasks]
         sets = {name: self._network_input([row[name] for row in drawn if name in row]) for name in labels}
-        return TrainingBatch(sets, {name: torch.from_numpy(of).to(self.device) for name, of in labels.items()})
+        shared = None if overlaps is None else torch.from_numpy(overlaps).to(self.device)
+        return TrainingBatch(sets, {name: torch.from_numpy(of).to(self.device) for name, of in labels.items()}, shared)
 
     def _network_input(self, pictures: Sequence[UInt8Array]) -> Tensor:
         """Move pictures to the device as bytes, and normalise them there."""

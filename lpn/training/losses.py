@@ -32,14 +32,21 @@ def descriptors(parts: Tensor) -> Tensor:
     return F.normalize(parts, dim=2).flatten(1) / math.sqrt(parts.shape[1])
 
 
-def infonce_loss(first: Tensor, second: Tensor, temperature: float, smoothing: float = 0.0) -> Tensor:
+def infonce_loss(
+    first: Tensor, second: Tensor, temperature: float, smoothing: float = 0.0, overlaps: Tensor | None = None
+) -> Tensor:
     """Symmetric InfoNCE between two views of the same places.
 
     Args:
         first, second: descriptors (B, F); row i of both shows place i, and places differ within the batch.
         temperature: divides the mean cosine over parts.
+        overlaps: pairs of places that share ground, (B, B) bool, which are neither positives nor negatives.
     """
     similarity = first @ second.T / temperature
+    if overlaps is not None:
+        similarity = similarity.masked_fill(
+            overlaps & ~torch.eye(len(overlaps), dtype=torch.bool, device=overlaps.device), -torch.inf
+        )
     target = torch.arange(len(similarity), device=similarity.device)
     rows, columns = (F.cross_entropy(s, target, label_smoothing=smoothing) for s in (similarity, similarity.T))
     return (rows + columns) / 2
@@ -90,12 +97,18 @@ def soft_margin_loss(first: Tensor, second: Tensor, alpha: float, hardest: bool 
     return torch.stack(terms).mean()
 
 
-def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], labels: Mapping[str, Tensor], recipe: Recipe) -> Tensor:
+def total_loss(
+    outputs: Mapping[str, tuple[Tensor, Tensor]],
+    labels: Mapping[str, Tensor],
+    recipe: Recipe,
+    overlaps: Tensor | None = None,
+) -> Tensor:
     """Compute a recipe's loss for one step.
 
     Args:
         outputs: part embeddings and class scores of each picture set (satellite, drone, street, google).
         labels: class of each row of each set, (B,). The InfoNCE and metric losses need the same labels in every set.
+        overlaps: see `infonce_loss`.
     """
     loss = torch.zeros((), device=next(iter(labels.values())).device)
     if recipe.instance:
@@ -106,15 +119,18 @@ def total_loss(outputs: Mapping[str, tuple[Tensor, Tensor]], labels: Mapping[str
     if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
         embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
         tiles = embeddings.pop("satellite")
-        loss = loss + torch.stack([_pair_loss(tiles, others, recipe) for others in embeddings.values()]).mean()
+        loss = (
+            loss + torch.stack([_pair_loss(tiles, others, recipe, overlaps) for others in embeddings.values()]).mean()
+        )
     return loss
 
 
-def _pair_loss(tiles: Tensor, others: Tensor, recipe: Recipe) -> Tensor:
+def _pair_loss(tiles: Tensor, others: Tensor, recipe: Recipe, overlaps: Tensor | None) -> Tensor:
     """Sum the recipe's losses on the part embeddings (B, n, D) of two views."""
     loss = torch.zeros((), device=tiles.device)
     if recipe.infonce:
-        similar = infonce_loss(descriptors(tiles), descriptors(others), recipe.temperature, recipe.label_smoothing)
+        pair = descriptors(tiles), descriptors(others)
+        similar = infonce_loss(*pair, recipe.temperature, recipe.label_smoothing, overlaps)
         loss = loss + recipe.infonce * similar
     if recipe.metric != "none":
         size = 1 if recipe.metric_per_part else tiles.shape[1]

@@ -114,6 +114,7 @@ _SOURCES: dict[str, dict[str, str]] = {
         "safa-released": f"{_SAFA}/train_cvusa_lpn.py:44, VGG.py:92-110: each value is kept with probability 0.8",
         "*": _OFF,
     },
+    "windows": {"*": _OFF},
     "sampling": {
         "released": f"{_LPN} train.py:149-151, 217: one shuffled loader for each set, over its pictures",
         "cvusa-released": f"{_LPN} train_cvusa.py:145-147, 211: one shuffled loader for each set",
@@ -264,6 +265,7 @@ _SOURCES: dict[str, dict[str, str]] = {
         "cvusa-released": f"{_LPN} train_cvusa.py:97, 107: each picture on its own",
         "safa-released": f"{_SAFA}/input_data_cvusa.py: no augmentation",
     },
+    **{name: {"*": _OFF} for name in ("tilt", "season", "bands", "shadows", "occlusion", "blur", "noise")},
     "precision": {
         "released": f"{_LPN} run.sh:11, train.py:430: Apex O1",
         "cvusa-released": f"{_LPN} run_cvusa.sh:10, train_cvusa.py:430: Apex O1",

@@ -20,13 +20,27 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs at least two samples.
     **dict.fromkeys(("batch",), (2, _MAX, "2 or more")),
     **dict.fromkeys(("n_parts", "epochs", "maps"), (1, _MAX, "1 or more")),
+    "windows": (0, _MAX, "0 or more"),
     # The five pooling layers of VGG divide the size by 32.
     "size": (32, _MAX, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
     **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MAX, "a number above 0")),
     **dict.fromkeys(("dropout", "backbone_dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
     **dict.fromkeys(
-        ("label_smoothing", "warmup_start", "black_corners", "own_canvas", "shift", "colour", "compression"),
+        (
+            "label_smoothing",
+            "warmup_start",
+            "black_corners",
+            "own_canvas",
+            "shift",
+            "colour",
+            "compression",
+            "season",
+            "bands",
+            "shadows",
+            "occlusion",
+            "blur",
+        ),
         (0, 1, "a number from 0 to 1"),
     ),
     **dict.fromkeys(
@@ -44,6 +58,9 @@ _RANGES: dict[str, tuple[float, float, str]] = {
         ),
         (0, _MAX, "a number of 0 or more"),
     ),
+    # A photo of a wide field of view shows the horizon above 45 degrees.
+    "tilt": (0, 30, "a number from 0 to 30"),
+    "noise": (0, 255, "a number from 0 to 255"),
     # The networks take inputs of at most 4096 pixels.
     "padding": (0, 4096, "a whole number from 0 to 4096"),
     "seed": (0, 2**32 - 1, "a whole number from 0 to 4294967295"),
@@ -88,6 +105,8 @@ class Recipe:
     backbone_dropout: float = 0.0
     """Dropout after conv4_1 to conv5_3 of a VGG-16 (0.2 in released SAFA)."""
 
+    windows: int = 0
+    """Windows of a map in an epoch, each a place of its own that is drawn anew; 0 trains on the pictures of a data set."""
     sampling: Literal["places", "pictures"] = "pictures"
     """Sampling of a batch: places (one picture of every set of each place of the batch) or pictures (each set is shuffled on
     its own, over its pictures, with its own labels; an epoch ends with the shortest set)."""
@@ -166,6 +185,21 @@ class Recipe:
     flip: Literal["none", "picture", "place"] = "picture"
     """Random mirroring: none, each picture on its own (published), or all views of a place together."""
 
+    tilt: float = 0.0
+    """Pitch and roll, up to this many degrees either way, of the camera that looks at a window of a map."""
+    season: float = 0.0
+    """Probability that all of one hue has another colour in the drone view of a window."""
+    bands: float = 0.0
+    """Probability that the bands of the drone view of a window are mixed at random, as those of near infrared are."""
+    shadows: float = 0.0
+    """Probability of shadows in the drone view of a window."""
+    occlusion: float = 0.0
+    """Probability that areas are hidden in the drone view of a window."""
+    blur: float = 0.0
+    """Probability that the drone view of a window is out of focus or blurred by motion."""
+    noise: float = 0.0
+    """Largest standard deviation of the noise in the drone view of a window, in grey levels."""
+
     precision: Literal["auto", "float32", "bfloat16", "float16"] = "float16"
     """Arithmetic of the forward pass; auto is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere.
     float16 is for CUDA; on a CPU it is what auto chooses."""
@@ -205,6 +239,24 @@ class Recipe:
             )
         if self.sampling == "pictures":
             self._check_independent()
+        if self.windows:
+            self._check_windows()
+
+    def _check_windows(self) -> None:
+        """Refuse settings that windows of a map do not allow: they have no classes, and are squares seen from above."""
+        needed: dict[str, tuple[object, object]] = {
+            "instance": (self.instance, 0.0),
+            "metric": (self.metric, "none"),
+            "sampling": (self.sampling, "places"),
+            "pooling": (self.pooling, "average"),
+            "polar": (self.polar, False),
+            "width": (self.width or self.size, self.size),
+        }
+        for name, (value, expected) in needed.items():
+            if value != expected:
+                raise InputError(
+                    f"The recipe has windows = {self.windows} of a map with {name} = {value}; expected {name} = {expected}."
+                )
 
     def _check_independent(self) -> None:
         """Refuse settings that need the pictures of a place side by side, which sets shuffled on their own are not."""
@@ -314,6 +366,7 @@ _SMALL = Recipe(
 # safa-paper, safa-released: SAFA (Shi et al. 2019), with panoramas of 112 x 616 pixels (wtyhub/SAFA_LPN).
 # small: fine-tuning an ImageNet backbone on a few hundred places. All drone pictures have the same heading.
 # world: fine-tuning as in small. Drone pictures have any heading, as in a rendered world.
+# map: fine-tuning on the windows of a map alone.
 # `recipe_sources` has the source of each setting of the published recipes.
 RECIPES: dict[str, Recipe] = {
     "paper": Recipe(),
@@ -324,9 +377,30 @@ RECIPES: dict[str, Recipe] = {
     "safa-released": _SAFA_RECIPE,
     "small": _SMALL,
     "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0, compression=0.5),
+    "map": replace(
+        _SMALL,
+        dropout=0.0,
+        windows=512,
+        epochs=12,
+        warmup_epochs=1,
+        instance=0.0,
+        label_smoothing=0.0,
+        place_rotation=180.0,
+        rotation=15.0,
+        shift=0.1,
+        scale=0.25,
+        tilt=12.0,
+        season=0.5,
+        bands=0.3,
+        shadows=0.4,
+        occlusion=0.4,
+        blur=0.5,
+        noise=12.0,
+        compression=0.5,
+    ),
 }
 RecipeName = Literal[
-    "paper", "released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released", "small", "world"
+    "paper", "released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released", "small", "world", "map"
 ]
 DEFAULT: RecipeName = "paper"
 

@@ -87,7 +87,8 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
         )
     if digest != places:
         raise InputError(
-            f"The run in {path.parent} was started with other training pictures; give the same --data and --validate, or "
+            f"The run in {path.parent} was started with other training pictures; give the same --data or --map, "
+            "--window-sizes, and --validate, or "
             "start anew in another --out."
         )
     return state

@@ -21,12 +21,14 @@ from lpn.core.files import check_writable
 from lpn.core.shutdown import uninterrupted
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
+from lpn.maps import Map
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
+from lpn.training.map_windows import MapWindows
 from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, Validator, best_epoch
 from lpn.training.multi_process import ProcessGroup, single_process
 from lpn.training.recipes import Recipe
@@ -44,7 +46,7 @@ class Trainer:
     """A training run in a folder; docs/training.md lists its files.
 
     Args:
-        dataset: the data set with the training pictures.
+        source: the data set with the training pictures, or the map that is trained on.
         out: the run's folder.
         recipe: every setting of the training.
         init: pretrained weights of the backbone, which every recipe starts from; tensors that do not fit are skipped.
@@ -56,6 +58,7 @@ class Trainer:
         group: the processes that share the training; by default only this one.
         test: measure the last model on the test split.
         compiled: compile the backbones by torch.compile.
+        window_sizes: smallest and largest side in metres of the windows of a map; None chooses them.
 
     Raises:
         DataError: when the data set cannot be trained on.
@@ -66,7 +69,7 @@ class Trainer:
 
     def __init__(
         self,
-        dataset: Dataset,
+        source: Dataset | Map,
         out: Path,
         recipe: Recipe,
         init: Path | None = None,
@@ -79,12 +82,26 @@ class Trainer:
         test: bool = True,
         compiled: bool = False,
         from_scratch: bool = False,
+        window_sizes: tuple[float, float] | None = None,
     ) -> None:
         self.group = group or single_process()
         self.console = (console or Console()) if self.group.is_leader else Console(quiet=True)
-        self.dataset, self.out, self.recipe, self.evaluate_every = dataset, out, recipe, evaluate_every
-        self.places, self.device = TrainingSet(dataset, self.console, recipe.google), self.group.device
-        held = self.places.hold_out(validate, recipe.seed)
+        self.out, self.recipe, self.evaluate_every, self.device = out, recipe, evaluate_every, self.group.device
+        self.places: TrainingSet | MapWindows
+        held: dict[int, dict[str, list[Path]]] = {}
+        if isinstance(source, Map):
+            if evaluate_every or validate:
+                raise InputError(
+                    "A map has no places to test on; leave --evaluate-every and --validate out, and use lpn evaluate --flight."
+                )
+            self.name, self.places = source.name, MapWindows(source, recipe, window_sizes)
+        elif recipe.windows:
+            raise InputError(
+                "The recipe trains on windows of a map; give --map in place of --data, or another --recipe."
+            )
+        else:
+            self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.google)
+            held = self.places.hold_out(validate, recipe.seed)
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
         if resume and there and "state.pt" not in there and _first_epoch_alone(out):
             self.console.print(f"The run in {out} was stopped during its first epoch, so it starts anew.")
@@ -112,10 +129,13 @@ class Trainer:
         self.learner = Learner(network, recipe, self.group, compiled)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
-        tasks = [task for task in dataset.tasks() if set(views_of(task)) <= set(self.places.views)]
-        self.test_split = TestSplit(dataset, tasks) if tasks and (test or (evaluate_every and not held)) else None
+        self.test_split: TestSplit | None = None
+        if isinstance(source, Dataset):
+            tasks = [task for task in source.tasks() if set(views_of(task)) <= set(self.places.views)]
+            if tasks and (test or (evaluate_every and not held)):
+                self.test_split = TestSplit(source, tasks)
         self.validator: Validator | None = HeldOut(held) if held else self.test_split
-        self._places_digest = self.places.digest(dataset.root)
+        self._places_digest = self.places.digest()
         if resume:
             self._resume()
 
@@ -279,12 +299,15 @@ class Trainer:
                 soft_wrap=True,
             )
         if self.evaluate_every and self.validator is None:
-            self.console.print(f"{self.dataset.root.name} has no test split, so no epoch is tested.")
+            self.console.print(f"{self.name} has no test split, so no epoch is tested.")
 
     def _load_init(self, network: LPN, init: Path) -> None:
         filled, total, missing = checkpoints.load_backbone(network, init)
         rest = f"; missing or incomplete, so as initialised: {', '.join(missing)}" if missing else ""
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
+        # Windows of a map have no classes, so the descriptors of a trained model are what is trained on.
+        if isinstance(self.places, MapWindows):
+            self.console.print(checkpoints.load_heads(network, init))
 
     def _save(self, run_log: RunLog | None) -> None:
         """Write model and logs, then the state, from which a run is resumed."""
@@ -300,7 +323,7 @@ class Trainer:
         return {
             "recipe": self.recipe.to_json(),
             "epochs": str(len(self.history)),
-            "data": self.dataset.root.resolve().name,
+            "data": self.name,
         }
 
     def _resume(self) -> None:
@@ -341,7 +364,7 @@ def _first_epoch_alone(out: Path) -> bool:
     return rows <= 2 and epochs == 1 and not (out / "best.safetensors").exists()
 
 
-def _spec(recipe: Recipe, places: TrainingSet) -> ModelSpec:
+def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
     spec = ModelSpec(
         backbone=recipe.backbone,
         last_layer=recipe.last_layer,
@@ -351,7 +374,8 @@ def _spec(recipe: Recipe, places: TrainingSet) -> ModelSpec:
         layout=recipe.layout,
         weighting=recipe.weighting,
         activation=recipe.activation,
-        classes=len(places),
+        # A map has none, and a network at least one.
+        classes=1 if recipe.windows else len(places),
         dropout=recipe.dropout,
         input_size=recipe.input_size,
         pooling=recipe.pooling,

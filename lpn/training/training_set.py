@@ -67,6 +67,7 @@ class TrainingSet:
         self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
         self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
         self.panoramas = dataset.panoramas
+        self.root = dataset.root
         self._cache: dict[Path, UInt8Array] = {}
         self._cache_bytes = 0
         self._lock = threading.Lock()
@@ -74,10 +75,11 @@ class TrainingSet:
     def __len__(self) -> int:
         return len(self.labels)
 
-    def digest(self, root: Path) -> str:
+    def digest(self) -> str:
         """Hash the list of training pictures: a run can be resumed only on the same list."""
         names = {
-            name: [[str(file.relative_to(root)) for file in place] for place in s] for name, s in self.files.items()
+            name: [[str(file.relative_to(self.root)) for file in place] for place in s]
+            for name, s in self.files.items()
         }
         return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
 

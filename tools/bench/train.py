@@ -209,6 +209,7 @@ def measure(
 
     first = trainer("plain")
     places = first.places
+    assert isinstance(places, TrainingSet)
     peer = (ReleasedLoop if device.type == "cuda" else PlainLoop)(LPN(first.network.spec).to(device), places, recipe)
     cold = trainer("cold")
     cold.loader.places = Unkept(open_dataset(data), quiet)

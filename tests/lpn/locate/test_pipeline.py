@@ -14,11 +14,12 @@ import pytest
 
 from lpn.core.errors import DataError, InputError
 from lpn.flights import Flight, Frame, footprint
+from lpn.flights.cut import cut_square
 from lpn.locate import pipeline
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import SiftMatcher
 from lpn.locate.pipeline import LocatedFlight, LocatedFrame, LocateOptions, StageRecord, locate, nadir_pixel
-from lpn.locate.retrieval import MapRetrieval, cut_square, pyramid_sizes, retrieve
+from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.maps import Map, Window, open_map
 from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, GridModel, ground_to_photo, land, photo_of
 

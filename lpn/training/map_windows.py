@@ -1,0 +1,336 @@
+"""The training set of a map: random windows, each as the tile that is cut and as a drone's camera would show the same ground."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
+from lpn.core.views import View
+from lpn.flights import Frame, footprint
+from lpn.flights.cut import CUT, cut_square
+from lpn.maps import Map, Window
+from lpn.maps.window import grid
+from lpn.training.appearance import change_appearance, recolour
+from lpn.training.recipes import Recipe
+
+# Default sides of windows, as multiples of the ground that the network's input shows at the map's resolution.
+_SIZES = (0.5, 2.0)
+# The largest window as a share of the map's shorter side: a batch needs windows that do not overlap.
+_LARGEST = 0.5
+# Sizes at which the places for windows are computed; between them sizes are drawn evenly in their logarithm.
+_LEVELS = 6
+# Least share of a window that the map shows, its places by side, and the most places of a size.
+_MIN_VALID = 0.75
+_STEPS = 8
+_MAX_PLACES = 50_000
+# A map of up to so many pixels a side is held in memory; of a larger one, the ground about each window is read.
+_IN_MEMORY = 4096
+# Side of the ground that is read about a window, as a multiple of the window's side.
+_AROUND = 1.8
+# Proportions of the photos, and the range of fields of view in degrees.
+_PROPORTIONS = ((4, 3), (3, 2), (16, 9))
+_FOV = (50.0, 85.0)
+
+
+class MapWindows:
+    """Windows of a map to train on, each a place of its own; every epoch draws others.
+
+    Args:
+        town: the map.
+        recipe: its `windows` are the places of an epoch; its other settings change the views.
+        sizes: smallest and largest side of a window in metres; by default half to twice what the network's input shows at the
+            map's resolution.
+
+    Attributes:
+        sizes: the sides in metres.
+
+    Raises:
+        InputError: if the sizes are no range, or the windows do not fit on the map.
+        DataError: if the map has no windows with data.
+    """
+
+    views: tuple[View, ...] = ("satellite", "drone")
+    panoramas = False
+
+    def __init__(self, town: Map, recipe: Recipe, sizes: tuple[float, float] | None = None) -> None:
+        if not recipe.windows:
+            raise InputError("The recipe cuts no windows of a map, as windows is 0; give --recipe map with --map.")
+        self.town, self.recipe = town, recipe
+        self.sizes = _check_sizes(town, recipe.size, sizes)
+        edges = np.geomspace(*self.sizes, _LEVELS + 1)
+        self._levels = [_places(town, float(size)) for size in np.sqrt(edges[1:] * edges[:-1])]
+        if not all(len(centres) for centres, _ in self._levels):
+            raise DataError(
+                f"The map {printable(town.name)} has no window of up to {self.sizes[1]:.3g} m with data on {_MIN_VALID:.0%} of "
+                "it; give smaller ones with --window-sizes."
+            )
+        resolution = max(town.resolution, self.sizes[0] / recipe.size)
+        side = max(town.bounds[2] - town.bounds[0], town.bounds[3] - town.bounds[1])
+        pixels = math.ceil(side / resolution)
+        self._whole = _ground_of(town, pixels) if pixels <= _IN_MEMORY else None
+        self._windows = lru_cache(4)(self._draw_windows)
+
+    def __len__(self) -> int:
+        return self.recipe.windows
+
+    def digest(self) -> str:
+        """Hash map and sizes: a run can be resumed only with the same ones."""
+        return hashlib.sha256(json.dumps([self.town.digest(), self.sizes]).encode()).hexdigest()
+
+    def windows(self, epoch: int) -> list[Window]:
+        """Return the windows of an epoch; each is turned by up to the recipe's `place_rotation`."""
+        return self._windows(epoch)
+
+    def overlapping(self, places: Int64Array, epoch: int) -> BoolArray:
+        """Return which windows of an epoch share ground, (B, B), for their numbers (B,); each does so with itself."""
+        windows = self.windows(epoch)
+        return overlaps(np.stack([windows[place].corners for place in places.tolist()]))
+
+    def draw(self, place: int, epoch: int) -> dict[str, UInt8Array]:
+        """Return both views of a window, (H, W, 3) uint8; thread safe.
+
+        The satellite view is the window as retrieval cuts it. The drone view is cut from a photo as retrieval cuts one.
+        """
+        recipe, window = self.recipe, self.windows(epoch)[place]
+        rng = np.random.default_rng([recipe.seed, epoch, place + 1])
+        ground = self._whole or _ground_about(self.town, window, recipe.size)
+        tile = ground.tile(window, recipe.size)
+        photo = ground.photo(draw_shot(window, recipe, rng), recipe.size)
+        if recipe.flip == "place" and rng.random() < 0.5:
+            tile, photo = (cast(UInt8Array, np.ascontiguousarray(view[:, ::-1])) for view in (tile, photo))
+        if recipe.colour:
+            tile = recolour(tile, recipe.colour, rng)
+        return {"satellite": tile, "drone": change_appearance(photo, recipe, rng)}
+
+    def _draw_windows(self, epoch: int) -> list[Window]:
+        recipe, (low, high) = self.recipe, self.sizes
+        rng = np.random.default_rng([recipe.seed, epoch, len(self) + 1])
+        windows = []
+        for level in rng.integers(_LEVELS, size=len(self)).tolist():
+            centres, step = self._levels[level]
+            x, y = centres[rng.integers(len(centres))] + rng.uniform(-0.5, 0.5, 2) * step
+            size = low * (high / low) ** ((level + rng.random()) / _LEVELS)
+            heading = rng.uniform(-1, 1) * recipe.place_rotation
+            windows.append(Window(float(x), float(y), float(size), float(heading)))
+        return windows
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A photo of a window by a camera, and how a square is cut from it.
+
+    Attributes:
+        frame: the camera: heading, pitch, roll, field of view, height above ground, and the photo's pixels.
+        centre: metres east and north of what the photo's middle shows, (2,).
+        heading: at which the square is cut, in degrees from the photo's top; 0 keeps the top.
+        share: of the photo's width that the square's side shows.
+    """
+
+    frame: Frame
+    centre: Float64Array
+    heading: float
+    share: float
+
+    def to_ground(self) -> Float64Array:
+        """Return the homography from the photo's column and row to metres east and north, (3, 3)."""
+        frame = self.frame
+        seen = footprint(frame)
+        assert seen is not None
+        right, bottom = frame.width - 0.5, frame.height - 0.5
+        found = _homography([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)], seen)
+        middle = _apply(found, [((frame.width - 1) / 2, (frame.height - 1) / 2)])[0]
+        moved = np.eye(3)
+        moved[:2, 2] = self.centre - middle
+        return np.asarray(moved @ found, np.float64)
+
+
+def draw_shot(window: Window, recipe: Recipe, rng: np.random.Generator) -> Shot:
+    """Draw a camera that looks at a window, with the recipe's tilt, scale, and shift, from any heading.
+
+    The square is cut with the window's heading up, wrong by up to the recipe's `rotation`. Its pixels are those of the network's
+    input.
+    """
+    proportion = _PROPORTIONS[rng.integers(len(_PROPORTIONS))]
+    height = math.ceil(recipe.size / CUT)
+    width = round(height * proportion[0] / proportion[1])
+    share = CUT * min(1.0, height / width)
+    pitch, roll = -90.0 + rng.uniform(-1, 1) * recipe.tilt, rng.uniform(-1, 1) * recipe.tilt
+    heading, error = rng.uniform(0, 360), rng.uniform(-1, 1) * recipe.rotation
+    fov = rng.uniform(*_FOV)
+    shown = window.size / share * math.exp(rng.uniform(-1, 1) * recipe.scale)
+    above = shown / 2 / math.tan(math.radians(fov) / 2) * -math.sin(math.radians(pitch))
+    frame = Frame(
+        "", Path(), width, height, height_above_ground=above, heading=heading % 360, pitch=pitch, roll=roll, fov=fov
+    )
+    centre = np.array([window.x, window.y]) + rng.uniform(-1, 1, 2) * recipe.shift * window.size
+    return Shot(frame, centre, heading - window.heading + error, share)
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A picture of the ground in halves of halves of its resolution, so that no view of it aliases.
+
+    Attributes:
+        window: what the picture shows, north up.
+        pixels: the window's side in pixels of the first level; the picture may lack rows or columns at its end.
+        levels: of each level, the picture without holes (rows, columns, 3), and 0 or, where there is data, 255 (rows, columns).
+    """
+
+    window: Window
+    pixels: int
+    levels: list[tuple[UInt8Array, UInt8Array]]
+
+    def tile(self, window: Window, pixels: int) -> UInt8Array:
+        """Cut a window's picture as `Map.read` does, (pixels, pixels, 3): black where the map has no data."""
+        corners = [(-0.5, -0.5), (pixels - 0.5, -0.5), (pixels - 0.5, pixels - 0.5), (-0.5, pixels - 0.5)]
+        level, matrix = self._from_view(_homography(corners, window.corners), pixels, pixels)
+        picture, valid = self.levels[level]
+        cut = _warp(picture, matrix, pixels, pixels)
+        shown = cv2.warpPerspective(valid, matrix, (pixels, pixels), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+        cut[shown == 0] = 0
+        return cut
+
+    def photo(self, shot: Shot, pixels: int) -> UInt8Array:
+        """Take a photo and cut the square from it, (pixels, pixels, 3); the photo has no holes."""
+        width, height = shot.frame.width, shot.frame.height
+        level, matrix = self._from_view(shot.to_ground(), width, height)
+        taken = _warp(self.levels[level][0], matrix, width, height)
+        return cut_square(taken, shot.heading, shot.share, pixels)
+
+    def _from_view(self, to_ground: Float64Array, width: int, height: int) -> tuple[int, Float64Array]:
+        """Return the level for a view and the homography from its pixels to the level's, (3, 3)."""
+        origin, along = self.window.to_pixels([(0.0, 0.0), (1.0, 1.0)], self.pixels)
+        to_pixels = np.array([[along[0] - origin[0], 0, origin[0]], [0, along[1] - origin[1], origin[1]], [0, 0, 1]])
+        matrix = to_pixels @ to_ground
+        middle = np.array([(width - 1) / 2, (height - 1) / 2])
+        a, b, c = _apply(matrix, np.array([(0, 0), (1, 0), (0, 1)]) + middle)
+        scale = math.sqrt(abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
+        level = min(max(round(math.log2(max(scale, 1e-9))), 0), len(self.levels) - 1)
+        half = 0.5**level
+        return level, np.array([[half, 0, half / 2 - 0.5], [0, half, half / 2 - 0.5], [0, 0, 1]]) @ matrix
+
+
+def overlaps(corners: npt.ArrayLike) -> BoolArray:
+    """Return which convex quadrilaterals, (N, 4, 2), share ground, (N, N), by the axes that could separate them.
+
+    Only the first two sides of each count, so they are rectangles.
+    """
+    points = np.asarray(corners, np.float64)
+    axes = points[:, 1:3] - points[:, :2]
+    # Projection of each point of j on each axis of i: (i, axis, j, point).
+    along = np.einsum("iad,jpd->iajp", axes, points)
+    low, high = along.min(3), along.max(3)
+    own = np.arange(len(points))
+    first, last = low[own, :, own][..., None], high[own, :, own][..., None]
+    meets = ((low < last) & (high > first)).all(axis=1)
+    return np.asarray(meets & meets.T)
+
+
+def _check_sizes(town: Map, pixels: int, sizes: tuple[float, float] | None) -> tuple[float, float]:
+    """Return the sides of windows in metres, or raise InputError."""
+    west, south, east, north = town.bounds
+    most = _LARGEST * min(east - west, north - south)
+    if sizes is None:
+        low, high = (factor * pixels * town.resolution for factor in _SIZES)
+        return min(low, most / 2), min(high, most)
+    low, high = sizes
+    if not 0 < low <= high < math.inf:
+        raise InputError(
+            f"The windows are {low:g} to {high:g} m wide; expected two numbers above 0, the smaller one first."
+        )
+    if high > most:
+        raise InputError(
+            f"Windows of {high:g} m are too large for the map {printable(town.name)}, which is {east - west:.0f} m by "
+            f"{north - south:.0f} m; give at most {most:.3g} m, half of its shorter side, with --window-sizes."
+        )
+    return float(low), float(high)
+
+
+def _places(town: Map, size: float) -> tuple[Float64Array, float]:
+    """Return the centres, (N, 2) metres, of windows with enough data, and the step between them in metres."""
+    west, south, east, north = town.bounds
+    step = max(size / _STEPS, math.sqrt((east - west) * (north - south) / _MAX_PLACES))
+    centres = grid(town.bounds, size, step)
+    return centres[town.valid_shares(centres, size) >= _MIN_VALID], step
+
+
+def _ground_of(town: Map, pixels: int) -> Ground:
+    """Hold a whole map, `pixels` along its longer side."""
+    west, south, east, north = town.bounds
+    side = max(east - west, north - south)
+    return _ground(Window(west + side / 2, north - side / 2, side), pixels, *town.overview(pixels))
+
+
+def _ground_about(town: Map, window: Window, pixels: int) -> Ground:
+    """Read the ground about a window, at the resolution at which it fills `pixels` a side."""
+    around = Window(window.x, window.y, _AROUND * window.size)
+    side = math.ceil(_AROUND * pixels)
+    return _ground(around, side, *town.read(around, side), levels=1)
+
+
+def _ground(
+    window: Window, pixels: int, picture: UInt8Array, valid: BoolArray, levels: int = 1 + int(math.log2(8))
+) -> Ground:
+    mask = valid.astype(np.uint8) * np.uint8(255)
+    picture = _filled(picture, mask)
+    found = []
+    for _ in range(levels):
+        found.append((picture, mask))
+        # An odd row or column at the end is left out, so that pixels of all levels have common edges.
+        rows, columns = (side // 2 * 2 for side in mask.shape)
+        if min(rows, columns) < 2:
+            break
+        picture, mask = (
+            cast(UInt8Array, cv2.resize(of[:rows, :columns], (columns // 2, rows // 2), interpolation=how))
+            for of, how in ((picture, cv2.INTER_AREA), (mask, cv2.INTER_NEAREST))
+        )
+    return Ground(window, pixels, found)
+
+
+def _filled(picture: UInt8Array, mask: UInt8Array) -> UInt8Array:
+    """Give each pixel without data the colour of the nearest one that has some."""
+    if mask.all() or not mask.any():
+        return picture
+    _, labels = cv2.distanceTransformWithLabels(255 - mask, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    colours = np.zeros((int(labels.max()) + 1, 3), np.uint8)
+    colours[labels[mask > 0]] = picture[mask > 0]
+    return cast(UInt8Array, colours[labels])
+
+
+def _warp(picture: UInt8Array, matrix: Float64Array, width: int, height: int) -> UInt8Array:
+    """Sample a picture bilinearly by the homography from the view's pixels to its own, mirrored beyond its edges."""
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    view = cv2.warpPerspective(picture, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REFLECT_101)
+    return cast(UInt8Array, view)
+
+
+def _homography(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
+    """Return the homography that maps four points, (4, 2), to four others, (3, 3)."""
+    (u, v), (x, y) = np.asarray(source, np.float64).T, np.asarray(target, np.float64).T
+    zero, one = np.zeros(4), np.ones(4)
+    rows: Any = np.concatenate(
+        [
+            np.stack([u, v, one, zero, zero, zero, -u * x, -v * x], axis=1),
+            np.stack([zero, zero, zero, u, v, one, -u * y, -v * y], axis=1),
+        ]
+    )
+    return np.append(np.linalg.solve(rows, np.concatenate([x, y])), 1.0).reshape(3, 3)
+
+
+def _apply(homography: Float64Array, points: npt.ArrayLike) -> Float64Array:
+    """Map points, (N, 2), by a homography."""
+    uv = np.asarray(points, np.float64)
+    mapped = np.column_stack([uv, np.ones(len(uv))]) @ homography.T
+    return np.asarray(mapped[:, :2] / mapped[:, 2:], np.float64)
