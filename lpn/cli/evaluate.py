@@ -58,6 +58,8 @@ class EvaluateCommand:
     """Map of --flight: a folder of lpn map, or a georeferenced picture."""
     prior: float | None = None
     """Metres around each frame's own position that --flight is registered in without --model; by default the whole map."""
+    register: bool = True
+    """Lay each photo of --flight over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
     json: Path | None = None
     """File to write the measures to, as JSON."""
 
@@ -71,8 +73,11 @@ class EvaluateCommand:
         if self.flight is not None or self.map is not None:
             self._evaluate_flight()
             return
-        if self.prior is not None:
-            raise InputError("A prior belongs to a flight; give --flight and --map with --prior, or leave it out.")
+        if self.prior is not None or not self.register:
+            raise InputError(
+                "Priors and registration belong to a flight; give --flight and --map with --prior and --no-register, or leave "
+                "them out."
+            )
         parts = _numbers(self.parts)
         protocol = Protocol(
             Change(self.rotate, self.shift, self.scale),
@@ -100,7 +105,7 @@ class EvaluateCommand:
         if self.data is not None or self.saved is not None or self.task is not None:
             raise InputError("A flight has neither data set nor task; leave --data, --saved, and --task out.")
         console = Console(width=max(120, Console().width))
-        options = LocateOptions(prior=self.prior)
+        options = LocateOptions(register=self.register, prior=self.prior)
         located = locate_files(self.map, self.flight, self.model, self.provider, options, None, console)
         print_summary(located, console)
         if self.json is not None:

@@ -4,7 +4,7 @@
     open_flight("flights/monday")           # that folder, or a folder of photos
     footprint(frame), ground_width(frame)
 
-It imports `core` and `datasets`. `locate` and `cli` import it. docs/flights.md shows what is read.
+It imports `core` and `datasets`. `training`, `locate`, and `cli` import it. docs/flights.md shows what is read.
 """
 
 from __future__ import annotations

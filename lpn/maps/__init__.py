@@ -4,7 +4,7 @@
     picture, valid = town.read(Window(120.0, -35.0, 100.0), 224)
     windows = town.pyramid([70.0, 100.0, 140.0], overlap=0.5)
 
-It imports `core` only, and needs the extra `maps`; `locate` and the packages above it import it.
+It imports `core` only, and needs the extra `maps`; `training`, `locate`, and the packages above them import it.
 """
 
 from lpn.maps.frame import LocalFrame

@@ -107,7 +107,7 @@ class MapWindows:
         rng = np.random.default_rng([recipe.seed, epoch, place + 1])
         ground = self._whole or _ground_about(self.town, window, recipe.size)
         tile = ground.tile(window, recipe.size)
-        photo = ground.photo(draw_shot(window, recipe, rng), recipe.size)
+        photo = ground.photo(draw_photo(window, recipe, rng), recipe.size)
         if recipe.flip == "place" and rng.random() < 0.5:
             tile, photo = (cast(UInt8Array, np.ascontiguousarray(view[:, ::-1])) for view in (tile, photo))
         if recipe.colour:
@@ -128,7 +128,7 @@ class MapWindows:
 
 
 @dataclass(frozen=True)
-class Shot:
+class SimulatedPhoto:
     """A photo of a window by a camera, and how a square is cut from it.
 
     Attributes:
@@ -156,7 +156,7 @@ class Shot:
         return np.asarray(moved @ found, np.float64)
 
 
-def draw_shot(window: Window, recipe: Recipe, rng: np.random.Generator) -> Shot:
+def draw_photo(window: Window, recipe: Recipe, rng: np.random.Generator) -> SimulatedPhoto:
     """Draw a camera that looks at a window, with the recipe's tilt, scale, and shift, from any heading.
 
     The square is cut with the window's heading up, wrong by up to the recipe's `rotation`. Its pixels are those of the network's
@@ -175,11 +175,11 @@ def draw_shot(window: Window, recipe: Recipe, rng: np.random.Generator) -> Shot:
         "", Path(), width, height, height_above_ground=above, heading=heading % 360, pitch=pitch, roll=roll, fov=fov
     )
     centre = np.array([window.x, window.y]) + rng.uniform(-1, 1, 2) * recipe.shift * window.size
-    return Shot(frame, centre, heading - window.heading + error, share)
+    return SimulatedPhoto(frame, centre, heading - window.heading + error, share)
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class GroundPyramid:
     """A picture of the ground in halves of halves of its resolution, so that no view of it aliases.
 
     Attributes:
@@ -202,7 +202,7 @@ class Ground:
         cut[shown == 0] = 0
         return cut
 
-    def photo(self, shot: Shot, pixels: int) -> UInt8Array:
+    def photo(self, shot: SimulatedPhoto, pixels: int) -> UInt8Array:
         """Take a photo and cut the square from it, (pixels, pixels, 3); the photo has no holes."""
         width, height = shot.frame.width, shot.frame.height
         level, matrix = self._from_view(shot.to_ground(), width, height)
@@ -266,14 +266,14 @@ def _places(town: Map, size: float) -> tuple[Float64Array, float]:
     return centres[town.valid_shares(centres, size) >= _MIN_VALID], step
 
 
-def _ground_of(town: Map, pixels: int) -> Ground:
+def _ground_of(town: Map, pixels: int) -> GroundPyramid:
     """Hold a whole map, `pixels` along its longer side."""
     west, south, east, north = town.bounds
     side = max(east - west, north - south)
     return _ground(Window(west + side / 2, north - side / 2, side), pixels, *town.overview(pixels))
 
 
-def _ground_about(town: Map, window: Window, pixels: int) -> Ground:
+def _ground_about(town: Map, window: Window, pixels: int) -> GroundPyramid:
     """Read the ground about a window, at the resolution at which it fills `pixels` a side."""
     around = Window(window.x, window.y, _AROUND * window.size)
     side = math.ceil(_AROUND * pixels)
@@ -282,7 +282,7 @@ def _ground_about(town: Map, window: Window, pixels: int) -> Ground:
 
 def _ground(
     window: Window, pixels: int, picture: UInt8Array, valid: BoolArray, levels: int = 1 + int(math.log2(8))
-) -> Ground:
+) -> GroundPyramid:
     mask = valid.astype(np.uint8) * np.uint8(255)
     picture = _filled(picture, mask)
     found = []
@@ -296,7 +296,7 @@ def _ground(
             cast(UInt8Array, cv2.resize(of[:rows, :columns], (columns // 2, rows // 2), interpolation=how))
             for of, how in ((picture, cv2.INTER_AREA), (mask, cv2.INTER_NEAREST))
         )
-    return Ground(window, pixels, found)
+    return GroundPyramid(window, pixels, found)
 
 
 def _filled(picture: UInt8Array, mask: UInt8Array) -> UInt8Array:

@@ -342,8 +342,13 @@ def _cell(setting: str, value: object) -> str:
 
 
 def table(first: str, second: str) -> str:
-    """Return a Markdown table of two recipes, with the source of each setting; those without effect in both stand below it."""
+    """Return a Markdown table of two recipes, with the source of each setting; those without effect in both stand below it.
+
+    Of two recipes that are ours, it has the settings in which they differ, and those that they share stand below it.
+    """
     recipes = {name: asdict(find(name)) for name in (first, second)}
+    if not {first, second} & set(_CHAINS):
+        return _own_table(recipes)
     rows, unused = [f"| setting | `{first}` | source | `{second}` | source |", "|---|---|---|---|---|"], []
     for setting in recipes[first]:
         sources = {name: source(name, setting) for name in recipes}
@@ -355,3 +360,12 @@ def table(first: str, second: str) -> str:
         cells = (cell for name, of in recipes.items() for cell in (_cell(setting, of[setting]), sources[name]))
         rows.append(f"| `{setting}` | {' | '.join(cells)} |")
     return "\n".join([*rows, "", f"Off in both, or without effect: {', '.join(unused)}."])
+
+
+def _own_table(recipes: dict[str, dict[str, object]]) -> str:
+    """Return the Markdown table of two recipes that are ours."""
+    first, second = recipes.values()
+    rows = [f"| setting | {' | '.join(f'`{name}`' for name in recipes)} |", "|---|---|---|"]
+    rows += [f"| `{key}` | {value} | {second[key]} |" for key, value in first.items() if value != second[key]]
+    shared = ", ".join(f"`{key}` {_cell(key, value)}" for key, value in first.items() if value == second[key])
+    return "\n".join([*rows, "", f"The same in both: {shared}."])

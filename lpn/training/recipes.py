@@ -447,10 +447,12 @@ def method(name: str, recipe: Recipe) -> Recipe:
     """Apply a method of `METHODS` to a recipe.
 
     Raises:
-        InputError: if there is no such method.
+        InputError: if there is no such method, or the recipe trains on a map.
     """
     if name not in METHODS:
         raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
+    if recipe.windows:
+        raise InputError(f"A map is trained on with the loss of its recipe; leave --method {name} out.")
     return replace(recipe, **METHODS[name])
 
 
@@ -458,7 +460,7 @@ def find(recipe: str, method_name: str | None = None) -> Recipe:
     """Return a recipe of `RECIPES`, for its own method or for one of `METHODS` with the rates of that method's script.
 
     Raises:
-        InputError: if there is no such recipe or method.
+        InputError: if there is no such recipe or method, or the recipe has no methods.
     """
     if recipe not in RECIPES:
         raise InputError(f"There is no recipe {recipe!r}; choose one of {', '.join(RECIPES)}.")

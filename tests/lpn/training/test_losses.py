@@ -148,7 +148,7 @@ def test_every_method_has_the_loss_it_is_named_after() -> None:
     assert set(METHODS) >= set(expected)
 
 
-@pytest.mark.parametrize("recipe", RECIPES)
+@pytest.mark.parametrize("recipe", [name for name, recipe in RECIPES.items() if not recipe.windows])
 def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> None:
     baseline, safa = ("average", "university", False, 1), ("safa", "university", True)
     summed = {"safa": (8, False), "safa-lpn": (1, True)}

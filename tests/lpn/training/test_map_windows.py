@@ -21,7 +21,7 @@ from lpn.maps import Map, Window, open_map
 from lpn.training import appearance, map_windows
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.losses import infonce_loss
-from lpn.training.map_windows import MapWindows, draw_shot, overlaps
+from lpn.training.map_windows import MapWindows, draw_photo, overlaps
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 from tests.lpn.maps import small_maps
@@ -30,7 +30,7 @@ pytest.importorskip("rasterio")
 
 CPU = torch.device("cpu")
 RECIPE = replace(RECIPES["map"], size=64, windows=12, batch=4, seed=3)
-QUICK = replace(RECIPE, size=32, windows=16, epochs=4, batch=8, warmup_epochs=0, precision="float32", lr=1e-3, ema=0.0)
+QUICK = replace(RECIPE, size=32, windows=16, epochs=3, batch=8, warmup_epochs=0, precision="float32", lr=1e-3, ema=0.0)
 # A map without any change but the camera's place.
 PLAIN = replace(RECIPE, **dict.fromkeys(("colour", "season", "bands", "shadows", "occlusion", "blur", "noise"), 0.0))
 PIXELS = 120
@@ -73,7 +73,7 @@ def test_the_drone_view_shows_the_ground_that_its_rays_meet(ramp: Map) -> None:
     recipe = replace(PLAIN, size=32, tilt=12.0, rotation=0.0)
     for seed, in_memory in ((1, True), (2, True), (3, False)):
         window = Window(4.0, -6.0, 40.0)
-        shot = draw_shot(window, recipe, np.random.default_rng(seed))
+        shot = draw_photo(window, recipe, np.random.default_rng(seed))
         # The square keeps the photo's top, so its pixels lie on a grid of the photo's.
         shot = replace(shot, heading=0.0)
         whole = MapWindows(ramp, recipe, (30.0, 50.0))._whole
@@ -109,7 +109,7 @@ def test_a_square_is_cut_with_the_windows_heading_up(ramp: Map) -> None:
     assert windows._whole is not None
     for seed in range(4):
         window = Window(0.0, 0.0, 40.0, 37.0 * seed)
-        shot = draw_shot(window, recipe, np.random.default_rng(seed))
+        shot = draw_photo(window, recipe, np.random.default_rng(seed))
         photo, tile = windows._whole.photo(shot, 64), windows._whole.tile(window, 64)
         inside = cv2.circle(np.zeros((64, 64), np.uint8), (32, 32), 28, 1, -1) > 0
         off = np.linalg.norm(places_of(ramp, photo) - places_of(ramp, tile), axis=2)[inside]
@@ -137,7 +137,7 @@ def test_ground_without_data_is_black_in_a_tile_and_not_in_a_photo(town: Map) ->
     black = (windows._whole.tile(edge, 64) == 0).all(axis=2)
     assert (black ^ ~town.read(edge, 64)[1]).mean() < 0.03
     assert 0.2 < black.mean() < 0.8
-    photo = windows._whole.photo(draw_shot(edge, PLAIN, np.random.default_rng(0)), 64)
+    photo = windows._whole.photo(draw_photo(edge, PLAIN, np.random.default_rng(0)), 64)
     assert (photo == 0).all(axis=2).mean() < 0.01
 
 
@@ -147,7 +147,7 @@ def test_windows_of_an_epoch_have_data_and_sizes_in_range(town: Map) -> None:
     sizes = np.array([window.size for window in drawn])
     assert 30 <= sizes.min() < 33
     assert 55 < sizes.max() <= 60
-    shares = [town.read(replace(window, heading=0.0), 40)[1].mean() for window in drawn]
+    shares = [town.read(replace(window, heading=0.0), 20)[1].mean() for window in drawn[:60]]
     assert min(shares) > 0.6
     assert np.ptp([window.heading for window in drawn]) > 300
     assert drawn == MapWindows(town, replace(RECIPE, windows=200), (30.0, 60.0)).windows(0)
@@ -278,7 +278,7 @@ def test_the_default_sizes_follow_from_the_resolution_and_fit_the_map(town: Map)
         (["--map", "{map}", "--recipe", "small"], "give --recipe map with --map"),
         (["--map", "{map}", "--validate", "0.1"], "leave --evaluate-every and --validate out"),
         (["--map", "{map}", "--instance", "1"], "windows = 512 of a map with instance = 1.0; expected instance = 0.0"),
-        (["--map", "{map}", "--method", "lpn"], "expected instance = 0.0"),
+        (["--map", "{map}", "--method", "lpn"], "leave --method lpn out"),
         (["--map", "{map}", "--window-sizes", "30", "500"], "too large for the map"),
     ],
 )
