@@ -24,8 +24,9 @@ from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import Picture, Truth
 from lpn.datasets.geo import Position
 from lpn.flights import Frame
+from lpn.flights.cut import cut_square
 from lpn.locate.pipeline import LocatedFlight, LocatedFrame
-from lpn.locate.retrieval import MapRetrieval, cut_square, heading_is_certain
+from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map, Window
 from lpn.models.base import Model
 
