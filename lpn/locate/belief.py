@@ -85,6 +85,8 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -> Belief:
     """Return the verdict on a frame.
 
+    A registration is believed unless its tag contradicts it or, without a tag, the sequence does.
+
     Args:
         contradictions: those of this frame.
     """
@@ -94,12 +96,14 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
         headline = f"Registered to ± {registration.radius or 0:.1f} m"
         error = located.error("registration")
         beside = "" if error is None else f" It lies {error:.1f} m from the tag."
-        if contradictions:
-            worst = max(contradictions, key=lambda one: one.metres - one.allowed)
-            return Belief(
-                None, f"{headline}, but {worst.one} and {worst.other} disagree", worst.sentence, "registration"
-            )
-        return Belief(True, headline, why + beside, "registration")
+        against = {one.other: one for one in contradictions if one.one == "registration"}
+        doubt = against.get("tag") or against.get("sequence")
+        if doubt is None:
+            return Belief(True, headline, why + beside, "registration")
+        if "tag" not in against and located.tag is not None:  # two of three agree
+            return Belief(True, headline, f"{why}{beside} The sequence is {doubt.metres:.1f} m off.", "registration")
+        who = "its tag" if doubt.other == "tag" else "the sequence"
+        return Belief(None, f"{headline}, but {who} disagrees", doubt.sentence, "registration")
     if sequence is not None and sequence.accepted:
         return Belief(
             None, f"Within ± {sequence.radius or 0:.0f} m by its neighbours", why or sequence.sentence, "sequence"

@@ -24,6 +24,7 @@
   const all = (selector) => (root ? [...root.querySelectorAll(selector)] : []);
   const ink = () => getComputedStyle(root).color;
   const total = () => data.names.length;
+  const range = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
   // ---- from metres to pixels and to degrees
@@ -48,7 +49,7 @@
   const look = (points) => {
     const [width, height] = size();
     if (!points.length || !width) return;
-    const span = (axis) => [Math.min(...points.map((p) => p[axis])), Math.max(...points.map((p) => p[axis]))];
+    const span = (axis) => range(points.map((p) => p[axis]));
     const [west, east] = span(0), [south, north] = span(1);
     const scale = 0.88 * Math.min(width / Math.max(east - west, 1), height / Math.max(north - south, 1));
     view = { x: (west + east) / 2, y: (south + north) / 2, scale: limited(scale) };
@@ -362,9 +363,8 @@
   };
 
   // ---- the timeline
-  const timed = () => data.times || data.names.map((_, i) => i);
   const across = (i, width) => {
-    const times = timed(), low = Math.min(...times), high = Math.max(...times);
+    const { times, low, high } = data.span;
     return 44 + ((width - 56) * (times[i] - low)) / (high - low || 1);
   };
   const series = () =>
@@ -493,6 +493,8 @@
     if (data && data.address !== given.address) tiles.clear();
     const same = data && String(data.bounds) === String(given.bounds);
     data = given;
+    const times = data.times || data.names.map((_, i) => i), [low, high] = range(times);
+    data.span = { times: times, low: low, high: high };
     if (!same) view = null;
     refresh();
   };

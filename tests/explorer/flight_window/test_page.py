@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +14,8 @@ import pytest
 from explorer.flight_window import page
 from explorer.flight_window.page import FlightView
 from lpn.locate.pipeline import LocatedFlight
+from lpn.maps import open_map
+from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 
 @pytest.fixture
@@ -44,6 +48,18 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
     assert [one[4] for one in data["outlines"]] == [True, True, False]
     assert data["outlines"][0][0] == pytest.approx([-40.0, 16.0])
     assert data["sheets"] == []
+
+
+def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path) -> None:
+    for i in range(2):
+        place = (0.5, 0, EAST + 150 * i, 0, -0.5, NORTH)
+        write_geotiff(tmp_path / f"sheet{i}.tif", smooth(40, 200, i), matrix=place)
+    two = replace(flight, town=open_map(tmp_path))
+    sheets = page.data(FlightView.of(two), "x/")["sheets"]
+    assert sorted(sheet["name"] for sheet in sheets) == ["sheet0.tif", "sheet1.tif"]
+    assert len({sheet["colour"] for sheet in sheets}) == 2
+    west, east = sorted(min(x for x, _ in sheet["outline"]) for sheet in sheets)
+    assert east - west == pytest.approx(150, abs=0.5)
 
 
 def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_says(view: FlightView) -> None:

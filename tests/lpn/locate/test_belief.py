@@ -60,7 +60,18 @@ def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
     found = belief(bad, disagreements([bad]))
     assert found.sign is None
     assert found.stage == "registration"
-    assert found.headline == "Registered to ± 1.0 m, but registration and tag disagree"
+    assert found.headline == "Registered to ± 1.0 m, but its tag disagrees"
+    assert found.reason == "Registration and tag lie 60.0 m apart; their radii allow 15.3 m."
+
+
+def test_a_tag_outweighs_the_sequence() -> None:
+    both = {"registration": registration(3.0), "sequence": sequence(100.0)}
+    tagged, untagged = located(**both), located(tag=None, **both)
+    found = belief(tagged, disagreements([tagged]))
+    assert found.sign is True
+    assert found.reason == "Matches agree. It lies 3.0 m from the tag. The sequence is 97.0 m off."
+    found = belief(untagged, disagreements([untagged]))
+    assert (found.sign, found.headline) == (None, "Registered to ± 1.0 m, but the sequence disagrees")
 
 
 def test_without_a_registration_the_reason_is_its_refusal() -> None:
