@@ -213,6 +213,35 @@ def test_world(tmp_path: Path, killer: Killer) -> None:
 
 
 @pytest.mark.slow
+def test_a_flight_over_a_world(tmp_path: Path, killer: Killer) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    out = tmp_path / "out"
+
+    def files() -> dict[str, Path]:
+        # What a killed process was writing lies beside for a minute.
+        made = {file.relative_to(out).as_posix(): file for file in sorted(out.rglob("*")) if file.is_file()}
+        return {name: file for name, file in made.items() if not name.startswith("cache/") and ".part" not in name}
+
+    def whole() -> None:
+        """Either it says that it is unfinished, or everything is there."""
+        made = files()
+        for name, file in made.items():
+            if name.endswith(".JPG"):
+                assert load_picture(file).shape == (48, 64, 3)
+            elif name.endswith(".tif"):
+                with rasterio.open(file) as opened:
+                    opened.read()
+        assert "unfinished.txt" in made or len(made) in (0, 11)
+
+    def result() -> object:
+        return {name: file.read_bytes() for name, file in files().items()}
+
+    settings = ["--flight", "--buildings", "2", "--frames", "6", "--width", "64", "--map-pixel", "2"]
+    arguments = ["world", "--out", str(out), "--seed", "3", *settings]
+    survives(Command(arguments, whole, result), killer, out)
+
+
+@pytest.mark.slow
 def test_a_store_read_while_it_is_written_is_none_or_whole(
     model_file: Path, places: Path, tmp_path: Path, killer: Killer
 ) -> None:
