@@ -35,8 +35,10 @@ _LEVELS = 6
 _MIN_VALID = 0.75
 _STEPS = 8
 _MAX_PLACES = 50_000
-# A map of up to so many pixels a side is held in memory; of a larger one, the ground about each window is read.
+# Default of `in_memory`: 64 MB of pixels and mask, and a third more for the coarser levels.
 _IN_MEMORY = 4096
+# Levels of a map in memory, each of half the resolution of the one before.
+_RESOLUTIONS = 6
 # Side of the ground that is read about a window, as a multiple of the window's side.
 _AROUND = 1.8
 # Proportions of the photos, and the range of fields of view in degrees.
@@ -51,7 +53,8 @@ class MapWindows:
         town: the map.
         recipe: its `windows` are the places of an epoch; its other settings change the views.
         sizes: smallest and largest side of a window in metres; by default half to twice what the network's input shows at the
-            map's resolution.
+            map's resolution, as far as they fit.
+        in_memory: a map of up to so many pixels a side is held in memory; of a larger one, the ground about each window is read.
 
     Attributes:
         sizes: the sides in metres.
@@ -64,7 +67,9 @@ class MapWindows:
     views: tuple[View, ...] = ("satellite", "drone")
     panoramas = False
 
-    def __init__(self, town: Map, recipe: Recipe, sizes: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self, town: Map, recipe: Recipe, sizes: tuple[float, float] | None = None, in_memory: int = _IN_MEMORY
+    ) -> None:
         if not recipe.windows:
             raise InputError("The recipe cuts no windows of a map, as windows is 0; give --recipe map with --map.")
         self.town, self.recipe = town, recipe
@@ -79,7 +84,7 @@ class MapWindows:
         resolution = max(town.resolution, self.sizes[0] / recipe.size)
         side = max(town.bounds[2] - town.bounds[0], town.bounds[3] - town.bounds[1])
         pixels = math.ceil(side / resolution)
-        self._whole = _ground_of(town, pixels) if pixels <= _IN_MEMORY else None
+        self._whole = _ground_of(town, pixels) if pixels <= in_memory else None
         self._windows = lru_cache(4)(self._draw_windows)
 
     def __len__(self) -> int:
@@ -244,7 +249,11 @@ def _check_sizes(town: Map, pixels: int, sizes: tuple[float, float] | None) -> t
     most = _LARGEST * min(east - west, north - south)
     if sizes is None:
         low, high = (factor * pixels * town.resolution for factor in _SIZES)
-        return min(low, most / 2), min(high, most)
+        low, high = min(low, most / 2), min(high, most)
+        # A map of an irregular outline has data for smaller windows only.
+        while high > 1.5 * low and not len(_places(town, high)[0]):
+            high *= 0.8
+        return low, high
     low, high = sizes
     if not 0 < low <= high < math.inf:
         raise InputError(
@@ -281,7 +290,7 @@ def _ground_about(town: Map, window: Window, pixels: int) -> GroundPyramid:
 
 
 def _ground(
-    window: Window, pixels: int, picture: UInt8Array, valid: BoolArray, levels: int = 1 + int(math.log2(8))
+    window: Window, pixels: int, picture: UInt8Array, valid: BoolArray, levels: int = _RESOLUTIONS
 ) -> GroundPyramid:
     mask = valid.astype(np.uint8) * np.uint8(255)
     picture = _filled(picture, mask)

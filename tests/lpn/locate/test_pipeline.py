@@ -402,6 +402,8 @@ def test_the_commands_write_a_track_and_measures(
     assert "suffix '.shp'" in capsys.readouterr().err
     assert main(["evaluate", "--flight", str(tmp_path / "flight")]) == 2
     assert "give both --flight and --map" in capsys.readouterr().err
+    assert main(["evaluate", "--no-register"]) == 2
+    assert "Priors and registration belong to a flight" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -116,10 +116,9 @@ def test_a_square_is_cut_with_the_windows_heading_up(ramp: Map) -> None:
         assert off.mean() < 0.6
 
 
-def test_a_tile_is_what_retrieval_cuts_in_memory_or_by_windows(town: Map, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tile_is_what_retrieval_cuts_in_memory_or_by_windows(town: Map) -> None:
     for whole in (True, False):
-        monkeypatch.setattr(map_windows, "_IN_MEMORY", 4096 if whole else 16)
-        windows = MapWindows(town, PLAIN, (40.0, 60.0))
+        windows = MapWindows(town, PLAIN, (40.0, 60.0), in_memory=4096 if whole else 16)
         assert (windows._whole is not None) == whole
         for number, window in enumerate(windows.windows(0)):
             tile = windows.draw(number, 0)["satellite"]
@@ -261,6 +260,11 @@ def test_a_map_without_enough_data_is_refused(tmp_path: Path) -> None:
     strip = open_map(small_maps.write_geotiff(tmp_path / "strip.tif", picture, nodata=0))
     with pytest.raises(DataError, match="has no window of up to 50 m with data on 75% of it"):
         MapWindows(strip, RECIPE, (30.0, 50.0))
+    picture[:, 70:130] = 90
+    wider = open_map(small_maps.write_geotiff(tmp_path / "wider.tif", picture, nodata=0))
+    low, high = MapWindows(wider, RECIPE).sizes
+    assert low == pytest.approx(16, rel=0.01)
+    assert 30 < high < 41
 
 
 def test_the_default_sizes_follow_from_the_resolution_and_fit_the_map(town: Map) -> None:
