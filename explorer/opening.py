@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 # Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
 SAVED_MAP = (16, 16)
 # Seconds that the start waits for registration; answers from the cache take less.
-REGISTRATION_WAIT = 8.0
+REGISTRATION_WAIT = 3.0
 
 
 def open_model(

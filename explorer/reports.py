@@ -14,6 +14,7 @@ from lpn.analysis import notes
 from lpn.analysis.task import Task
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
+from lpn.locate.task import stage_columns
 from lpn.models.base import Model
 
 # A function that makes a report with a model and returns the file's name and contents.
@@ -21,8 +22,10 @@ MakeReport = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
-    """Return the task with these part weights and the user's notes."""
-    return replace(task, model=model, weights=weights, notes=notes.read_notes(workspace.root / notes.NAME))
+    """Return the task with these part weights, the user's notes, and what is known of a flight."""
+    columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
+    stored = notes.read_notes(workspace.root / notes.NAME)
+    return replace(task, model=model, weights=weights, notes=stored, columns=columns)
 
 
 def of_analysis(

@@ -101,7 +101,9 @@ def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card
 
 
 def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Rate], full: float) -> _Card:
-    overall, chosen = float(findings.outcomes.failed.mean()), _label(lab, state.selection_kind(column))
+    outcomes = findings.outcomes
+    overall = int(outcomes.failed.sum()) / max(int(outcomes.known.sum()), 1)
+    chosen = _label(lab, state.selection_kind(column))
     lines = []
     for index, rate in enumerate(rates[:_MAX_VALUES]):
         low, high = (f"{100 * end:.0f}" for end in rate.interval)

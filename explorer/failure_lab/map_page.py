@@ -57,6 +57,7 @@ class MapPage:
             selected = np.zeros(len(findings.table), bool)
             selected[rows] = True
             outcomes = findings.outcomes
+            selected &= outcomes.known
             positive = -1 if query is None else int(outcomes.true[query])
             self.drawn = map_drawing.draw(
                 points, outcomes.failed, selected, outcomes.answer, size, lab.zoomed, query, positive

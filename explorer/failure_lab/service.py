@@ -19,6 +19,8 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import LPNError
 from lpn.core.tables import Table
 from lpn.datasets.metadata import NOTE, TAGS
+from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.task import stage_columns
 
 MapKind = Literal["pca", "umap", "ground"]
 
@@ -31,6 +33,7 @@ class Findings:
         table: see `query_outcomes.table`, with the columns of `notes`.
         part_names: the names of the parts that `outcomes` numbers.
         notes_error: why the notes cannot be used, in one sentence; empty if they can.
+        flight: the flight whose answers `table` has; None without one.
     """
 
     task: Task
@@ -38,6 +41,7 @@ class Findings:
     table: Table
     part_names: list[str]
     notes_error: str
+    flight: LocatedFlight | None = None
 
     def note(self, row: int) -> Note:
         """Return the tags and the note of a query."""
@@ -75,8 +79,14 @@ class FailureLab:
         return find_spec("umap") is not None
 
     def findings(self, task: str) -> Findings | None:
-        """Return a task's findings with the newest notes, None before they are computed."""
-        return self._findings.get(task)
+        """Return a task's findings with the newest notes and the newest answers of a flight; None before they are computed."""
+        flight = self._workspace.flight
+        with self._lock:
+            findings = self._findings.get(task)
+            if findings is not None and flight is not None and findings.flight is not flight:
+                table = findings.table.with_columns(stage_columns(flight))
+                findings = self._findings[task] = replace(findings, table=table, flight=flight)
+            return findings
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:
         """Start or join the computation of a task's findings."""

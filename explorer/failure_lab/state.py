@@ -13,13 +13,14 @@ from lpn.analysis.breakdown import Rate
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table
+from lpn.locate.task import REASON
 
 Tab = Literal["table", "breakdown", "maps"]
 OutcomeFilter = Literal["all", "failed", "found"]
 # Columns that the table always shows, if they exist.
 FIXED_COLUMNS = ("name", "rank", "margin", "part", "answer", "distance")
 # Further columns, shown until the user chooses others. A column without any value is left out.
-_DEFAULT_COLUMNS = ("altitude", "district", "tags")
+_DEFAULT_COLUMNS = ("altitude", "district", "verdict", "tags")
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +165,10 @@ def selected_rows(findings: Findings, lab: LabState, without: str = "", any_outc
         without: a kind of selection to ignore.
         any_outcome: ignore the choice of failed or found queries.
     """
-    table, failed = findings.table, findings.outcomes.failed
+    table, outcomes = findings.table, findings.outcomes
     rows = table.filter(table.rows(), lab.filter)
     if lab.outcome != "all" and not any_outcome:
-        rows = rows[failed[rows] == (lab.outcome == "failed")]
+        rows = rows[(outcomes.failed if lab.outcome == "failed" else outcomes.found)[rows]]
     for selection in lab.selections:
         if selection.kind != without:
             rows = np.intersect1d(rows, selection.rows, assume_unique=True)
@@ -200,18 +201,20 @@ def _sort_column(findings: Findings, lab: LabState) -> str:
 def charted_columns(findings: Findings) -> list[Column]:
     """Return the columns against which failure rates are shown."""
     columns = query_outcomes.picture_columns(findings.table)
-    return [column for column in columns if column.name not in ("latitude", "longitude")]
+    return [column for column in columns if column.name not in ("latitude", "longitude", REASON)]
 
 
 def failure_rates(findings: Findings, lab: LabState, column: Column) -> list[Rate]:
-    """Return failure rates against a column among the selected queries.
+    """Return failure rates against a column among the selected queries whose truth is known.
 
     The outcome filter and a selection in this column are ignored. If all or none of the selected queries failed, every
     rate would be 1 or 0, so the rates of all queries are returned.
     """
+    known = findings.outcomes.known
     rows = selected_rows(findings, lab, selection_kind(column), any_outcome=True)
+    rows = rows[known[rows]]
     if not 0 < int(findings.outcomes.failed[rows].sum()) < len(rows):
-        rows = findings.table.rows()
+        rows = np.flatnonzero(known)
     return breakdown.rates(findings.outcomes.failed, column, rows=rows)
 
 

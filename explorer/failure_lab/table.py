@@ -39,8 +39,8 @@ class _Cell(NamedTuple):
 
 def bar(findings: Findings, lab: LabState) -> str:
     """Return the bar of tabs, outcomes, and actions."""
-    failed, queries = int(findings.outcomes.failed.sum()), len(findings.table)
-    counts = dict(zip(get_args(OutcomeFilter), (queries, failed, queries - failed), strict=True))
+    failed, found = int(findings.outcomes.failed.sum()), int(findings.outcomes.found.sum())
+    counts = dict(zip(get_args(OutcomeFilter), (len(findings.table), failed, found), strict=True))
     return render("failure_lab/bar", lab=lab, tabs=get_args(Tab), counts=counts)
 
 
@@ -146,7 +146,7 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
         revision=revision,
         thumbnail=workspace.thumbnail(picture),
         name=picture.name,
-        right=bool(findings.outcomes.rank[row] == 0),
+        right=findings.outcomes.verdict(row),
         rank=rank,
         answer=answer,
         margin=margin,
@@ -159,7 +159,7 @@ def _cell(findings: Findings, workspace: Workspace, column: Column, row: int, li
     """Format a cell; `limit` is the margin at the end of the margins' scale."""
     text, outcomes = column.text(row), findings.outcomes
     if column.name == "rank":
-        return _Cell("number", text or "–", right=bool(outcomes.rank[row] == 0))
+        return _Cell("number", text or "–", right=outcomes.verdict(row))
     if not text:
         return _Cell(column.kind, "")
     if column.name == "answer":

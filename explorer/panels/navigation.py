@@ -46,7 +46,10 @@ class Navigation:
             self._notify("Not known yet", "All queries are still being ranked; try again later.")
             return None
         chosen = session_state.random_failure(state, ranking.ranks.tolist(), self._rng)
-        if chosen is None:
+        known = ranking.task.known
+        if chosen is None and known is not None and not known.any():
+            self._notify("Nothing is known", "No query of this task has a known place, so none can fail.")
+        elif chosen is None:
             self._notify("No failure", "Every query of this task has its true tile at rank 1.")
         return chosen
 

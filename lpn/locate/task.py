@@ -25,12 +25,22 @@ from lpn.datasets import Picture, Truth
 from lpn.datasets.geo import Position
 from lpn.flights import Frame
 from lpn.flights.cut import cut_square
-from lpn.locate.pipeline import LocatedFlight, LocatedFrame
+from lpn.locate.belief import belief, disagreements
+from lpn.locate.pipeline import STAGES, LocatedFlight, LocatedFrame
 from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map, Window
 from lpn.models.base import Model
 
 TASK = "drone-to-satellite"
+# The column of `stage_columns` with a sentence for each frame.
+REASON = "reason"
+# Verdicts in words, by the stage that counts; a registration that another answer contradicts is no registration.
+_VERDICTS = {
+    "registration": "registered",
+    "sequence": "by its neighbours",
+    "retrieval": "not verified",
+    None: "not located",
+}
 
 
 @dataclass(frozen=True)
@@ -117,17 +127,23 @@ def _query(found: MapRetrieval, i: int, frame: Frame, heading: float, root: Path
 
 
 def _gallery(town: Map, found: MapRetrieval, root: Path) -> list[Picture]:
-    """Return windows as pictures, named by metres east and north of the map's origin and by their side."""
-    first = len(found.headings)
+    """Return windows as pictures, named by the metres from the map's origin to their centre, and by their side if it varies."""
+    first, several = len(found.headings), len(set(found.sizes.tolist())) > 1
     return [
         Picture(
             root / "windows" / str(j),
             first + j,
-            f"{window.x:+.0f} {window.y:+.0f}, {window.size:.0f} m",
+            _window_name(window, several),
             cut=_WindowCut(town, window, found.pixels),
         )
         for j, window in enumerate(found.windows)
     ]
+
+
+def _window_name(window: Window, with_size: bool) -> str:
+    east, north = round(window.x), round(window.y)
+    place = f"{abs(east)} {'W' if east < 0 else 'E'} {abs(north)} {'S' if north < 0 else 'N'}"
+    return f"{place}, {window.size:.0f} m wide" if with_size else place
 
 
 def _descriptors(found: MapRetrieval, turns: list[int]) -> Float32Array:
@@ -204,5 +220,25 @@ def _columns(located: LocatedFlight, found: MapRetrieval, turns: list[int]) -> l
     return [column for column in columns if column.known.any()]
 
 
-def _numbers(name: str, values: Sequence[float | None], unit: str) -> Column:
+def stage_columns(located: LocatedFlight) -> list[Column]:
+    """Return what the stages say of each frame: metres from its tag, the registration, the verdict, and the reason for it."""
+    contradictions = disagreements(located.frames)
+    beliefs = [
+        belief(frame, [one for one in contradictions if one.frame == i]) for i, frame in enumerate(located.frames)
+    ]
+    verdicts = [
+        "contradicted" if one.stage == "registration" and not one.sign else _VERDICTS[one.stage] for one in beliefs
+    ]
+    answers = [frame.stages.get("registration") for frame in located.frames]
+    columns = [
+        *(_numbers(f"{stage} error", [one.error(stage) for one in located.frames], "m") for stage in STAGES[1:]),
+        text_column("registration", ["" if answer is None else answer.state for answer in answers]),
+        _numbers("inliers", [None if answer is None else answer.inliers for answer in answers]),
+        text_column("verdict", verdicts),
+        text_column(REASON, [one.reason for one in beliefs]),
+    ]
+    return [column for column in columns if column.known.any()]
+
+
+def _numbers(name: str, values: Sequence[float | None], unit: str = "") -> Column:
     return number_column(name, [math.nan if value is None else value for value in values], unit)

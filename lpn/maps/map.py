@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Sequence
 from threading import Lock
+from typing import Any
 
 import numpy as np
 
@@ -172,10 +173,22 @@ class Map:
         return self._read(whole, pixels, (0, 0, columns, rows))
 
     def digest(self) -> str:
-        """Return a digest of bounds, resolution, and overview, which changes when the map's content does."""
-        picture, _ = self.overview(512)
-        text = json.dumps([self.bounds, self.resolution, self.frame.latitude, self.frame.longitude])
-        return hashlib.sha256(text.encode() + picture.tobytes()).hexdigest()
+        """Return a digest that changes with the pixels or their places: of names, sizes, and times of change of all files.
+
+        The folder is not part of it, so that a map may be moved.
+        """
+        facts: list[Any] = [self.frame.latitude, self.frame.longitude]
+        for sheet in self.sheets:
+            treatment = sheet.raster.treatment
+            facts.append([sheet.bounds, sheet.matrix.tolist(), None if treatment is None else repr(treatment)])
+            for file in sheet.raster.files():
+                try:
+                    stat = file.stat()
+                except OSError:  # a file within an archive
+                    facts.append(str(file))
+                else:
+                    facts.append([file.name, stat.st_size, stat.st_mtime_ns])
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
 
     def close(self) -> None:
         """Close the files of all sheets."""

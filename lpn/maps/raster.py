@@ -45,6 +45,15 @@ class Raster(Protocol):
     height: int
     notes: list[str]
 
+    @property
+    def treatment(self) -> Treatment | None:
+        """How bands become RGB and a mask; None for tiles."""
+        ...
+
+    def files(self) -> list[Path]:
+        """Return the files that the pixels are read from."""
+        ...
+
     def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """Read a rectangle, reduced by area averages.
 
@@ -132,6 +141,11 @@ class GdalRaster:
             border = cv2.dilate(self._on_border(values, box, size).astype(np.uint8), np.ones((3, 3), np.uint8))
             valid = valid & (border == 0)
         return self._rgb(values), valid
+
+    def files(self) -> list[Path]:
+        """See `Raster.files`: the file, those that a .vrt refers to, overviews, and masks."""
+        with self._handle() as file:
+            return sorted(Path(name) for name in file.files if not name.endswith(".aux.xml"))
 
     def close(self) -> None:
         """Close the file's handles."""

@@ -47,7 +47,7 @@ class TileFolder:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.treatment = path, None
         self._from_south = (path / _TMS).is_file()
         self._zooms: dict[int, dict[tuple[int, int], Path]] = {}
         for folder in _numbered(path):
@@ -110,6 +110,10 @@ class TileFolder:
                 picture[place] = cv2.remap(tile[0], *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
                 valid[place] = tile[1][np.ix_(y.round().astype(int), x.round().astype(int))]
         return picture, valid
+
+    def files(self) -> list[Path]:
+        """See `Raster.files`."""
+        return sorted(file for tiles in self._zooms.values() for file in tiles.values())
 
     def close(self) -> None:
         """Forget the decoded tiles."""

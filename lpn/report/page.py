@@ -88,17 +88,24 @@ def build(
         task=task.name,
         gallery_view=task.views[1],
         part_names=task.part_names,
-        figures=[
-            ("R@1", task.metrics["recall@1"], "true tile first"),
-            ("R@5", task.metrics["recall@5"], "among the first 5"),
-            ("R@10", task.metrics["recall@10"], "among the first 10"),
-            ("AP", task.metrics["ap"], "mean average precision"),
-        ],
+        figures=_figures(task),
         facts=_facts(task, options, len(queries), made or datetime.now().astimezone()),
         lines=lines,
         decisive=Counter(line.decisive for line in lines if line.decisive).most_common(),
         sections=sections,
     ).encode()
+
+
+def _figures(task: Task) -> list[tuple[str, float, str]]:
+    """List the results of all queries as names, percentages, and meanings; empty if no query's place is known."""
+    if not task.metrics["queries"]:
+        return []
+    return [
+        ("R@1", task.metrics["recall@1"], "true tile first"),
+        ("R@5", task.metrics["recall@5"], "among the first 5"),
+        ("R@10", task.metrics["recall@10"], "among the first 10"),
+        ("AP", task.metrics["ap"], "mean average precision"),
+    ]
 
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
@@ -116,9 +123,11 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     if task.model is not None:
         facts.append(("Fingerprint", task.model.fingerprint))
     chosen = f", {options.selection}" if options.selection else ""
+    known = task.known
+    graded = "" if known is None or known.all() else f" ({int(known.sum()):,} of known place, which are graded)"
     facts += [
         ("Data", task.data_name),
-        ("Task", f"{task.name}: {len(task.queries):,} queries, {len(task.gallery):,} tiles"),
+        ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {len(task.gallery):,} tiles"),
         ("Protocol", rule.removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
+from lpn.flights import Flight, Frame
+from lpn.maps import Map, open_map
 
 # Metres per pixel, and side in pixels, of the drawn map; its centre is the origin.
 RESOLUTION = 0.25
 SIDE = 800
 CORNER = (-SIDE * RESOLUTION / 2, SIDE * RESOLUTION / 2)
+# Where `small_flight` takes its photos, in metres.
+FLOWN_PLACES = [(x, y) for x in (-60.0, -20.0, 20.0, 60.0) for y in (-60.0, -30.0, 0.0, 30.0, 60.0)]
 BOUNDS = (CORNER[0], -CORNER[1], -CORNER[0], CORNER[1])
 
 
@@ -62,6 +69,40 @@ def photo_of(picture: UInt8Array, homography: Float64Array, pixels: tuple[int, i
     seen = cv2.warpPerspective(picture, homography @ to_metres, pixels, flags=cv2.INTER_CUBIC)
     noise = np.random.default_rng(seed).normal(0, 5, seen.shape)
     return (seen * 0.75 + 40 + noise).clip(0, 255).astype(np.uint8)
+
+
+def write_map(file: Path, picture: np.ndarray) -> Map:
+    """Write the whole drawn map, (side, side, 3), as a GeoTIFF, and open it."""
+    rasterio = pytest.importorskip("rasterio")
+    side = len(picture)
+    metres = SIDE * RESOLUTION / side
+    place = rasterio.Affine(metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
+    kind = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    with rasterio.open(file, "w", transform=place, **kind) as written:
+        written.write(picture.transpose(2, 0, 1))
+    return open_map(file)
+
+
+def small_flight(folder: Path, town: Map) -> Flight:
+    """Photograph a drawn map; headings are 40 degrees, heights are known.
+
+    The first frame has no position, the second no certain heading, the third is no picture, and the last was taken higher up.
+    """
+    size, width = (96, 96), 60.0
+    frames = []
+    degrees = town.frame.degrees(FLOWN_PLACES)
+    for i, place in enumerate(FLOWN_PLACES):
+        file = folder / f"{i:02d}.png"
+        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, 40.0, width, size), size)[..., ::-1])
+        latitude, longitude = degrees[i].tolist()
+        known = {"heading": 40.0, "heading_source": "gimbal", "fov": 90.0}
+        frames.append(Frame(file.name, file, *size, 2.0 * i, latitude, longitude, width / 2, **known))  # type: ignore[arg-type]
+    frames[0] = replace(frames[0], latitude=None, longitude=None)
+    frames[1] = replace(frames[1], heading_source="course")
+    (folder / "02.png").write_bytes(b"no picture")
+    last = len(FLOWN_PLACES)
+    frames.append(replace(frames[3], name="high.png", time=2.0 * last, height_above_ground=width * 0.7))
+    return Flight("monday", tuple(frames))
 
 
 class _Spec:

@@ -11,8 +11,8 @@ import pytest
 
 from lpn.flights import Flight, Frame
 from lpn.locate.retrieval import MapRetrieval, retrieve
-from lpn.maps import Map, open_map
-from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, GridModel, ground_to_photo, land, photo_of
+from lpn.maps import Map
+from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
 
 SIZE = (64, 64)
 WIDTH = 60.0
@@ -23,20 +23,9 @@ def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
 
 
-def _write_map(file: Path, picture: np.ndarray) -> Map:
-    rasterio = pytest.importorskip("rasterio")
-    side = len(picture)
-    metres = SIDE * RESOLUTION / side
-    place = rasterio.Affine(metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
-    kind = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
-    with rasterio.open(file, "w", transform=place, **kind) as written:
-        written.write(picture.transpose(2, 0, 1))
-    return open_map(file)
-
-
 @pytest.fixture
 def town(tmp_path: Path) -> Map:
-    return _write_map(tmp_path / "town.tif", cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA))
+    return write_map(tmp_path / "town.tif", cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA))
 
 
 def _flight(folder: Path, places: list[tuple[float, float]], heading: float = 0.0) -> Flight:

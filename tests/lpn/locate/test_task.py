@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,18 +11,13 @@ import pytest
 import lpn
 from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import Task
-from lpn.flights import Flight, Frame
+from lpn.flights import Flight
 from lpn.locate import retrieval
 from lpn.locate.pipeline import LocatedFlight, LocateOptions, locate
 from lpn.locate.task import flight_task
 from lpn.maps import Map
 from lpn.models.base import Model
-from tests.lpn.locate.scenery import ground_to_photo, land, photo_of
-from tests.lpn.locate.test_retrieval import _write_map
-
-SIZE = (96, 96)
-WIDTH = 60.0
-PLACES = [(x, y) for x in (-60.0, -20.0, 20.0, 60.0) for y in (-60.0, -30.0, 0.0, 30.0, 60.0)]
+from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 
 
 @pytest.fixture(scope="module")
@@ -34,26 +28,12 @@ def model(model_file: Path) -> Model:
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
     picture = cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA)
-    return _write_map(tmp_path_factory.mktemp("map") / "town.tif", picture)
+    return write_map(tmp_path_factory.mktemp("map") / "town.tif", picture)
 
 
 @pytest.fixture(scope="module")
 def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
-    """Photos turned by 40 degrees; the first has no position, the second no certain heading, the third is no picture."""
-    folder = tmp_path_factory.mktemp("monday")
-    frames = []
-    degrees = town.frame.degrees(PLACES)
-    for i, place in enumerate(PLACES):
-        file = folder / f"{i:02d}.png"
-        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, 40.0, WIDTH, SIZE), SIZE)[..., ::-1])
-        latitude, longitude = degrees[i].tolist()
-        known = {"heading": 40.0, "heading_source": "gimbal", "fov": 90.0}
-        frames.append(Frame(file.name, file, *SIZE, 2.0 * i, latitude, longitude, WIDTH / 2, **known))  # type: ignore[arg-type]
-    frames[0] = replace(frames[0], latitude=None, longitude=None)
-    frames[1] = replace(frames[1], heading_source="course")
-    (folder / "02.png").write_bytes(b"no picture")
-    frames.append(replace(frames[3], name="high.png", height_above_ground=WIDTH * 0.7))
-    return Flight("monday", tuple(frames))
+    return small_flight(tmp_path_factory.mktemp("monday"), town)
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +82,7 @@ def test_true_tiles_hold_the_tag_and_have_the_frame_s_own_size(task: Task, locat
     assert found is not None
     assert task.truth is not None
     assert len(set(found.sizes)) > 1
-    for i in (5, len(PLACES)):
+    for i in (5, len(FLOWN_PLACES)):
         tag, truth = located.frames[i].tag, task.truth[i]
         assert tag is not None
         own = found.sizes == found.levels[i]

@@ -151,3 +151,19 @@ def test_impossible_requests_are_refused(tmp_path: Path) -> None:
         open_map([])
     with pytest.raises(InputError, match="one picture"):
         open_map([tmp_path / "town.tif"] * 2, MapOptions(corners=(1, 2, 0, 3)))
+
+
+def test_the_digest_changes_with_the_pixels_and_how_they_are_read_but_not_with_the_folder(tmp_path: Path) -> None:
+    crs, matrix = GEOREFERENCES["UTM"]
+    picture = smooth(240, 300)
+    file = write_geotiff(tmp_path / "town.tif", picture, crs, matrix)
+    first = open_map(file).digest()
+    assert open_map(file).digest() == first
+    assert open_map(file, MapOptions(bands=(3, 2, 1))).digest() != first
+    (tmp_path / "elsewhere").mkdir()
+    moved = file.rename(tmp_path / "elsewhere" / "town.tif")
+    assert open_map(moved).digest() == first
+    picture[100, 100] ^= 255  # a pixel that no overview shows
+    changed = write_geotiff(tmp_path / "town.tif", picture, crs, matrix)
+    assert changed.stat().st_size == moved.stat().st_size
+    assert open_map(changed).digest() != first

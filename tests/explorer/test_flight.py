@@ -1,0 +1,189 @@
+"""A flight over a map in the explorer: opening, registration in the background, and frames of unknown place."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+import pytest
+
+from explorer import opening, session_state
+from explorer.failure_lab import state as lab_state
+from explorer.failure_lab import table as lab_table
+from explorer.failure_lab.service import FailureLab
+from explorer.failure_lab.state import LabState
+from explorer.opening import open_flight_over
+from explorer.panels import answer_text, pages
+from explorer.panels.navigation import Navigation
+from explorer.session_state import SessionState
+from explorer.url_state import UrlState
+from explorer.workspace import StateAnalyser, Workspace
+from lpn.cli.main import main
+from lpn.core.errors import InputError
+from lpn.flights import write_flight
+from lpn.locate.pipeline import LocatedFlight, StageRecord
+from lpn.locate.task import TASK
+from lpn.maps import Window
+from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
+
+# Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
+UNKNOWN = [0, 2]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A map, and a flight's folder."""
+    folder = tmp_path_factory.mktemp("flown")
+    town = write_map(folder / "town.tif", land()[::2, ::2])
+    (folder / "monday").mkdir()
+    write_flight(small_flight(folder / "monday", town), folder / "monday")
+    return folder / "town.tif", folder / "monday"
+
+
+@pytest.fixture(scope="module")
+def workspace(files: tuple[Path, Path], model_file: Path) -> Workspace:
+    return open_flight_over(*files, model_file, query="05.png", register=False)
+
+
+def _state(workspace: Workspace, query: int) -> SessionState:
+    return SessionState(TASK, workspace.spec.n_parts, query=query)
+
+
+def _register(located: LocatedFlight, *_: Any, on_progress: Callable[[str, int, int], None]) -> LocatedFlight:
+    """Refuse all frames, as the registration would enter them."""
+    on_progress("registration", len(located.frames), len(located.frames))
+    refused = StageRecord("refused", "Only 4 matches agree.", inliers=4)
+    frames = [replace(frame, stages=frame.stages | {"registration": refused}) for frame in located.frames]
+    return replace(located, frames=frames)
+
+
+def test_frames_are_the_queries_and_windows_of_the_map_the_gallery(workspace: Workspace) -> None:
+    located, task = workspace.flight, workspace.tasks[TASK]
+    assert located is not None
+    assert located.stages == ["retrieval", "sequence"]
+    assert workspace.registration is None
+    assert task.query_names == [frame.frame.name for frame in located.frames]
+    assert workspace.first_query == 5
+    analysis = StateAnalyser(workspace).analyse(_state(workspace, 5), 3)
+    assert analysis.matches[0].score == pytest.approx(located.frames[5].windows[0].score, abs=1e-5)
+    assert workspace.thumbnail(task.queries[5]).startswith("data:image/jpeg")
+    assert UrlState(workspace).read(f"query={task.query_names[5]}", _state(workspace, 0))[0].query == 5
+
+
+def test_the_picture_of_all_tiles_is_the_map(workspace: Workspace) -> None:
+    located, task = workspace.flight, workspace.tasks[TASK]
+    assert located is not None
+    assert located.retrieval is not None
+    assert task.geometry is not None
+    picture, (west, south, east, north) = workspace.mosaic(task), task.geometry.bounds()
+    x, y = located.retrieval.places[7]
+    origin = located.retrieval.places[7] - task.geometry.ground[7]
+    column = (x - origin[0] - west) / (east - west) * picture.shape[1]
+    row = (north - (y - origin[1])) / (north - south) * picture.shape[0]
+    shown = picture[int(row) - 20 : int(row) + 20, int(column) - 20 : int(column) + 20]
+    metres = 40 * (east - west) / picture.shape[1]
+    expected, _ = located.town.read(Window(x, y, metres), 40)
+    assert np.abs(shown.astype(float) - expected).mean() < 12
+
+
+def test_registration_replaces_the_flight_when_it_is_done(
+    files: tuple[Path, Path], model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    may_end = threading.Event()
+
+    def register(*arguments: Any, **options: Any) -> LocatedFlight:
+        assert may_end.wait(60)
+        return _register(*arguments, **options)
+
+    monkeypatch.setattr(opening, "registered", register)
+    monkeypatch.setattr(opening, "REGISTRATION_WAIT", 0.0)
+    workspace = open_flight_over(*files, model_file)
+    before, job = workspace.flight, workspace.registration
+    assert before is not None
+    assert job is not None
+    laboratory = FailureLab(workspace)
+    assert laboratory.build(TASK, None).wait(60)
+    findings = laboratory.findings(TASK)
+    assert findings is not None
+    assert "registration" not in findings.table.columns
+    assert set(findings.table.columns["verdict"].values) <= {"by its neighbours", "not verified", "not located"}
+    assert not job.wait(0)
+    may_end.set()
+    assert job.wait(60)
+    assert (job.done, job.total) == (len(FLOWN_PLACES) + 1,) * 2
+    assert workspace.flight is not before
+    newest = laboratory.findings(TASK)
+    assert newest is not None
+    assert set(newest.table.columns["registration"].values) == {"refused"}
+    assert newest.table.columns["reason"].values[5] == "Only 4 matches agree."
+    assert "reason" not in [column.name for column in lab_state.charted_columns(newest)]
+
+
+def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspace) -> None:
+    task, known = workspace.tasks[TASK], len(FLOWN_PLACES) + 1 - len(UNKNOWN)
+    assert f"{known} queries are graded" in " ".join(pages.header(workspace, task).split())
+    analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
+    assert answer_text.verdict(analysis, workspace.part_names)[:2] == (None, "Nearest tile")
+    picker = pages.picker(workspace, task, [0, 5], 5, 0, 1, ["a", "b", "c", "d"])
+    assert picker.count("<b style") == 1
+    laboratory = FailureLab(workspace)
+    assert laboratory.build(TASK, None).wait(60)
+    findings = laboratory.findings(TASK)
+    assert findings is not None
+    rows = {
+        outcome: set(lab_state.selected_rows(findings, LabState(TASK, outcome=outcome)))  # type: ignore[arg-type]
+        for outcome in ("all", "failed", "found")
+    }
+    assert set(UNKNOWN) == rows["all"] - rows["failed"] - rows["found"]
+    bar = lab_table.bar(findings, LabState(TASK))
+    assert all(str(len(rows[outcome])) in bar for outcome in rows)
+    rates = lab_state.failure_rates(findings, LabState(TASK), findings.table.columns["heading from"])
+    assert sum(rate.queries for rate in rates) == known
+    places = laboratory.points("ground", TASK, None)
+    assert places.wait(60)
+    assert places.value is not None
+    assert np.flatnonzero(np.isnan(places.value.queries[:, 0])).tolist() == [0]
+
+
+def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
+    assert task.truth is not None
+    unknown = replace(task, truth=[replace(one, good=one.good[:0], known=False) for one in task.truth])
+    shown: list[str] = []
+    blind = Workspace(
+        "m", "d", [opening._begin_ranking(unknown)], workspace.spec, workspace.map_sizes, None, None, files[1]
+    )
+    assert "nothing is graded" in pages.header(blind, unknown)
+    navigation = Navigation(blind, lambda title, _: shown.append(title))
+    assert navigation.failure(_state(workspace, 3)) is None
+    assert shown == ["Nothing is known"]
+    assert session_state.random_failure(_state(workspace, 3), [0, -1], Random(0)) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--map", "a.tif", "--model", "m.onnx"], "give --flight beside --map"),
+        (["--flight", "monday", "--model", "m.onnx"], "give --map beside --flight"),
+        (["--map", "a.tif", "--flight", "monday"], "give a trained LPN with --model"),
+        (["--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--data", "places"], "leave --data out"),
+        (["--map", "a.tif", "--flight", "monday", "--saved", "a.mat"], "leave --saved out"),
+        (["--no-register"], "give --no-register with --map and --flight"),
+        (["--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--port", "0"], "There is no file a.tif"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(
+    options: list[str], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["explore", *options]) != 0
+    assert sentence in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_frame_that_the_flight_lacks_is_refused(files: tuple[Path, Path], model_file: Path) -> None:
+    with pytest.raises(InputError, match="has no query 99"):
+        open_flight_over(*files, model_file, query="99.png", register=False)
