@@ -5,6 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from lpn.core.errors import InputError
+
+# Options of the pictures of places, and those of --flight.
+_OF_PLACES = ("views", "pixels", "tile_pixels", "streets", "panoramas", "part")
+_OF_FLIGHTS = ("frames", "width", "map_pixel")
+
 
 @dataclass
 class WorldCommand:
@@ -42,6 +48,7 @@ class WorldCommand:
     """Metres a pixel of the map of --flight."""
 
     def run(self) -> None:
+        self._check_given()
         if self.flight:
             self._render_flight()
             return
@@ -60,6 +67,13 @@ class WorldCommand:
         )
         tally = build_world(settings, self.out, RenderShare.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")
+
+    def _check_given(self) -> None:
+        """Raise InputError for an option that the chosen kind of pictures has no use for."""
+        what, others = ("A flight", _OF_PLACES) if self.flight else ("A world without --flight", _OF_FLIGHTS)
+        given = [name for name in others if getattr(self, name) != getattr(type(self), name)]
+        if given:
+            raise InputError(f"{what} takes no --{given[0].replace('_', '-')}; leave it out.")
 
     def _render_flight(self) -> None:
         from lpn.world.flight import FlightSettings, build_flight

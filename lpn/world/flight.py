@@ -99,11 +99,8 @@ def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> Fligh
     city, site = plan_city(settings.seed, settings.buildings), Site()
     plan = plan_flight(city, site, settings.frames)
     video = [out / f"{_VIDEO}{suffix}" for suffix in (".SRT", ".MP4")]
-    photos = [(picture, out / "photos" / picture.name) for picture in plan.pictures]
-    missing = [(picture, file) for picture, file in photos if not file.is_file()]
-    tally = FlightTally(
-        video=bool(plan.video) and not all(file.is_file() for file in video), map=not (out / MAP).is_file()
-    )
+    missing = [i for i, picture in enumerate(plan.pictures) if not _photo(out, picture).is_file()]
+    tally = FlightTally(video=not all(file.is_file() for file in video), map=not (out / MAP).is_file())
     if missing or tally.video or tally.map:
         write_atomic(out / UNFINISHED, b"Files are missing here; lpn world --flight with the same settings goes on.\n")
     write_atomic(out / NAME, _settings_json(settings, plan, site))
@@ -112,16 +109,16 @@ def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> Fligh
         _render(settings, city, site, plan, missing, out, threads, tally)
     if tally.video:
         write_atomic(video[0], flight_files.subtitles_bytes(plan.video))
-        write_atomic(video[1], flight_files.video_bytes([out / "photos" / picture.name for picture in plan.video]))
+        write_atomic(video[1], flight_files.video_bytes([_photo(out, picture) for picture in plan.video]))
     (out / UNFINISHED).unlink(missing_ok=True)
     return tally
 
 
 def _render(
-    settings: FlightSettings, city: City, site: Site, plan: FlightPlan, missing: list[tuple[FlightPicture, Path]], out: Path,
+    settings: FlightSettings, city: City, site: Site, plan: FlightPlan, missing: list[int], out: Path,
     threads: int, tally: FlightTally,
 ) -> None:  # fmt: skip
-    """Render the map, then the missing photos."""
+    """Render the map if it is missing, then the photos of these numbers."""
     from lpn.world import render
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -143,12 +140,13 @@ def _render(
         if missing:
             day = photo.flight_look(settings.seed)
             made = scene(day)
-            for picture, file in missing:
+            for number in missing:
                 start = time.perf_counter()
-                rng = np.random.default_rng([settings.seed, 73, plan.pictures.index(picture)])
+                picture = plan.pictures[number]
+                rng = np.random.default_rng([settings.seed, 73, number])
                 look = replace(day, exposure=day.exposure * float(rng.normal(1, 0.03)))
                 light = made.frame(picture.pose, settings.width, settings.width * 3 // 4)
-                write_atomic(file, flight_files.photo_bytes(picture, photo.develop(light, look, rng)))
+                write_atomic(_photo(out, picture), flight_files.photo_bytes(picture, photo.develop(light, look, rng)))
                 tally.photos += 1
                 tally.photo_seconds += time.perf_counter() - start
                 bar.advance(task)
@@ -162,6 +160,10 @@ def _map(settings: FlightSettings, site: Site, plan: FlightPlan, scene: Callable
     sweep = SatelliteImage(plan.x, plan.y, plan.ground, size, round(size / settings.map_pixel), 0.0, 0.0)
     light = grid.cut(scene(look).sweep(sweep), sweep)
     return grid.geotiff(photo.develop(light, look, np.random.default_rng([settings.seed, 72])))
+
+
+def _photo(out: Path, picture: FlightPicture) -> Path:
+    return out / "photos" / picture.name
 
 
 def _settings_json(settings: FlightSettings, plan: FlightPlan, site: Site) -> bytes:

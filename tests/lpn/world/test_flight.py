@@ -335,3 +335,19 @@ def test_missing_packages_are_named(
         f"lpn: This needs the package {package}, which is not installed; pip install 'lpn-explorer[{extra}]'."
     )
     assert not (tmp_path / "w").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--flight", "--tile-pixels", "64"], "A flight takes no --tile-pixels; leave it out."),
+        (["--flight", "--part", "1/2"], "A flight takes no --part; leave it out."),
+        (["--map-pixel", "1"], "A world without --flight takes no --map-pixel; leave it out."),
+    ],
+)
+def test_options_of_the_other_kind_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], sentence: str
+) -> None:
+    assert main.main(["world", *options, "--out", str(tmp_path / "w")]) == 2
+    assert capsys.readouterr().err.strip() == f"lpn: {sentence}"
+    assert not (tmp_path / "w").exists()
