@@ -18,6 +18,7 @@ import viser
 from explorer.client_session import ClientSession
 from explorer.failure_lab.service import FailureLab
 from explorer.flight_window.pictures import FlightPictures
+from explorer.flight_window.service import FlightService
 from explorer.opening import open_flight_over, open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
@@ -65,9 +66,9 @@ class App:
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._sessions: dict[int, ClientSession] = {}
-        failure_lab, url_state = FailureLab(workspace), UrlState(workspace)
+        failure_lab, url_state, flight = FailureLab(workspace), UrlState(workspace), FlightService(workspace)
         self.server.on_client_connect(
-            lambda client: self._connected(client, workspace, failure_lab, url_state, flight_pictures)
+            lambda client: self._connected(client, workspace, failure_lab, url_state, flight, flight_pictures)
         )
         self.server.on_client_disconnect(self._disconnected)
 
@@ -91,10 +92,13 @@ class App:
         workspace: Workspace,
         failure_lab: FailureLab,
         url_state: UrlState,
+        flight: FlightService,
         flight_pictures: FlightPictures,
     ) -> None:
         log.info("Browser %d connected", client.client_id)
-        self._sessions[client.client_id] = ClientSession(client, workspace, failure_lab, url_state, flight_pictures)
+        self._sessions[client.client_id] = ClientSession(
+            client, workspace, failure_lab, url_state, flight, flight_pictures
+        )
         if client.client_id not in self.server.get_clients():  # it left while its session was being built
             self._disconnected(client)
 

@@ -19,6 +19,7 @@ from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.pictures import FlightPictures
+from explorer.flight_window.service import FlightService
 from explorer.flight_window.window import FlightWindow
 from explorer.panels import shortcuts, tour
 from explorer.panels.glossary import Glossary
@@ -51,7 +52,8 @@ class ClientSession:
     Args:
         failure_lab: computes the failure laboratory's tables for all browsers.
         url_state: converts states to addresses and back, for all browsers.
-        flight_pictures: serves the flight window's pictures to all browsers.
+        flight: derives what flight windows show, for all browsers.
+        flight_pictures: serves their pictures.
     """
 
     def __init__(
@@ -60,6 +62,7 @@ class ClientSession:
         workspace: Workspace,
         failure_lab: FailureLab,
         url_state: UrlState,
+        flight: FlightService,
         flight_pictures: FlightPictures,
     ) -> None:
         self._client, self._workspace, self._url_state = client, workspace, url_state
@@ -89,7 +92,9 @@ class ClientSession:
                 lambda name: self._bridge.call("tab", name),
             )
             self._lab = FailureLabWindow(client, workspace, failure_lab, self.change, viewport, self._reporter)
-            self._flight = FlightWindow(client, workspace, flight_pictures, self.change, viewport, self._on_error)
+            self._flight = FlightWindow(
+                client, workspace, flight, flight_pictures, self.change, viewport, self._on_error
+            )
             self._panels.navigation.order = self._lab.order
             self._panels.query.compare_models = self._explain_window.compare_models
             glossary = Glossary(client.gui)

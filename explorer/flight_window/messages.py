@@ -9,6 +9,7 @@ from msgspec import Meta
 
 Index = Annotated[int, Meta(ge=0, le=10**7)]
 Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Spot = tuple[Metres, Metres]
 
 
 class FlightMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
@@ -28,7 +29,18 @@ class PaintScores(FlightMessage):
 class ShowSpot(FlightMessage):
     """List the frames that show a spot, in metres of the map's frame."""
 
-    spot: tuple[Metres, Metres]
+    spot: Spot
+
+
+class CorrectFrame(FlightMessage):
+    """Keep the corners of a frame's picture, in metres of the map's frame, as a person has placed them."""
+
+    frame: Index
+    corners: tuple[Spot, Spot, Spot, Spot]
+
+
+class ForgetCorrection(FlightMessage):
+    frame: Index
 
 
 class ToggleHeight(FlightMessage): ...
@@ -41,6 +53,8 @@ MESSAGES: dict[str, type[FlightMessage]] = {
     "flight-frame": ChooseFrame,
     "flight-paint": PaintScores,
     "flight-spot": ShowSpot,
+    "flight-correct": CorrectFrame,
+    "flight-forget": ForgetCorrection,
     "flight-tall": ToggleHeight,
     "flight-close": CloseFlight,
 }
@@ -49,7 +63,8 @@ MESSAGES: dict[str, type[FlightMessage]] = {
 def decode(kind: str, value: Any) -> FlightMessage | None:
     """Return the message that a JSON value holds, None if it holds none of this kind."""
     message_type = MESSAGES[kind]
+    count = len(message_type.__struct_fields__)
     try:
-        return msgspec.convert([value][: len(message_type.__struct_fields__)], message_type)
+        return msgspec.convert(value if count > 1 else [value][:count], message_type)
     except (msgspec.ValidationError, UnicodeEncodeError):
         return None

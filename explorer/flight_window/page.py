@@ -4,58 +4,40 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.flight_window.pictures import Pyramid, ground_window
+from explorer.flight_window.service import FlightView
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays, score_map, theme
-from lpn.locate.belief import Belief, Disagreement, belief, disagreements
-from lpn.locate.coverage import Outline, outline
-from lpn.locate.pipeline import LocatedFlight, LocatedFrame
+from lpn.locate.pipeline import LocatedFrame, StageRecord
 
 # The part whose cosines are painted, or all parts under the current weights.
 Painted = int | Literal["all", "off"]
 # Colours of the tracks on the map, which is bright or dark; Okabe and Ito's, as in the track files.
 COLOURS = {
+    "corrected": (255, 120, 200),
     "tag": (255, 255, 255),
     "retrieval": (230, 159, 0),
     "sequence": (86, 180, 233),
     "registration": (0, 190, 136),
 }
-LABELS = {"tag": "GPS tags", "retrieval": "Retrieval", "sequence": "Sequence", "registration": "Registration"}
+LABELS = {
+    "corrected": "By hand",
+    "tag": "GPS tags",
+    "retrieval": "Retrieval",
+    "sequence": "Sequence",
+    "registration": "Registration",
+}
 # Length of the lists of refused and of contradicting frames.
 _MAX_LISTED = 200
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
-
-
-@dataclass(frozen=True, eq=False)
-class FlightView:
-    """What the window derives from a flight once.
-
-    Attributes:
-        outlines: the ground that each frame shows; None where it is unknown.
-        contradictions: frames whose answers lie too far apart.
-    """
-
-    flight: LocatedFlight
-    outlines: list[Outline | None]
-    contradictions: list[Disagreement]
-
-    @classmethod
-    def of(cls, flight: LocatedFlight) -> FlightView:
-        """Derive outlines and contradictions of a flight."""
-        return cls(flight, [outline(located) for located in flight.frames], disagreements(flight.frames))
-
-    def belief(self, frame: int) -> Belief:
-        """Return the verdict on a frame."""
-        return belief(self.flight.frames[frame], [one for one in self.contradictions if one.frame == frame])
 
 
 def shell(part_names: Sequence[str], height: int) -> str:
@@ -91,17 +73,29 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "times": None if any(time is None for time in known) else known,
         "heights": [_number(frame.frame.flying_height, 2) for frame in frames],
         "outlines": [None if one is None else [*_rounded(one.corners), one.registered] for one in view.outlines],
-        "tracks": {name: _track(flight, name) for name in ("tag", *flight.stages)},
+        "tracks": {name: _track(view, name) for name in _tracks(view)},
         "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
         "signs": [view.belief(i).sign for i in range(len(frames))],
     }
 
 
-def _track(flight: LocatedFlight, name: str) -> dict[str, Any]:
+def _tracks(view: FlightView) -> list[str]:
+    corrected = ["corrected"] if any(view.corrected(i) for i in range(len(view.flight.frames))) else []
+    return ["tag", *view.flight.stages, *corrected]
+
+
+def _track(view: FlightView, name: str) -> dict[str, Any]:
     """Return a track: x, y, state, radius, and error of each frame, None where unknown; a tag counts as accepted."""
     found: dict[str, Any] = {"label": LABELS[name], "colour": theme.css(COLOURS[name])}
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
-    for located in flight.frames:
+    flight = view.flight
+    for i, located in enumerate(flight.frames):
+        if name == "corrected":
+            place = view.corrected(i)
+            x, y = place or (None, None)
+            error = None if place is None or located.tag is None else float(np.linalg.norm(located.tag - place))
+            rows.append((x, y, 0, None, error))
+            continue
         if name == "tag":
             x, y = (None, None) if located.tag is None else (float(located.tag[0]), float(located.tag[1]))
             rows.append((x, y, 0, None, None))
@@ -115,7 +109,7 @@ def _track(flight: LocatedFlight, name: str) -> dict[str, Any]:
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
         found[key] = list(values) if key == "state" else [_number(value, 2) for value in values]
     states, total = found["state"], len(flight.frames)
-    if name == "tag":
+    if name in ("tag", "corrected"):
         found["count"] = f"{sum(x is not None for x in found['x'])} of {total}"
     elif 1 in states:
         found["count"] = ""
@@ -145,7 +139,19 @@ def card(view: FlightView, frame: int, address: str) -> str:
         degrees=degrees,
         ground=ground_window(located, stage),
         height=located.frame.flying_height,
+        corrected=_correction(view, frame, place),
     )
+
+
+def _correction(view: FlightView, frame: int, place: StageRecord | None) -> tuple[float, float, float | None] | None:
+    """Return latitude and longitude of a correction, and the metres from it to the answer that counts."""
+    found = view.corrected(frame)
+    if found is None:
+        return None
+    latitude, longitude = view.corrections[view.flight.frames[frame].frame.name].middle.tolist()
+    if place is None or place.x is None or place.y is None:
+        return latitude, longitude, None
+    return latitude, longitude, math.hypot(place.x - found[0], place.y - found[1])
 
 
 def _verdict_colour(sign: bool | None) -> str:
@@ -155,12 +161,12 @@ def _verdict_colour(sign: bool | None) -> str:
 def chosen(view: FlightView, frame: int, address: str) -> dict[str, Any]:
     """Return what the script draws of the chosen frame."""
     located = view.flight.frames[frame]
-    answer = located.stages.get("registration")
-    laid = answer is not None and answer.accepted
+    laid = view.homography(frame)
     return {
         "frame": frame,
         "card": card(view, frame, address),
-        "homography": answer.homography if laid and answer is not None else None,
+        "homography": None if laid is None else laid.ravel().tolist(),
+        "corrected": view.corrected(frame) is not None,
         "size": [located.frame.width, located.frame.height],
     }
 
@@ -217,11 +223,14 @@ def lists(view: FlightView) -> dict[str, str]:
         if view.belief(i).stage != "registration" and _refusals(located)
     ]
     apart = [(one.frame, printable(flight.frames[one.frame].frame.name), [one.sentence]) for one in view.contradictions]
+    notes = [*flight.notes, *flight.flight.notes, *flight.town.notes]
+    if view.corrections_error:
+        notes.append(f"Corrections are left out: {view.corrections_error}")
     audit = "" if flight.audit is None else flight.audit.sentence
     return {
         "refused": _list(refused, "", "No frame was refused."),
         "audit": _list(apart, audit, "Registration, sequence, and tags agree within their radii."),
-        "notes": render("flight/notes", notes=[*flight.notes, *flight.flight.notes, *flight.town.notes]),
+        "notes": render("flight/notes", notes=notes),
         "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
     }
 

@@ -8,17 +8,21 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import numpy as np
 import viser
 
 from explorer import session_state
 from explorer.compute.worker import Worker
 from explorer.flight_window import messages, page
-from explorer.flight_window.page import FlightView, Painted
+from explorer.flight_window.page import Painted
 from explorer.flight_window.pictures import FlightPictures
+from explorer.flight_window.service import FlightService, FlightView
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import LPNError
 from lpn.locate.coverage import seen_by
 
 # Share of the stage, from its top, that the compared pair takes where the window leaves it in sight.
@@ -50,6 +54,7 @@ class FlightWindow:
     It works on its own thread, so that neither the stage nor the server waits for it.
 
     Args:
+        service: the view of the flight, for all browsers.
         pictures: tiles and photos, for all browsers.
         change: updates the browser's state with a function.
         on_error: receives the exceptions of the window's work.
@@ -59,17 +64,21 @@ class FlightWindow:
         self,
         client: viser.ClientHandle,
         workspace: Workspace,
+        service: FlightService,
         pictures: FlightPictures,
         change: Callable[[StateChange], None],
         viewport: Viewport,
         on_error: Callable[[Exception], None],
     ) -> None:
+        self._service = service
         self._workspace, self._pictures, self._change, self._viewport = workspace, pictures, change, viewport
         self._lock = threading.RLock()
         self._choices = _Choices()
         self._analysis: StateAnalysis | None = None
         self._view: FlightView | None = None
         self._placed: bool | None = None
+        # What the last correction led to.
+        self._said = ""
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Flight", viser.Icon.DRONE):
@@ -119,10 +128,26 @@ class FlightWindow:
                 self._choose(painted=part)
             case messages.ShowSpot(spot):
                 self._choose(spot=spot)
+            case messages.CorrectFrame(frame, corners):
+                self._correct(frame, np.array(corners, np.float64))
+            case messages.ForgetCorrection(frame):
+                self._correct(frame, None)
             case messages.ToggleHeight():
                 self._choose(full_height=not self._choices.full_height)
             case messages.CloseFlight():
                 self._change(lambda state: replace(state, flight=False))
+
+    def _correct(self, frame: int, corners: Float64Array | None) -> None:
+        if not self._workspace.has_flight or frame >= len(self._service.view().flight.frames):
+            return
+        try:
+            self._service.correct(frame, corners)
+            self._said = (
+                "" if corners is None else f"Saved in {self._service.corrections_file.name}, beside the flight."
+            )
+        except LPNError as error:
+            self._said = f"Not saved. {error}"
+        self._worker.wake()
 
     def _choose_query(self, state: SessionState, frame: int) -> SessionState:
         return session_state.choose_query(state, frame, len(self._workspace.tasks[state.task].queries))
@@ -139,16 +164,14 @@ class FlightWindow:
             return None
         job = self._workspace.registration
         running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
-        flight = self._workspace.flight
-        assert flight is not None
-        self._progress.show(page.calls({"status": page.progress(job)}))
-        view = self._view
-        if view is None or view.flight is not flight:
-            view = self._view = FlightView.of(flight)
+        view = self._service.view()
+        self._progress.show(page.calls({"status": self._said or page.progress(job)}))
+        if view is not self._view:
+            self._view = view
             self._data.show(page.calls({"show": page.data(view, self._pictures.address), "lists": page.lists(view)}))
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height))
-        shown = None if state.upload or state.query >= len(flight.frames) else state.query
+        shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
         self._chosen.show(
             page.calls(
                 {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -16,9 +17,10 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import Workspace
 from lpn.flights import Flight, Frame
 from lpn.locate.audit import TagAudit
+from lpn.locate.corrections import read_corrections
 from lpn.locate.pipeline import LocateOptions, StageRecord, locate
 from lpn.locate.task import flight_task
-from lpn.maps import open_map
+from lpn.maps import LocalFrame, open_map
 from tests.e2e.conftest import ExplorerPage
 from tests.lpn.locate.scenery import ground_to_photo
 from tests.lpn.maps.small_maps import smooth, write_geotiff
@@ -34,8 +36,17 @@ REFUSED = 4
 RED = (200, 30, 40)
 
 
+@dataclass(frozen=True)
+class RunningFlight:
+    """A running app, the flight's folder, and the origin of the map's frame in degrees."""
+
+    url: str
+    folder: Path
+    origin: tuple[float, float]
+
+
 @pytest.fixture(scope="module")
-def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningFlight]:
     """The app on six red photos over a map; five of them are registered where they are."""
     pytest.importorskip("rasterio")
     folder = tmp_path_factory.mktemp("flight")
@@ -63,16 +74,18 @@ def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> It
         workspace = Workspace("a.onnx", "monday", [ranking], task.spec, dict(task.map_sizes), task.model, None, folder)
         workspace.flight = located
         app = App(workspace, "127.0.0.1", free_port())
-        yield f"http://127.0.0.1:{app.server.get_port()}"
+        origin = town.frame.latitude, town.frame.longitude
+        yield RunningFlight(f"http://127.0.0.1:{app.server.get_port()}", folder, origin)
         app.close()
 
 
 class FlightPage(ExplorerPage):
     """A page of the app with the flight window open."""
 
-    def enter(self, url: str) -> None:
+    def enter(self, app: RunningFlight) -> None:
         """Load the page, open the window, and wait for its tiles."""
-        self.open(url)
+        self.folder, self.origin = app.folder, app.origin
+        self.open(app.url)
         self.key("w")
         expect(self.verdict_of_frame).to_have_attribute("data-frame", "0")
         expect(self.map).to_have_attribute("data-missing", "0")
@@ -111,7 +124,7 @@ def box(locator: Locator) -> FloatRect:
 
 
 @pytest.fixture
-def window(flight_app: str, new_page: Callable[[], Page]) -> FlightPage:
+def window(flight_app: RunningFlight, new_page: Callable[[], Page]) -> FlightPage:
     page = FlightPage(new_page())
     page.enter(flight_app)
     return page
@@ -190,6 +203,45 @@ def test_a_registered_photo_is_swiped_over_the_place_that_it_shows(window: Fligh
     window.eventually(check(False, True, False, False, False))
     window.page.locator("[data-photo=off]").click()
     window.eventually(check(False, False, False, False, False))
+
+
+@pytest.mark.slow
+def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_flight(window: FlightPage) -> None:
+    page = window.page
+    page.locator("[data-photo=correct]").click()
+    whole, corner = page.locator('[data-tie="all"]'), page.locator('[data-tie="1"]')
+    shown = box(whole)
+    assert shown["x"] + shown["width"] / 2 == pytest.approx(window.at(*PLACES[0])[0], abs=2)
+    start, end = window.at(*PLACES[0]), window.at(PLACES[0][0] + 12, PLACES[0][1] - 8)
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(*end, steps=4)
+    page.mouse.up()
+    page.locator("[data-act=save]").click()
+    expect(page.locator("#lpn-flight-corrected")).to_contain_text("14.4 m from it")
+    expect(page.locator("#lpn-flight .legend")).to_contain_text("By hand1 of 6")
+    expect(page.locator("#lpn-flight .status")).to_contain_text("Saved in corrections.csv")
+    file = window.folder / "corrections.csv"
+    town = LocalFrame(*window.origin)
+    kept = read_corrections(file)["photo0.png"]
+    np.testing.assert_allclose(town.xy(*kept.middle[:, None])[0], (-48.0, -8.0), atol=0.8)
+    # A corner alone is moved by arrows: it bends the photo.
+    before = town.xy(*kept.corners.T)
+    corner.focus()
+    for _ in range(3):
+        page.keyboard.press("Shift+ArrowUp")
+    page.locator("[data-act=save]").click()
+
+    def bent() -> None:
+        after = town.xy(*read_corrections(file)["photo0.png"].corners.T)
+        moved = after - before
+        assert moved[1, 1] > 5
+        assert np.abs(moved[3]).max() < moved[1, 1] / 2
+
+    window.eventually(bent)
+    page.locator("[data-act=forget]").click()
+    expect(page.locator("#lpn-flight-corrected")).to_have_count(0)
+    assert read_corrections(file) == {}
 
 
 @pytest.mark.slow

@@ -319,15 +319,104 @@
     drawTime();
   };
 
-  // ---- the registered photo: one projective transform of the page lays it over the map
-  const laid = () => followed && followed.frame === chosen && followed.homography;
+  // ---- tie points: four points of the photo that a person drags to their places on the map
+  const TIES = [[0.15, 0.15], [0.85, 0.15], [0.85, 0.85], [0.15, 0.85]];
+  let ties = null; // { frame, points: metres of each tie point }
+  const through = (h, [x, y]) => {
+    const depth = h[6] * x + h[7] * y + h[8];
+    return [(h[0] * x + h[1] * y + h[2]) / depth, (h[3] * x + h[4] * y + h[5]) / depth];
+  };
+  // The homography, 9 numbers by rows, that maps four points to four others; null if there is none.
+  flight.homography = (from, to) => {
+    const [x0, y0] = to[0]; // the equations are about the first point, so that large coordinates cost no precision
+    const rows = from.flatMap(([x, y], i) => {
+      const [u, v] = [to[i][0] - x0, to[i][1] - y0];
+      return [[x, y, 1, 0, 0, 0, -u * x, -u * y, u], [0, 0, 0, x, y, 1, -v * x, -v * y, v]];
+    });
+    for (let column = 0; column < 8; column++) {
+      let best = column;
+      for (let row = column; row < 8; row++) if (Math.abs(rows[row][column]) > Math.abs(rows[best][column])) best = row;
+      [rows[column], rows[best]] = [rows[best], rows[column]];
+      if (Math.abs(rows[column][column]) < 1e-12) return null;
+      for (let row = 0; row < 8; row++) {
+        if (row === column) continue;
+        const factor = rows[row][column] / rows[column][column];
+        for (let k = column; k < 9; k++) rows[row][k] -= factor * rows[column][k];
+      }
+    }
+    const h = [...rows.map((row, i) => row[8] / row[i]), 1];
+    for (const k of [0, 1, 2]) {
+      h[k] += x0 * h[6 + k];
+      h[3 + k] += y0 * h[6 + k];
+    }
+    return h;
+  };
+  const pixel = ([x, y]) => [x * followed.size[0] - 0.5, y * followed.size[1] - 0.5];
+  const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
+  const startTies = () => {
+    if (!followed || followed.frame !== chosen) return (ties = null);
+    let h = followed.homography;
+    const outline = data.outlines[chosen];
+    if (!h && outline) h = flight.homography(CORNERS.map(pixel), outline.slice(0, 4));
+    if (!h) {
+      // Nothing tells where the photo lies: it starts in the middle of the view, north up.
+      const half = (0.2 * root.map.clientWidth) / view.scale, tall = (half * followed.size[1]) / followed.size[0];
+      h = flight.homography(CORNERS.map(pixel), [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([x, y]) => [view.x + x * half, view.y + y * tall]));
+    }
+    ties = { frame: chosen, points: TIES.map((tie) => through(h, pixel(tie))) };
+  };
+  const tied = () => flight.homography(TIES.map(pixel), ties.points);
+  const moveTie = (which, [right, up]) => {
+    ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
+    draw();
+  };
+  const onTie = (event) => {
+    const tie = event.target.closest("[data-tie]");
+    if (!tie || !ties) return;
+    if (event.type === "keydown") {
+      const turn = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+      if (!turn) return;
+      const far = (event.shiftKey ? 10 : 1) / view.scale;
+      moveTie(tie.dataset.tie, turn.map((one) => one * far));
+      event.preventDefault();
+    } else if (event.type === "pointerdown") {
+      tie.setPointerCapture(event.pointerId);
+      tie._at = [event.clientX, event.clientY];
+    } else if (event.type === "pointermove" && tie._at) {
+      moveTie(tie.dataset.tie, [(event.clientX - tie._at[0]) / view.scale, (tie._at[1] - event.clientY) / view.scale]);
+      tie._at = [event.clientX, event.clientY];
+    } else if (event.type !== "pointermove") tie._at = null;
+    event.stopPropagation();
+  };
+  const placeTies = () => {
+    const on = photo === "correct" && ties && ties.frame === chosen;
+    find(".ties").style.display = on ? "block" : "none";
+    if (!on) return;
+    const middle = through(tied() || [0, 0, 0, 0, 0, 0, 0, 0, 1], pixel([0.5, 0.5]));
+    all("[data-tie]").forEach((one) => {
+      const [left, top] = toPixels(one.dataset.tie === "all" ? middle : ties.points[Number(one.dataset.tie)]);
+      one.style.left = left + "px";
+      one.style.top = top + "px";
+    });
+    find("[data-act=forget]").style.display = followed.corrected ? "" : "none";
+  };
+
+  // ---- the photo over the map: one projective transform of the page lays it there
+  const laid = () => {
+    if (!followed || followed.frame !== chosen) return null;
+    if (photo !== "correct") return followed.homography;
+    if (!ties || ties.frame !== chosen) startTies();
+    return ties && tied();
+  };
   const layPhoto = () => {
     const layer = find(".laid"), swipe = find(".swipe");
-    const there = photo !== "off" && laid();
+    const matrix = laid(), there = photo !== "off" && matrix;
+    layer.style.opacity = photo === "correct" ? 0.6 : 1;
+    placeTies();
     layer.style.display = there ? "block" : "none";
     swipe.style.display = there && photo === "swipe" ? "block" : "none";
-    find("#lpn-flight-photo").title = laid() ? "Lay the registered photo over the map" : "This frame is not registered, so there is no photo to lay over the map";
-    all("[data-photo]").forEach((one) => one.classList.toggle("off", one.dataset.photo !== "off" && !laid()));
+    find("#lpn-flight-photo").title = matrix ? "Lay the registered photo over the map" : "This frame is not registered, so there is no photo to lay over the map";
+    all("[data-photo]").forEach((one) => one.classList.toggle("off", ["swipe", "blink"].includes(one.dataset.photo) && !followed?.homography));
     if (!there) return;
     const image = layer.firstElementChild, source = data.address + "photo/" + chosen;
     if (image.getAttribute("src") !== source) image.setAttribute("src", source);
@@ -335,7 +424,7 @@
       image.onload = draw;
       return;
     }
-    const h = followed.homography, [width, height] = size();
+    const h = matrix, [width, height] = size();
     const ratio = followed.size[0] / image.naturalWidth, down = followed.size[1] / image.naturalHeight;
     // Columns: of the photo's pixels (whole numbers are centres of pixels), then of the served picture's edges.
     const rows = [
@@ -351,6 +440,7 @@
     layer.style.clipPath = photo === "swipe" ? `inset(0 0 0 ${swipe.value}%)` : "none";
   };
   const setPhoto = (mode) => {
+    if (mode !== photo) ties = null;
     photo = mode;
     clearInterval(blinking);
     blinking = 0;
@@ -507,6 +597,8 @@
     const frame = given ? given.frame : -1;
     if (frame !== chosen && !playing) position = frame;
     chosen = frame;
+    // A saved or forgotten correction starts anew from what the server has.
+    if (ties && given && (ties.frame !== frame || ties.corrected !== undefined)) ties = null;
     refresh();
   };
   flight.answer = (given) => ((answer = given), draw());
@@ -585,6 +677,17 @@
     out: () => zoom(1 / 1.5),
     spot: () => ((asking = !asking), mark()),
     play: () => flight.play(),
+    save: () => {
+      const h = ties && tied();
+      if (!h) return lpn.say("The tie points do not span a picture.");
+      const millimetres = (value) => Math.round(1000 * value) / 1000;
+      ties.corrected = true;
+      lpn.send("flight-correct", [ties.frame, CORNERS.map((corner) => through(h, pixel(corner)).map(millimetres))]);
+    },
+    forget: () => {
+      if (ties) ties.corrected = false;
+      lpn.send("flight-forget", chosen);
+    },
   };
   const onClick = (event) => {
     const link = event.target.closest("[data-act],[data-photo],[data-plot],[data-list],[data-track]");
@@ -643,7 +746,7 @@
       (frame >= 0 ? data.names[frame] + " · " : "") + latitude.toFixed(6) + ", " + longitude.toFixed(6) + " · " + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
   };
   const onMap = (event) => {
-    if (!view || event.target.closest(".swipe,.zoom")) return;
+    if (!view || event.target.closest(".swipe,.zoom,.ties *")) return;
     const box = root.map.getBoundingClientRect();
     const at = [event.clientX - box.left, event.clientY - box.top];
     if (event.type === "wheel") {
@@ -688,6 +791,7 @@
     for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) root.map.addEventListener(kind, onMap);
     root.map.addEventListener("wheel", onMap, { passive: false });
     find(".swipe").addEventListener("input", layPhoto);
+    for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel", "keydown"]) find(".ties").addEventListener(kind, onTie);
     const time = find(".time canvas");
     let held = false;
     time.addEventListener("pointerdown", (event) => {

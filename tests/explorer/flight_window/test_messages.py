@@ -6,7 +6,14 @@ from typing import Any
 import pytest
 
 from explorer.flight_window import messages
-from explorer.flight_window.messages import ChooseFrame, CloseFlight, PaintScores, ShowSpot
+from explorer.flight_window.messages import (
+    ChooseFrame,
+    CloseFlight,
+    CorrectFrame,
+    ForgetCorrection,
+    PaintScores,
+    ShowSpot,
+)
 
 
 def test_messages_are_what_the_page_sends() -> None:
@@ -15,6 +22,9 @@ def test_messages_are_what_the_page_sends() -> None:
     assert messages.decode("flight-paint", 2) == PaintScores(2)
     assert messages.decode("flight-spot", [1.5, -2]) == ShowSpot((1.5, -2.0))
     assert messages.decode("flight-close", None) == CloseFlight()
+    square = [[0, 1], [1, 1], [1, 0], [0, 0]]
+    assert messages.decode("flight-correct", [3, square]) == CorrectFrame(3, ((0, 1), (1, 1), (1, 0), (0, 0)))
+    assert messages.decode("flight-forget", 3) == ForgetCorrection(3)
 
 
 @pytest.mark.parametrize(
@@ -30,6 +40,9 @@ def test_messages_are_what_the_page_sends() -> None:
         ("flight-spot", [math.inf, 0.0]),
         ("flight-spot", ["a", 0.0]),
         ("flight-spot", {"x": 1}),
+        ("flight-correct", 3),
+        ("flight-correct", [3, [[0, 1], [1, 1], [1, 0]]]),
+        ("flight-correct", [3, [[0, 1], [1, 1], [1, 0], [0, 1e9]]]),
     ],
 )
 def test_anything_else_is_dropped(kind: str, value: Any) -> None:

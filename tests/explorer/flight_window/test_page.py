@@ -12,15 +12,20 @@ import numpy as np
 import pytest
 
 from explorer.flight_window import page
-from explorer.flight_window.page import FlightView
+from explorer.flight_window.service import FlightService, FlightView
 from lpn.locate.pipeline import LocatedFlight
 from lpn.maps import open_map
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 
+def view_of(flight: LocatedFlight) -> FlightView:
+    folder = flight.frames[0].frame.file.parent
+    return FlightService(SimpleNamespace(flight=flight, root=folder)).view()  # type: ignore[arg-type]
+
+
 @pytest.fixture
 def view(flight: LocatedFlight) -> FlightView:
-    return FlightView.of(flight)
+    return view_of(flight)
 
 
 def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
@@ -55,7 +60,7 @@ def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path
         place = (0.5, 0, EAST + 150 * i, 0, -0.5, NORTH)
         write_geotiff(tmp_path / f"sheet{i}.tif", smooth(40, 200, i), matrix=place)
     two = replace(flight, town=open_map(tmp_path))
-    sheets = page.data(FlightView.of(two), "x/")["sheets"]
+    sheets = page.data(view_of(two), "x/")["sheets"]
     assert sorted(sheet["name"] for sheet in sheets) == ["sheet0.tif", "sheet1.tif"]
     assert len({sheet["colour"] for sheet in sheets}) == 2
     west, east = sorted(min(x for x, _ in sheet["outline"]) for sheet in sheets)

@@ -1,0 +1,102 @@
+"""What is derived from a workspace's flight once for all browsers, and a person's corrections of its frames."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from explorer.workspace import Workspace
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import LPNError
+from lpn.locate import corrections
+from lpn.locate.belief import Belief, Disagreement, belief, disagreements
+from lpn.locate.corrections import Correction
+from lpn.locate.coverage import Outline, outline
+from lpn.locate.pipeline import LocatedFlight
+
+
+@dataclass(frozen=True, eq=False)
+class FlightView:
+    """What the windows show of a flight.
+
+    Attributes:
+        outlines: the ground that each frame shows; None where it is unknown.
+        contradictions: frames whose answers lie too far apart.
+        corrections: a person's corrections by the frame's name.
+        corrections_error: why they cannot be used, in one sentence; empty if they can.
+    """
+
+    flight: LocatedFlight
+    outlines: list[Outline | None]
+    contradictions: list[Disagreement]
+    corrections: dict[str, Correction]
+    corrections_error: str = ""
+
+    def belief(self, frame: int) -> Belief:
+        """Return the verdict on a frame."""
+        return belief(self.flight.frames[frame], [one for one in self.contradictions if one.frame == frame])
+
+    def corrected(self, frame: int) -> tuple[float, float] | None:
+        """Return where a person says that the middle of a frame's picture lies, in metres of the map's frame."""
+        correction = self.corrections.get(self.flight.frames[frame].frame.name)
+        if correction is None:
+            return None
+        x, y = self.flight.town.frame.xy(*correction.middle[:, None])[0].tolist()
+        return x, y
+
+    def homography(self, frame: int) -> Float64Array | None:
+        """Return the matrix that lays a photo over the map: that of a correction, else of an accepted registration."""
+        located = self.flight.frames[frame]
+        if (correction := self.corrections.get(located.frame.name)) is not None:
+            return correction.homography(self.flight.town.frame, located.frame.width, located.frame.height)
+        answer = located.stages.get("registration")
+        if answer is None or not answer.accepted or answer.homography is None:
+            return None
+        return np.array(answer.homography).reshape(3, 3)
+
+
+class FlightService:
+    """The view of a workspace's flight; thread-safe.
+
+    Attributes:
+        corrections_file: lies in the flight's folder.
+    """
+
+    def __init__(self, workspace: Workspace) -> None:
+        self._workspace, self._lock = workspace, threading.Lock()
+        self.corrections_file = workspace.root / corrections.NAME
+        self._view: FlightView | None = None
+
+    def view(self) -> FlightView:
+        """Return the view of the flight as far as it is located; the same one until that or a correction changes."""
+        flight = self._workspace.flight
+        assert flight is not None
+        with self._lock:
+            if self._view is None or self._view.flight is not flight:
+                outlines = [outline(located) for located in flight.frames]
+                self._view = FlightView(flight, outlines, disagreements(flight.frames), *self._read())
+            return self._view
+
+    def correct(self, frame: int, corners: Float64Array | None) -> None:
+        """Keep a frame's correction on disk, for all browsers; None removes it.
+
+        Args:
+            corners: of the picture in metres of the map's frame, (4, 2).
+
+        Raises:
+            LPNError: when no picture could lie so, or the file cannot be written; then nothing has changed.
+        """
+        view = self.view()
+        name, town = view.flight.frames[frame].frame.name, view.flight.town
+        correction = None if corners is None else Correction.of(corners, town.frame)
+        found = corrections.set_correction(self.corrections_file, name, correction)
+        with self._lock:
+            self._view = FlightView(view.flight, view.outlines, view.contradictions, found)
+
+    def _read(self) -> tuple[dict[str, Correction], str]:
+        try:
+            return corrections.read_corrections(self.corrections_file), ""
+        except LPNError as error:  # the window is useful without them
+            return {}, str(error)

@@ -1,0 +1,161 @@
+"""A person's corrected places of frames, in `corrections.csv` beside a flight; the flight's own files stay as they are.
+
+    frame,latitude,longitude,top left,top right,bottom right,bottom left
+    DJI_0018.JPG,46.84260512,-91.99455804,46.84281 -91.99501,46.84297 -91.99430,46.84240 -91.99410,46.84224 -91.99481
+
+`latitude` and `longitude` are of the picture's middle on the ground, the other columns of its corners, in WGS 84 degrees. The
+file may be edited by hand, and by several programs at once, since each change replaces one line under a lock.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError, InputError, OutputError
+from lpn.core.files import check_writable, exclusive_lock, printable, write_atomic
+from lpn.core.shutdown import uninterrupted
+from lpn.maps import LocalFrame
+
+NAME = "corrections.csv"
+_HEADER = ["frame", "latitude", "longitude", "top left", "top right", "bottom right", "bottom left"]
+_MAX_BYTES = 50_000_000
+# Longest side and least area of a corrected picture, in metres and square metres.
+_MAX_SIDE, _MIN_AREA = 20_000.0, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Where a person says that a frame's picture lies.
+
+    Attributes:
+        middle: latitude and longitude of the picture's middle on the ground, (2,).
+        corners: those of its corners, (4, 2): top left, top right, bottom right, bottom left.
+    """
+
+    middle: Float64Array
+    corners: Float64Array
+
+    @classmethod
+    def of(cls, corners: Float64Array, frame: LocalFrame) -> Correction:
+        """Make a correction of corners in metres of a map's frame, (4, 2).
+
+        Raises:
+            InputError: if no camera above the ground could take such a picture.
+        """
+        after, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
+        turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+        sides = np.linalg.norm(after, axis=1)
+        # Seen from above, the corners of a picture follow each other clockwise.
+        if not (turns < 0).all() or -turns.sum() / 4 < _MIN_AREA or sides.max() > _MAX_SIDE:
+            raise InputError(
+                "The tie points turn the photo over, fold it, or make it too small or too large; move them back into the order "
+                "in which the photo shows them."
+            )
+        matrix = homography(corners, 1, 1)
+        middle = (matrix @ (0.0, 0.0, 1.0))[:2] / matrix[2, 2]
+        return cls(frame.degrees([middle])[0], frame.degrees(corners))
+
+    def homography(self, frame: LocalFrame, width: int, height: int) -> Float64Array:
+        """Return the matrix from pixels of a picture of this size to metres of a map's frame, (3, 3)."""
+        return homography(frame.xy(*self.corners.T), width, height)
+
+
+def homography(corners: Float64Array, width: int, height: int) -> Float64Array:
+    """Return the matrix, (3, 3), from a picture's pixels to its corners on the ground, (4, 2); whole pixels are centres."""
+    right, bottom = width - 0.5, height - 0.5
+    pixels = np.array([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)], np.float32)
+    # About the first corner, because OpenCV takes single precision.
+    matrix = cv2.getPerspectiveTransform(pixels, (corners - corners[0]).astype(np.float32))
+    shift = np.array([[1, 0, corners[0, 0]], [0, 1, corners[0, 1]], [0, 0, 1]])
+    return np.asarray(shift @ matrix, np.float64)
+
+
+def read_corrections(file: Path) -> dict[str, Correction]:
+    """Read all corrections, by the frame's name; empty if the file does not exist.
+
+    Raises:
+        DataError: when the file is not in the format above; the message names the entry.
+    """
+    try:
+        if not file.exists():
+            return {}
+        if file.stat().st_size > _MAX_BYTES:
+            raise DataError(
+                f"{file} has more than {_MAX_BYTES // 1_000_000} MB, too much for corrections; move it away."
+            )
+        rows = list(csv.reader(io.StringIO(file.read_text("utf-8-sig"), newline=""), strict=True))
+    except OSError as error:
+        raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
+    if not rows or rows[0] != _HEADER:
+        first = printable(",".join(rows[0]))[:100] if rows else "empty"
+        raise DataError(f"The first line of {file} is {first}; expected {','.join(_HEADER)}, so correct it.")
+    return {
+        name: correction
+        for number, row in enumerate(rows[1:], 1)
+        if row
+        for name, correction in [_parse(file, number, row)]
+    }
+
+
+def set_correction(file: Path, name: str, correction: Correction | None) -> dict[str, Correction]:
+    """Replace one frame's correction on disk and keep all others; None removes its line.
+
+    Args:
+        file: usually `corrections.csv` in the flight's folder.
+        name: of the frame.
+
+    Returns:
+        All corrections after the change.
+
+    Raises:
+        DataError: when the existing file is damaged; it is not changed.
+        OutputError: when the file cannot be written.
+    """
+    check_writable(file)
+    try:
+        with exclusive_lock(file.parent, wait=True), uninterrupted():
+            found = read_corrections(file)
+            found.pop(name, None)
+            if correction is not None:
+                found[name] = correction
+            write_atomic(file, _to_csv(found))
+    except OSError as error:
+        raise OutputError(
+            f"{file} cannot be written ({error.strerror or error}); copy the flight to a folder that can be written."
+        ) from error
+    return found
+
+
+def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:
+    try:
+        places = np.array([row[1:3], *(corner.split() for corner in row[3:])], np.float64)
+        valid = places.shape == (5, 2) and bool((np.abs(places) <= (90, 180)).all()) and bool(row[0])
+    except ValueError:
+        valid = False
+    if not valid:
+        raise DataError(
+            f"Entry {number} of {file} is {printable(','.join(row))[:100]}; expected {','.join(_HEADER)}, each corner as "
+            "latitude and longitude with a space between them."
+        )
+    return row[0], Correction(places[0], places[1:])
+
+
+def _to_csv(corrections: Mapping[str, Correction]) -> bytes:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_HEADER)
+    for name, one in sorted(corrections.items()):
+        latitude, longitude = one.middle.tolist()
+        corners = [f"{a:.9f} {b:.9f}" for a, b in one.corners.tolist()]
+        writer.writerow([name, f"{latitude:.9f}", f"{longitude:.9f}", *corners])
+    return text.getvalue().encode("utf-8", "replace")

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from explorer.flight_window import page
+from explorer.flight_window.service import FlightService
+from lpn.core.errors import InputError
+from lpn.locate.corrections import NAME
+from lpn.locate.pipeline import LocatedFlight
+
+CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
+
+
+@pytest.fixture
+def service(flight: LocatedFlight, tmp_path: Path) -> FlightService:
+    return FlightService(SimpleNamespace(flight=flight, root=tmp_path))  # type: ignore[arg-type]
+
+
+def test_the_view_is_derived_once_and_again_when_something_changes(service: FlightService) -> None:
+    first = service.view()
+    assert service.view() is first
+    service.correct(2, CORNERS)
+    assert service.view() is not first
+    assert service.view().outlines is first.outlines
+
+
+def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightService) -> None:
+    assert service.view().homography(2) is None
+    service.correct(2, CORNERS)
+    view = service.view()
+    assert view.corrected(2) == pytest.approx((20.0, 15.0), abs=1e-3)
+    track = page.data(view, "x/")["tracks"]["corrected"]
+    assert (track["count"], track["x"][:2], track["error"][2]) == ("1 of 3", [None, None], pytest.approx(15.0))
+    matrix = view.homography(2)
+    assert matrix is not None
+    middle = matrix @ (39.5, 29.5, 1.0)
+    np.testing.assert_allclose(middle[:2] / middle[2], (20.0, 15.0), atol=1e-3)
+    assert "By hand" in page.card(view, 2, "x/")
+    service.correct(2, None)
+    assert service.view().homography(2) is None
+    assert "corrected" not in page.data(service.view(), "x/")["tracks"]
+
+
+def test_a_refused_correction_changes_nothing(service: FlightService, tmp_path: Path) -> None:
+    before = service.view()
+    with pytest.raises(InputError, match="tie points"):
+        service.correct(0, CORNERS[::-1])
+    assert service.view() is before
+    assert not (tmp_path / NAME).exists()
+
+
+def test_a_damaged_file_of_corrections_is_left_out_with_a_note(service: FlightService, tmp_path: Path) -> None:
+    (tmp_path / NAME).write_text("nonsense")
+    assert service.view().corrections == {}
+    assert "Corrections are left out: The first line" in page.lists(service.view())["notes"]

@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn.core.errors import DataError, InputError
+from lpn.locate.corrections import NAME, Correction, homography, read_corrections, set_correction
+from lpn.locate.coverage import corners_of
+from lpn.maps import LocalFrame
+
+FRAME = LocalFrame(48.0, 9.0)
+CORNERS = np.array([(100.0, 60.0), (180.0, 70.0), (170.0, 0.0), (95.0, 5.0)])
+
+
+def test_a_homography_maps_the_pictures_corners_to_the_ground() -> None:
+    far = CORNERS + 40_000.0
+    np.testing.assert_allclose(corners_of(homography(far, 4000, 3000), 4000, 3000), far, atol=1e-3)
+
+
+def test_the_middle_is_where_the_diagonals_cross() -> None:
+    found = Correction.of(CORNERS, FRAME)
+    first, second = CORNERS[2] - CORNERS[0], CORNERS[3] - CORNERS[1]
+    along = np.linalg.solve(np.stack([first, -second], axis=1), CORNERS[1] - CORNERS[0])[0]
+    np.testing.assert_allclose(FRAME.xy(*found.middle[:, None])[0], CORNERS[0] + along * first, atol=1e-3)
+    np.testing.assert_allclose(corners_of(found.homography(FRAME, 80, 60), 80, 60), CORNERS, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        CORNERS[::-1],
+        CORNERS[[0, 2, 1, 3]],
+        np.zeros((4, 2)),
+        CORNERS * 1e4,
+        np.array([(0.0, 10.0), (10, 10), (9, 9), (0, 0)]) * [1, -1],
+    ],
+)
+def test_a_photo_cannot_be_turned_over_folded_or_vanish(corners: np.ndarray) -> None:
+    with pytest.raises(InputError, match="tie points"):
+        Correction.of(corners, FRAME)
+
+
+def test_corrections_are_kept_beside_the_flight_one_line_a_frame(tmp_path: Path) -> None:
+    file = tmp_path / NAME
+    assert read_corrections(file) == {}
+    set_correction(file, "b,1.jpg", Correction.of(CORNERS, FRAME))
+    set_correction(file, "a.jpg", Correction.of(CORNERS + 50, FRAME))
+    found = set_correction(file, "a.jpg", Correction.of(CORNERS + 7, FRAME))
+    again = read_corrections(file)
+    assert list(again) == ["a.jpg", "b,1.jpg"]
+    assert set(found) == set(again)
+    np.testing.assert_allclose(FRAME.xy(*again["a.jpg"].corners.T), CORNERS + 7, atol=1e-3)
+    assert list(set_correction(file, "a.jpg", None)) == ["b,1.jpg"]
+    assert file.read_text().count("\n") == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("x,y\n", "The first line"),
+        ("", "The first line"),
+        ("{head}\na,1,2,1 2,1 2,1 2\n", "Entry 1"),
+        ("{head}\na,1,2,1 2,1 2,1 2,1\n", "Entry 1"),
+        ("{head}\na,nan,2,1 2,1 2,1 2,1 2\n", "Entry 1"),
+        ("{head}\na,91,2,1 2,1 2,1 2,1 2\n", "Entry 1"),
+        ('{head}\n"a\n', "not a CSV file"),
+    ],
+)
+def test_a_damaged_file_gets_one_sentence_and_stays(tmp_path: Path, text: str, sentence: str) -> None:
+    file = tmp_path / NAME
+    file.write_text(text.replace("{head}", "frame,latitude,longitude,top left,top right,bottom right,bottom left"))
+    before = file.read_bytes()
+    with pytest.raises(DataError, match=sentence):
+        read_corrections(file)
+    with pytest.raises(DataError, match=sentence):
+        set_correction(file, "a", None)
+    assert file.read_bytes() == before
