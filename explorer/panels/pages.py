@@ -64,7 +64,15 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the analysis in words."""
     right, headline, reason = answer_text.verdict(analysis, workspace.part_names)
     all_parts_off = not analysis.state.parts_left()
-    return render("panels/verdict", verdict=right, headline=headline, reason=reason, all_parts_off=all_parts_off)
+    note = "" if analysis.state.upload is not None else analysis.task.queries[analysis.state.query].note
+    return render(
+        "panels/verdict",
+        verdict=right,
+        headline=headline,
+        reason=reason,
+        note=f"The query: {note}." if note else "",
+        all_parts_off=all_parts_off,
+    )
 
 
 def status(shown: ShownAnalysis | None, waiting: Literal["", "computing", "full"] = "") -> str:

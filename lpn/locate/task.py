@@ -121,7 +121,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
 def _query(found: MapRetrieval, i: int, frame: Frame, heading: float, root: Path) -> Picture:
     file = frame.file if frame.file.is_relative_to(root) else root / frame.name
     tried = len(found.headings[i])
-    note = f"turned to {heading:.0f}°, the best of {tried} headings" if tried > 1 else ""
+    note = f"heading {heading:.0f}°, best of {tried}" if tried > 1 else ""
     cut = _FrameCut(frame, heading, float(found.shares[i]), found.pixels)
     return Picture(file, i, frame.name, note=note, cut=cut)
 
@@ -205,10 +205,11 @@ def _columns(located: LocatedFlight, found: MapRetrieval, turns: list[int]) -> l
     """Return what is known of each frame, for the table of outcomes."""
     frames = [one.frame for one in located.frames]
     times = located.flight.times
+    since = times - np.nanmin(times) if np.isfinite(times).any() else times
     columns = [
-        number_column("seconds", times - np.nanmin(times) if np.isfinite(times).any() else times, "s"),
+        _numbers("seconds", since.tolist(), "s"),
         _numbers("altitude", [frame.flying_height for frame in frames], "m"),
-        number_column("heading", [found.headings[i][turn] for i, turn in enumerate(turns)], "°"),
+        _numbers("heading", [found.headings[i][turn] for i, turn in enumerate(turns)], "°"),
         _numbers("pitch", [frame.pitch for frame in frames], "°"),
         _numbers("roll", [frame.roll for frame in frames], "°"),
     ]
@@ -241,4 +242,4 @@ def stage_columns(located: LocatedFlight) -> list[Column]:
 
 
 def _numbers(name: str, values: Sequence[float | None], unit: str = "") -> Column:
-    return number_column(name, [math.nan if value is None else value for value in values], unit)
+    return number_column(name, [math.nan if value is None else round(value, 2) for value in values], unit)
