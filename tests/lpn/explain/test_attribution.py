@@ -105,6 +105,33 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
         assert np.abs(found.query.constants).max() > 1e-3
 
 
+@pytest.mark.parametrize("name", ["leaky", "safa"])
+def test_the_mean_of_a_view_is_one_more_constant(name: str) -> None:
+    plain = TorchModel(network(SPECS[name]), "fingerprint")
+    rng = np.random.default_rng(5)
+    shape = (plain.n_parts, plain.spec.embedding)
+    query_view: View = "drone" if "drone" in plain.views else "street"
+    means: dict[View, Float32Array] = {
+        "satellite": (0.02 * rng.standard_normal(shape)).astype(np.float32),
+        query_view: (0.02 * rng.standard_normal(shape)).astype(np.float32),
+    }
+    model = plain.centred(means)
+    assert model.fingerprint != plain.fingerprint
+    assert not plain.means
+    query, tile = pair(model)
+    before, _ = pair(plain)
+    moved = before.descriptor - means[query_view]
+    expected = moved / np.linalg.norm(moved, axis=1, keepdims=True) / np.sqrt(plain.n_parts)
+    np.testing.assert_allclose(query.descriptor, expected, atol=1e-6)
+    image = model.prepare(before.picture, query_view)[None]
+    np.testing.assert_allclose(model.descriptors(image, query_view)[0], expected, atol=1e-5)
+    found = evidence(query, tile)
+    cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
+    for side in (found.query, found.tile):
+        np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, cosines, atol=1e-4)
+    assert not np.allclose(cosines, evidence(*pair(plain)).cosines, atol=1e-3)
+
+
 @pytest.mark.parametrize("name", ["rings", "leaky", "relu", "columns", "safa"])
 def test_links_add_up_to_each_cell_and_turn_around_with_the_pair(name: str) -> None:
     model = TorchModel(network(SPECS[name]))

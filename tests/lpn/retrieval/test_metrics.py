@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -188,6 +189,21 @@ def test_lists_that_say_what_labels_say_give_the_same_figures() -> None:
     np.testing.assert_array_equal(by_label.first, by_list.first)
     np.testing.assert_array_equal(by_label.best, by_list.best)
     np.testing.assert_allclose(by_label.precision, by_list.precision)
+
+
+def test_queries_of_unknown_truth_do_not_count() -> None:
+    rng = np.random.default_rng(3)
+    query, gallery = (rng.standard_normal((count, 8)).astype(np.float32) for count in (12, 40))
+    truth = lists(3, 12, 40)
+    unknown = Truth(np.zeros(0, np.int64), truth[0].junk, known=False)
+    graded = metrics.evaluate(query[1:], None, gallery, None, truth[1:])
+    assert metrics.evaluate(query, None, gallery, None, [unknown, *truth[1:]]) == graded
+    assert graded["queries"] == 11
+    missed = metrics.evaluate(query, None, gallery, None, [replace(unknown, known=True), *truth[1:]])
+    assert missed["queries"] == 12
+    none = metrics.evaluate(query[:1], None, gallery, None, [unknown])
+    assert none["queries"] == 0
+    assert np.isnan([none["recall@1"], none["ap"]]).all()
 
 
 def test_blocks_of_queries_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
