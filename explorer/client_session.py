@@ -131,6 +131,8 @@ class ClientSession:
                 self._set_theme(state)
             if state.why and not self._state.why:
                 self._bridge.call("reveal", "#lpn-why")
+            if state.flight and not self._state.flight:
+                self._bridge.call("reveal", "#lpn-flight")
             self._state = state
             self._requests.supersede()
             self._panels.write(state)

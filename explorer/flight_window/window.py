@@ -26,7 +26,7 @@ from lpn.core.errors import LPNError
 from lpn.locate.coverage import seen_by
 
 # Share of the stage, from its top, that the compared pair takes where the window leaves it in sight.
-_PAIR_SHARE = 0.42
+_PAIR_SHARE = 0.49
 # Height of the panel's own frame in pixels.
 _FRAME_HEIGHT = 52
 # Seconds between two looks at a registration that goes on in the background.
@@ -77,8 +77,8 @@ class FlightWindow:
         self._analysis: StateAnalysis | None = None
         self._view: FlightView | None = None
         self._placed: bool | None = None
-        # What the last correction led to.
-        self._said = ""
+        # What the last correction led to, and its frame.
+        self._said: tuple[int, str] = (-1, "")
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Flight", viser.Icon.DRONE):
@@ -142,11 +142,10 @@ class FlightWindow:
             return
         try:
             self._service.correct(frame, corners)
-            self._said = (
-                "" if corners is None else f"Saved in {self._service.corrections_file.name}, beside the flight."
-            )
+            text = "" if corners is None else f"Saved in {self._service.corrections_file.name}, beside the flight."
         except LPNError as error:
-            self._said = f"Not saved. {error}"
+            text = f"Not saved. {error}"
+        self._said = frame, text
         self._worker.wake()
 
     def _choose_query(self, state: SessionState, frame: int) -> SessionState:
@@ -165,13 +164,14 @@ class FlightWindow:
         job = self._workspace.registration
         running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
         view = self._service.view()
-        self._progress.show(page.calls({"status": self._said or page.progress(job)}))
         if view is not self._view:
             self._view = view
             self._data.show(page.calls({"show": page.data(view, self._pictures.address), "lists": page.lists(view)}))
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height))
         shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
+        said = self._said[1] if self._said[0] == shown else ""
+        self._progress.show(page.calls({"status": said or page.progress(job)}))
         self._chosen.show(
             page.calls(
                 {

@@ -186,19 +186,21 @@ def test_a_registered_photo_is_swiped_over_the_place_that_it_shows(window: Fligh
 
     def check(*expected: bool) -> Callable[[], None]:
         """Return a check of five spots: inside at the left and right, and outside beyond left, right, and top."""
-        spots = [(-85.0, -12.0), (-35.0, -12.0), (-94.0, -12.0), (-25.0, -12.0), (-60.0, 27.0)]
+        spots = [(-45.0, -12.0), (5.0, -12.0), (-54.0, -12.0), (14.0, -12.0), (-20.0, 27.0)]
 
         def look() -> None:
             assert [red(*spot) for spot in spots] == list(expected)
 
         return look
 
+    window.page.mouse.click(*window.at(*PLACES[2]))
+    window.expect_frame(2)
     window.eventually(check(False, False, False, False, False))
     window.page.locator("[data-photo=swipe]").click()
     slider = window.page.get_by_label("swipe")
     slider.fill("0")
     window.eventually(check(True, True, False, False, False))
-    left = window.at(-60.0, 0.0)[0] - box(window.map)["x"]
+    left = window.at(-20.0, 0.0)[0] - box(window.map)["x"]
     slider.fill(str(round(100 * left / box(window.map)["width"])))
     window.eventually(check(False, True, False, False, False))
     window.page.locator("[data-photo=off]").click()

@@ -14,6 +14,7 @@
   let chosen = -1; // the frame that the window shows; the stage may still be on its way to it
   let pending = null; // the frame that the stage was asked for, and since when
   let view = null; // metres in the middle of the map, and pixels per metre
+  let moved = false; // the user has moved the map since it was fitted
   let mouse = null, photo = "off", blinking = 0, plot = "error", list = "refused", asking = false;
   let playing = 0, position = 0, last = 0, skipped = 0;
   const hidden = new Set();
@@ -46,25 +47,28 @@
   };
   const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
 
-  const look = (points) => {
+  // Show points in a share of the view, and at least 40 m of ground.
+  const look = (points, share) => {
     const [width, height] = size();
     if (!points.length || !width) return;
     const span = (axis) => range(points.map((p) => p[axis]));
     const [west, east] = span(0), [south, north] = span(1);
-    const scale = 0.88 * Math.min(width / Math.max(east - west, 1), height / Math.max(north - south, 1));
+    const scale = share * Math.min(width / Math.max(east - west, 40), height / Math.max(north - south, 40));
     view = { x: (west + east) / 2, y: (south + north) / 2, scale: limited(scale) };
   };
   const limited = (scale) => clamp(scale, 20 / data.pyramid.side, 8 / data.resolution);
   flight.fit = () => {
+    moved = false;
     const [west, south, east, north] = data.bounds;
-    const points = data.outlines.flatMap((one) => (one ? one.slice(0, 4) : []));
-    for (const [name, track] of Object.entries(data.tracks))
-      if (name !== "retrieval") track.x.forEach((x, i) => place(track, i) && track.state[i] < 2 && points.push(place(track, i)));
-    const inside = points.filter(([x, y]) => x > west - 500 && x < east + 500 && y > south - 500 && y < north + 500);
-    look(inside.length > 1 ? inside : [[west, south], [east, north]]);
+    const track = Object.entries(data.tracks).flatMap(([name, one]) =>
+      name === "retrieval" ? [] : data.names.map((_, i) => (one.state[i] < 2 ? place(one, i) : null)).filter(Boolean),
+    );
+    const inside = track.filter(([x, y]) => x > west - 500 && x < east + 500 && y > south - 500 && y < north + 500);
+    inside.length > 1 ? look(inside, 0.72) : look([[west, south], [east, north]], 0.9);
     draw();
   };
   const zoom = (factor, at) => {
+    moved = true;
     const [width, height] = size();
     const [left, top] = at || [width / 2, height / 2];
     const [x, y] = toMetres([left, top]);
@@ -545,8 +549,18 @@
     position = frame;
     fill(find(".legend"), legend());
     pending = { frame: frame, since: performance.now() };
-    lpn.send("flight-frame", frame);
+    if (!asked) ask();
     draw();
+  };
+  // A drag over the timeline asks for few of the frames on its way.
+  let asked = 0;
+  const ask = () => {
+    const { frame } = pending;
+    lpn.send("flight-frame", frame);
+    asked = setTimeout(() => {
+      asked = 0;
+      if (pending && pending.frame !== frame) ask();
+    }, 150);
   };
   const tick = () => {
     if (!playing) return;
@@ -718,6 +732,7 @@
     else if (timeline && key === "Home") flight.choose(0);
     else if (timeline && key === "End") flight.choose(total() - 1);
     else if (!timeline && move) {
+      moved = true;
       view.x += (move[0] * width) / 6 / view.scale;
       view.y += (move[1] * height) / 6 / view.scale;
       draw();
@@ -759,7 +774,7 @@
       mouse = { at: at, from: at, moved: false };
     } else if (event.type === "pointermove") {
       if (mouse && (mouse.moved || Math.hypot(at[0] - mouse.from[0], at[1] - mouse.from[1]) > 4)) {
-        mouse.moved = true;
+        mouse.moved = moved = true;
         view.x -= (at[0] - mouse.at[0]) / view.scale;
         view.y += (at[1] - mouse.at[1]) / view.scale;
         mouse.at = at;
@@ -767,9 +782,9 @@
       }
       read(at);
     } else if (mouse) {
-      const { moved } = mouse;
+      const dragged = mouse.moved;
       mouse = null;
-      if (moved || event.type !== "pointerup") return;
+      if (dragged || event.type !== "pointerup") return;
       if (event.shiftKey || asking) {
         asking = false;
         return lpn.send("flight-spot", toMetres(at).map((value) => Math.round(100 * value) / 100));
@@ -779,7 +794,11 @@
     }
   };
   new MutationObserver(draw).observe(document.documentElement, { attributeFilter: ["data-mantine-color-scheme"] });
-  const resized = new ResizeObserver(() => draw());
+  // The flight is fitted into the window again when that changes its size, unless the user has looked elsewhere.
+  const resized = new ResizeObserver(() => {
+    if (!moved) view = null;
+    draw();
+  });
 
   flight.attach = () => {
     const found = document.getElementById("lpn-flight");
