@@ -149,7 +149,7 @@ def open_flight_over(
     Args:
         map_path: what `lpn.maps.open_map` opens.
         flight_path: a folder of lpn flight, or one of photos.
-        query: name of the frame that a new browser shows first; by default the flight's first.
+        query: name of the frame that a new browser shows first; by default the flight's first that can be read.
         second_model: another model to compare with on the same flight; it is opened, too.
         register: whether photos are laid over the map.
 
@@ -168,7 +168,9 @@ def open_flight_over(
         task.model_name, task.data_name, [ranking], task.spec, dict(task.map_sizes), task.model, None, flight_path
     )
     workspace.flight = located
-    workspace.choose_first_query(query)
+    broken = () if located.retrieval is None else located.retrieval.broken
+    readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
+    workspace.choose_first_query(next(readable, None) if query is None else query)
     if second_model is not None:
         second = open_flight_over(map_path, flight_path, second_model, None, None, False, provider)
         workspace.second = SecondModel(second.model_name, lambda: second)

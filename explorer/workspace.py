@@ -22,7 +22,8 @@ from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describ
 from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import Int64Array, UInt8Array
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, PictureError
+from lpn.core.resources import yield_cores
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
@@ -36,6 +37,8 @@ from lpn.retrieval import DescribedPicture
 TILES = 48
 # Number of card pictures in the cache, 0.15 MB each.
 CARDS = 256
+# Side of a thumbnail in pixels.
+_THUMBNAIL = 64
 
 
 class Workspace:
@@ -141,13 +144,14 @@ class Workspace:
         """Start the registration of the flight in the background; `flight` has its answers when it is done."""
 
         def work(report: ReportProgress) -> None:
+            yield_cores()  # it takes minutes, and answers must not wait for it
             self.flight = register(report)
 
         self.registration = BackgroundJob(work, self)
         return self.registration
 
     def thumbnail(self, picture: Picture) -> str:
-        """Return a 64-pixel JPEG of a picture as a data URI."""
+        """Return a 64-pixel JPEG of a picture as a data URI; plain grey for a picture that cannot be read."""
         return self._thumbnail(picture)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
@@ -185,7 +189,11 @@ class Workspace:
         return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)
 
     def _make_thumbnail(self, picture: Picture) -> str:
-        return overlays.data_uri(overlays.square(picture.load(), 64))
+        try:
+            shown = overlays.square(picture.load(), _THUMBNAIL)
+        except PictureError:  # a flight may have frames that cannot be read
+            shown = np.full((_THUMBNAIL, _THUMBNAIL, 3), 60, np.uint8)
+        return overlays.data_uri(shown)
 
 
 class SecondModel:

@@ -8,6 +8,8 @@ import math
 import os
 import socket
 import sys
+import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -22,6 +24,8 @@ _CGROUPS, _OWN_CGROUP = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
 # Options of mallopt in <malloc.h>: at most two arenas (M_ARENA_MAX); arrays from 4 MiB on are mapped (M_MMAP_THRESHOLD), as
 # mapping smaller ones would cost a page fault for each 4 kB; 8 MiB at the end of an arena may stay unused (M_TRIM_THRESHOLD).
 _MALLOC_OPTIONS = {-8: 2, -3: 1 << 22, -1: 1 << 23}
+# Steps of niceness between a thread that yields and the others: it gets a tenth of a core that another wants.
+_YIELDING = 10
 
 
 def resolve_provider(provider: ProviderName) -> ProviderName:
@@ -77,6 +81,14 @@ def _cgroups() -> list[Path]:
         return []
     names = [name for name in own.split("/") if name not in ("", "..")]  # ".." leads out of a container
     return [_CGROUPS.joinpath(*names[:depth]) for depth in range(len(names) + 1)]
+
+
+def yield_cores() -> None:
+    """Let this thread, and those that it starts, yield to the other threads of this process; only Linux can do that."""
+    if sys.platform.startswith("linux"):
+        thread = threading.get_native_id()
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, thread, min(os.getpriority(os.PRIO_PROCESS, thread) + _YIELDING, 19))
 
 
 def limit_malloc_arenas() -> bool:

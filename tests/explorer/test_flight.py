@@ -24,7 +24,7 @@ from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.cli.main import main
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, PictureError
 from lpn.flights import write_flight
 from lpn.locate.pipeline import LocatedFlight, StageRecord
 from lpn.locate.task import TASK
@@ -129,8 +129,11 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     assert f"{known} queries are graded" in " ".join(pages.header(workspace, task).split())
     analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
     assert answer_text.verdict(analysis, workspace.part_names)[:2] == (None, "Nearest tile")
-    picker = pages.picker(workspace, task, [0, 5], 5, 0, 1, ["a", "b", "c", "d"])
+    picker = pages.picker(workspace, task, [0, 2, 5], 5, 0, 1, ["a", "b", "c", "d", "e"])
     assert picker.count("<b style") == 1
+    assert picker.count("data:image/jpeg") == 3
+    with pytest.raises(PictureError, match="is not a picture"):
+        StateAnalyser(workspace).analyse(_state(workspace, 2), 3)
     laboratory = FailureLab(workspace)
     assert laboratory.build(TASK, None).wait(60)
     findings = laboratory.findings(TASK)

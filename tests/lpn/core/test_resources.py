@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
+import threading
 
 import pytest
+
+from lpn.core.resources import yield_cores
 
 HELD = """
 import sys
@@ -36,3 +40,24 @@ def test_freed_arrays_leave_the_process_though_others_live_on() -> None:
 
     assert freed("asked") > 90
     assert freed() < 50, "the C library gives freed arrays back by itself: limit_malloc_arenas and return_memory can go"
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has a niceness for each thread")
+def test_a_thread_that_yields_and_those_it_starts_are_nicer_than_others() -> None:
+    before, found = os.getpriority(os.PRIO_PROCESS, 0), []
+
+    def measure() -> None:
+        found.append(os.getpriority(os.PRIO_PROCESS, threading.get_native_id()))
+
+    def work() -> None:
+        yield_cores()
+        measure()
+        child = threading.Thread(target=measure)
+        child.start()
+        child.join()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [min(before + 10, 19)] * 2
+    assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == before
