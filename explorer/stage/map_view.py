@@ -159,9 +159,12 @@ class GalleryMap:
         x, y = (ground - self._middle) * self._scale
         return np.asarray(MAP_CENTRE + np.array([x, y, up * self._scale + lift]), np.float64)
 
+    def _tile_side(self, places: GalleryGeometry, index: int) -> float:
+        """Return the side of a tile in stage units; windows of a map have several sizes."""
+        return max((places.tiles[index].width or places.width) * self._scale, 0.12)
+
     def _show_tiles(self, analysis: StateAnalysis, places: GalleryGeometry, city: bool, lift: float) -> None:
         """Draw the ranked tiles as pictures on the ground, or as frames above the roofs."""
-        side = max(places.width * self._scale, 0.12)
         for slot, plane in enumerate(self._tiles):
             plane.handle.visible = slot < len(analysis.matches)
             if not plane.handle.visible:
@@ -175,7 +178,7 @@ class GalleryMap:
                 picture = overlays.square(self._workspace.load_picture(analysis.task.gallery[match.index]), 96)
                 framed = overlays.framed(picture, colour, 5)
             plane.show(captions.numbered(framed, match.rank))
-            plane.handle.render_width = plane.handle.render_height = side
+            plane.handle.render_width = plane.handle.render_height = self._tile_side(places, match.index)
             # Where tiles overlap, the highest ranked one lies on top.
             height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
             plane.handle.position = self._to_stage(places.ground[match.index], 0.0, lift + height)
@@ -208,7 +211,7 @@ class GalleryMap:
         truth = None
         if analysis.positive is not None:
             truth = self._to_stage(places.ground[analysis.positive.index], 0.0, lift)
-            half = max(places.width * self._scale, 0.12) / 2
+            half = self._tile_side(places, analysis.positive.index) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
             corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]
             segments += [(corners[i], corners[(i + 1) % 4], theme.TRUE_COLOUR) for i in range(4)]

@@ -143,7 +143,7 @@ def _gallery(town: Map, found: MapRetrieval, root: Path) -> list[Picture]:
 def _window_name(window: Window, with_size: bool) -> str:
     east, north = round(window.x), round(window.y)
     place = f"{abs(east)} {'W' if east < 0 else 'E'} {abs(north)} {'S' if north < 0 else 'N'}"
-    return f"{place}, {window.size:.0f} m wide" if with_size else place
+    return f"{place} ({window.size:.0f} m)" if with_size else place
 
 
 def _descriptors(found: MapRetrieval, turns: list[int]) -> Float32Array:
