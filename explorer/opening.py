@@ -156,6 +156,25 @@ def open_flight_over(
     Raises:
         LPNError: when map, flight, or model cannot be used, or there is no such frame.
     """
+    workspace, opened, located = _open_located(map_path, flight_path, model, provider)
+    for note in (*located.town.notes, *located.flight.notes, *located.notes):
+        Console(stderr=True).print(printable(note), highlight=False, markup=False, soft_wrap=True)
+    broken = () if located.retrieval is None else located.retrieval.broken
+    readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
+    workspace.choose_first_query(next(readable, None) if query is None else query)
+    if second_model is not None:
+        second, _, _ = _open_located(map_path, flight_path, second_model, provider)
+        workspace.second = SecondModel(second.model_name, lambda: second)
+        workspace.second.open()
+    if register:
+        _begin_registration(workspace, located, opened)
+    return workspace
+
+
+def _open_located(
+    map_path: Path, flight_path: Path, model: Path, provider: ProviderName
+) -> tuple[Workspace, Model, LocatedFlight]:
+    """Open a flight without registration; return the model as well, whose descriptors are not centred."""
     with _status(f"Opening {printable(map_path.name)}, {printable(flight_path.name)}, and {printable(model.name)}"):
         town, flight, opened = open_map(map_path), open_flight(flight_path), lpn.load(model, provider)
     for view in ("satellite", "drone"):
@@ -163,21 +182,18 @@ def open_flight_over(
     with _progress() as report:
         located = locate(town, flight, opened, LocateOptions(register=False), report)
     task = flight_task(opened, model.name, located, flight_path)
-    ranking = _begin_ranking(task)
     workspace = Workspace(
-        task.model_name, task.data_name, [ranking], task.spec, dict(task.map_sizes), task.model, None, flight_path
+        task.model_name,
+        task.data_name,
+        [_begin_ranking(task)],
+        task.spec,
+        dict(task.map_sizes),
+        task.model,
+        None,
+        flight_path,
     )
     workspace.flight = located
-    broken = () if located.retrieval is None else located.retrieval.broken
-    readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
-    workspace.choose_first_query(next(readable, None) if query is None else query)
-    if second_model is not None:
-        second = open_flight_over(map_path, flight_path, second_model, None, None, False, provider)
-        workspace.second = SecondModel(second.model_name, lambda: second)
-        workspace.second.open()
-    if register:
-        _begin_registration(workspace, located, opened)
-    return workspace
+    return workspace, opened, located
 
 
 def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model) -> None:

@@ -187,6 +187,11 @@ def test_options_that_do_not_fit_are_refused(
     assert sentence in " ".join(capsys.readouterr().err.split())
 
 
-def test_a_frame_that_the_flight_lacks_is_refused(files: tuple[Path, Path], model_file: Path) -> None:
+def test_a_frame_that_the_flight_lacks_is_refused_after_what_was_noticed(
+    files: tuple[Path, Path], model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(InputError, match="has no query 99"):
         open_flight_over(*files, model_file, query="99.png", register=False)
+    told = capsys.readouterr().err
+    assert "1 of 21 frames have no position" in told
+    assert "1 of 21 frames cannot be read" in told
