@@ -19,7 +19,17 @@ log = logging.getLogger(__name__)
 
 _SCRIPT = ";".join(
     (Path(__file__).parent / "js" / name).read_text("utf-8")
-    for name in ("page.js", "viewport.js", "tour.js", "flight.js", "url_state.js")
+    for name in (
+        "page.js",
+        "viewport.js",
+        "tour.js",
+        "tiles.js",
+        "pens.js",
+        "homography.js",
+        "timeline.js",
+        "flight.js",
+        "url_state.js",
+    )
 )
 
 

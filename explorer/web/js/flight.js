@@ -4,9 +4,6 @@
   const lpn = window.lpn;
   if (lpn.flight) return;
   const flight = (lpn.flight = {});
-  const TILE = 256;
-  // Tiles that load at once, and tiles in memory.
-  const LOADING = 6, KEPT = 300;
   // Pixels within which the mouse points at a frame, and seconds that playing waits for the stage.
   const REACH = 12, PATIENCE = 8;
 
@@ -18,7 +15,8 @@
   let mouse = null, photo = "off", blinking = 0, plot = "error", list = "refused", asking = false;
   let playing = 0, position = 0, last = 0, skipped = 0;
   const hidden = new Set();
-  const tiles = new Map();
+  const tiles = lpn.tiles(() => draw());
+  const { canvas, stroke, dot, text } = lpn.pens;
   const overlay = { picture: null, source: "" };
 
   const find = (selector) => root && root.querySelector(selector);
@@ -78,114 +76,11 @@
     draw();
   };
 
-  // ---- tiles
-  const tile = (level, column, row) => {
-    const key = level + "/" + column + "/" + row;
-    let found = tiles.get(key);
-    if (found) {
-      tiles.delete(key); // the newest is last
-      tiles.set(key, found);
-    }
-    return found && found.ready ? found : null;
-  };
-  const request = (wanted) => {
-    let busy = [...tiles.values()].filter((one) => !one.ready && !one.failed).length;
-    for (const key of wanted) {
-      if (busy >= LOADING) return;
-      const known = tiles.get(key);
-      if (known && !(known.failed && performance.now() - known.failed > 2000)) continue;
-      const image = new Image();
-      tiles.set(key, image);
-      busy++;
-      image.onload = () => ((image.ready = true), draw());
-      image.onerror = () => ((image.failed = performance.now()), setTimeout(draw, 2100));
-      image.src = data.address + "tile/" + key;
-    }
-    for (const [key, one] of tiles) {
-      if (tiles.size <= KEPT) break;
-      if (one.ready) tiles.delete(key);
-    }
-  };
-  const drawTiles = (pen, ratio) => {
-    const { west, north, side, levels } = data.pyramid;
-    const level = clamp(Math.ceil(Math.log2((side * view.scale * ratio) / TILE) - 0.2), 0, levels);
-    const step = side / 2 ** level;
-    const [width, height] = size();
-    const [left, top] = toMetres([0, 0]), [right, bottom] = toMetres([width, height]);
-    const most = 2 ** level - 1;
-    const first = [clamp(Math.floor((left - west) / step), 0, most), clamp(Math.floor((north - top) / step), 0, most)];
-    const final = [clamp(Math.floor((right - west) / step), 0, most), clamp(Math.floor((north - bottom) / step), 0, most)];
-    const missing = [];
-    const inBounds = (column, row, metres) =>
-      west + column * metres < data.bounds[2] && north - row * metres > data.bounds[1];
-    for (let row = first[1]; row <= final[1]; row++)
-      for (let column = first[0]; column <= final[0]; column++) {
-        if (!inBounds(column, row, step)) continue;
-        const at = toPixels([west + column * step, north - row * step]), end = toPixels([west + (column + 1) * step, north - (row + 1) * step]);
-        const box = [Math.round(at[0]), Math.round(at[1])];
-        box.push(Math.round(end[0]) - box[0], Math.round(end[1]) - box[1]);
-        let image = tile(level, column, row);
-        if (image) {
-          pen.drawImage(image, ...box);
-          continue;
-        }
-        missing.push([Math.hypot(column - (first[0] + final[0]) / 2, row - (first[1] + final[1]) / 2), level + "/" + column + "/" + row]);
-        for (let up = 1; up <= level && !image; up++) {
-          image = tile(level - up, column >> up, row >> up);
-          const part = TILE / 2 ** up;
-          if (image) pen.drawImage(image, (column % 2 ** up) * part, (row % 2 ** up) * part, part, part, ...box);
-        }
-      }
-    const wanted = missing.sort((one, two) => one[0] - two[0]).map((one) => one[1]);
-    request(tiles.has("0/0/0") || !level ? wanted : ["0/0/0", ...wanted]);
-    root.map.dataset.missing = missing.length;
-  };
-
   // ---- drawing
-  const canvas = (element) => {
-    const ratio = window.devicePixelRatio || 1;
-    const [width, height] = [Math.round(element.clientWidth * ratio), Math.round(element.clientHeight * ratio)];
-    if (element.width !== width || element.height !== height) [element.width, element.height] = [width, height];
-    const pen = element.getContext("2d");
-    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.clearRect(0, 0, element.clientWidth, element.clientHeight);
-    return [pen, ratio];
-  };
   const path = (pen, points, close) => {
     pen.beginPath();
     points.forEach((point, i) => pen[i ? "lineTo" : "moveTo"](...toPixels(point)));
     if (close) pen.closePath();
-  };
-  // A line with a dark border can be seen on any ground.
-  const stroke = (pen, colour, width, dash = []) => {
-    pen.setLineDash([]);
-    pen.lineWidth = width + 2;
-    pen.strokeStyle = "rgba(0,0,0,.55)";
-    pen.stroke();
-    pen.setLineDash(dash);
-    pen.lineWidth = width;
-    pen.strokeStyle = colour;
-    pen.stroke();
-    pen.setLineDash([]);
-  };
-  const dot = (pen, [left, top], radius, colour, hollow) => {
-    pen.beginPath();
-    pen.arc(left, top, radius, 0, 7);
-    pen.fillStyle = hollow ? "rgba(0,0,0,.35)" : colour;
-    pen.fill();
-    pen.lineWidth = hollow ? 2 : 1;
-    pen.strokeStyle = hollow ? colour : "rgba(0,0,0,.75)";
-    pen.stroke();
-  };
-  const text = (pen, words, left, top, align = "left") => {
-    pen.font = "12px system-ui, sans-serif";
-    pen.textAlign = align;
-    pen.textBaseline = "middle";
-    pen.lineWidth = 3;
-    pen.strokeStyle = "rgba(0,0,0,.75)";
-    pen.strokeText(words, left, top);
-    pen.fillStyle = "#fff";
-    pen.fillText(words, left, top);
   };
   const shown = () => Object.entries(data.tracks).filter(([name]) => !hidden.has(name));
 
@@ -306,7 +201,8 @@
     if (!view) return;
     const [ground, ratio] = canvas(find(".ground"));
     ground.imageSmoothingEnabled = true;
-    drawTiles(ground, ratio);
+    const shown = { size: size(), scale: view.scale, toPixels: toPixels, toMetres: toMetres };
+    root.map.dataset.missing = tiles.draw(ground, ratio, data, shown);
     if (painted && overlay.picture) {
       const [west, south, east, north] = painted.bounds;
       const [left, top] = toPixels([west, north]), [right, bottom] = toPixels([east, south]);
@@ -326,50 +222,21 @@
   // ---- tie points: four points of the photo that a person drags to their places on the map
   const TIES = [[0.15, 0.15], [0.85, 0.15], [0.85, 0.85], [0.15, 0.85]];
   let ties = null; // { frame, points: metres of each tie point }
-  const through = (h, [x, y]) => {
-    const depth = h[6] * x + h[7] * y + h[8];
-    return [(h[0] * x + h[1] * y + h[2]) / depth, (h[3] * x + h[4] * y + h[5]) / depth];
-  };
-  // The homography, 9 numbers by rows, that maps four points to four others; null if there is none.
-  flight.homography = (from, to) => {
-    const [x0, y0] = to[0]; // the equations are about the first point, so that large coordinates cost no precision
-    const rows = from.flatMap(([x, y], i) => {
-      const [u, v] = [to[i][0] - x0, to[i][1] - y0];
-      return [[x, y, 1, 0, 0, 0, -u * x, -u * y, u], [0, 0, 0, x, y, 1, -v * x, -v * y, v]];
-    });
-    for (let column = 0; column < 8; column++) {
-      let best = column;
-      for (let row = column; row < 8; row++) if (Math.abs(rows[row][column]) > Math.abs(rows[best][column])) best = row;
-      [rows[column], rows[best]] = [rows[best], rows[column]];
-      if (Math.abs(rows[column][column]) < 1e-12) return null;
-      for (let row = 0; row < 8; row++) {
-        if (row === column) continue;
-        const factor = rows[row][column] / rows[column][column];
-        for (let k = column; k < 9; k++) rows[row][k] -= factor * rows[column][k];
-      }
-    }
-    const h = [...rows.map((row, i) => row[8] / row[i]), 1];
-    for (const k of [0, 1, 2]) {
-      h[k] += x0 * h[6 + k];
-      h[3 + k] += y0 * h[6 + k];
-    }
-    return h;
-  };
   const pixel = ([x, y]) => [x * followed.size[0] - 0.5, y * followed.size[1] - 0.5];
   const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
   const startTies = () => {
     if (!followed || followed.frame !== chosen) return (ties = null);
     let h = followed.homography;
     const outline = data.outlines[chosen];
-    if (!h && outline) h = flight.homography(CORNERS.map(pixel), outline.slice(0, 4));
+    if (!h && outline) h = lpn.homography(CORNERS.map(pixel), outline.slice(0, 4));
     if (!h) {
       // Nothing tells where the photo lies: it starts in the middle of the view, north up.
       const half = (0.2 * root.map.clientWidth) / view.scale, tall = (half * followed.size[1]) / followed.size[0];
-      h = flight.homography(CORNERS.map(pixel), [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([x, y]) => [view.x + x * half, view.y + y * tall]));
+      h = lpn.homography(CORNERS.map(pixel), [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([x, y]) => [view.x + x * half, view.y + y * tall]));
     }
-    ties = { frame: chosen, points: TIES.map((tie) => through(h, pixel(tie))) };
+    ties = { frame: chosen, points: TIES.map((tie) => lpn.through(h, pixel(tie))) };
   };
-  const tied = () => flight.homography(TIES.map(pixel), ties.points);
+  const tied = () => lpn.homography(TIES.map(pixel), ties.points);
   const moveTie = (which, [right, up]) => {
     ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
     draw();
@@ -396,7 +263,7 @@
     const on = photo === "correct" && ties && ties.frame === chosen;
     find(".ties").style.display = on ? "block" : "none";
     if (!on) return;
-    const middle = through(tied() || [0, 0, 0, 0, 0, 0, 0, 0, 1], pixel([0.5, 0.5]));
+    const middle = lpn.through(tied() || [0, 0, 0, 0, 0, 0, 0, 0, 1], pixel([0.5, 0.5]));
     all("[data-tie]").forEach((one) => {
       const [left, top] = toPixels(one.dataset.tie === "all" ? middle : ties.points[Number(one.dataset.tie)]);
       one.style.left = left + "px";
@@ -428,19 +295,12 @@
       image.onload = draw;
       return;
     }
-    const h = matrix, [width, height] = size();
-    const ratio = followed.size[0] / image.naturalWidth, down = followed.size[1] / image.naturalHeight;
-    // Columns: of the photo's pixels (whole numbers are centres of pixels), then of the served picture's edges.
-    const rows = [
-      [view.scale, 0, width / 2 - view.x * view.scale],
-      [0, -view.scale, height / 2 + view.y * view.scale],
-      [0, 0, 1],
-    ].map((row) => [0, 1, 2].map((k) => row[0] * h[k] + row[1] * h[3 + k] + row[2] * h[6 + k]));
-    const m = rows.map(([a, b, c]) => [a * ratio, b * down, c - 0.5 * a - 0.5 * b]);
-    const scale = m[2][2];
-    const n = m.map((row) => row.map((value) => value / scale));
+    const [width, height] = size();
+    // From the edges of the served picture to the pixels of the photo, whose whole numbers are centres, to metres, to the view.
+    const pixels = [followed.size[0] / image.naturalWidth, 0, -0.5, 0, followed.size[1] / image.naturalHeight, -0.5, 0, 0, 1];
+    const look = [view.scale, 0, width / 2 - view.x * view.scale, 0, -view.scale, height / 2 + view.y * view.scale, 0, 0, 1];
     image.style.width = image.naturalWidth + "px";
-    image.style.transform = `matrix3d(${[n[0][0], n[1][0], 0, n[2][0], n[0][1], n[1][1], 0, n[2][1], 0, 0, 1, 0, n[0][2], n[1][2], 0, 1].join(",")})`;
+    image.style.transform = lpn.transform(lpn.product(look, lpn.product(matrix, pixels)));
     layer.style.clipPath = photo === "swipe" ? `inset(0 0 0 ${swipe.value}%)` : "none";
   };
   const setPhoto = (mode) => {
@@ -457,10 +317,6 @@
   };
 
   // ---- the timeline
-  const across = (i, width) => {
-    const { times, low, high } = data.span;
-    return 44 + ((width - 56) * (times[i] - low)) / (high - low || 1);
-  };
   const series = () =>
     plot === "height"
       ? [{ label: "Height", colour: ink(), values: data.heights, state: data.heights.map(() => 0), line: true }]
@@ -469,63 +325,7 @@
           .map(([, track]) => ({ colour: track.colour, values: track[plot], state: track.state }));
   const drawTime = () => {
     const element = find(".time canvas");
-    const [pen] = canvas(element);
-    const [width, height] = [element.clientWidth, element.clientHeight];
-    const foot = height - 16, head = 8, colour = ink();
-    const lines = series();
-    const values = lines.flatMap((one) => one.values.filter((value) => value !== null)).sort((a, b) => a - b);
-    const most = values.length ? values[values.length - 1] : 1;
-    // One wrong guess far away must not flatten the others: the scale ends at the 90th percentile if that is much lower.
-    const usual = values.length ? values[Math.floor(0.9 * (values.length - 1))] : 1;
-    const top = (plot === "height" ? most : Math.min(most, 3 * usual)) || 1;
-    const low = plot === "height" && values.length ? Math.max(values[0] - 0.3 * (most - values[0]) - 1, 0) : 0;
-    const level = (value) => foot - ((foot - head) * (Math.min(value, top) - low)) / (top - low || 1);
-    pen.strokeStyle = pen.fillStyle = colour;
-    pen.globalAlpha = 0.25;
-    pen.lineWidth = 1;
-    pen.strokeRect(44, head - 0.5, width - 56, foot - head + 0.5);
-    pen.globalAlpha = 0.85;
-    pen.font = "12px system-ui, sans-serif";
-    pen.textBaseline = "middle";
-    pen.textAlign = "right";
-    pen.fillText(top.toFixed(top < 10 ? 1 : 0) + " m", 40, head + 5);
-    pen.fillText(low.toFixed(0), 40, foot - 4);
-    pen.textAlign = "center";
-    pen.globalAlpha = 1;
-    if (!values.length) pen.fillText({ error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." }[plot], width / 2, (head + foot) / 2);
-    for (const one of lines) {
-      pen.strokeStyle = pen.fillStyle = one.colour;
-      pen.beginPath();
-      one.values.forEach((value, i) => {
-        if (value === null) return;
-        const at = [across(i, width), level(value)];
-        if (one.line) pen[i && one.values[i - 1] !== null ? "lineTo" : "moveTo"](...at);
-      });
-      pen.lineWidth = 1.5;
-      pen.stroke();
-      one.values.forEach((value, i) => {
-        if (value === null) return;
-        pen.beginPath();
-        pen.arc(across(i, width), level(value), total() > 300 ? 1.5 : 2.5, 0, 7);
-        pen.lineWidth = 1;
-        one.state[i] === 2 ? pen.stroke() : pen.fill();
-      });
-    }
-    // Below: what may be believed of each frame.
-    const colours = { true: "#00be88", false: "#8f7bff", null: "#ff8c1a" };
-    data.signs.forEach((sign, i) => {
-      pen.fillStyle = colours[sign];
-      pen.fillRect(across(i, width) - 2, foot + 4, 4, 8);
-    });
-    if (chosen >= 0) {
-      const at = across(chosen, width);
-      pen.strokeStyle = "#e6c300";
-      pen.lineWidth = 2;
-      pen.beginPath();
-      pen.moveTo(at, head - 4);
-      pen.lineTo(at, foot + 14);
-      pen.stroke();
-    }
+    lpn.timeline.draw(element, data, series(), plot, chosen, ink());
     element.setAttribute("aria-valuemax", total());
     element.setAttribute("aria-valuenow", chosen + 1);
     element.setAttribute("aria-valuetext", chosen < 0 ? "no frame" : data.names[chosen]);
@@ -534,13 +334,6 @@
     find(".now").textContent =
       (chosen < 0 ? "your own picture" : chosen + 1 + " of " + total() + clock) + (skipped ? ", " + skipped + " skipped" : "");
   };
-  const nearest = (left) => {
-    const width = find(".time canvas").clientWidth;
-    let best = 0;
-    for (let i = 1; i < total(); i++) if (Math.abs(across(i, width) - left) < Math.abs(across(best, width) - left)) best = i;
-    return best;
-  };
-
   // ---- choosing a frame: the window follows at once, the stage when it can
   flight.choose = (frame) => {
     if (!data || frame < 0 || frame >= total()) return;
@@ -696,7 +489,7 @@
       if (!h) return lpn.say("The tie points do not span a picture.");
       const millimetres = (value) => Math.round(1000 * value) / 1000;
       ties.corrected = true;
-      lpn.send("flight-correct", [ties.frame, CORNERS.map((corner) => through(h, pixel(corner)).map(millimetres))]);
+      lpn.send("flight-correct", [ties.frame, CORNERS.map((corner) => lpn.through(h, pixel(corner)).map(millimetres))]);
     },
     forget: () => {
       if (ties) ties.corrected = false;
@@ -816,9 +609,9 @@
     time.addEventListener("pointerdown", (event) => {
       held = true;
       time.setPointerCapture(event.pointerId);
-      flight.choose(nearest(event.offsetX));
+      flight.choose(lpn.timeline.nearest(event.offsetX, time, data));
     });
-    time.addEventListener("pointermove", (event) => held && flight.choose(nearest(event.offsetX)));
+    time.addEventListener("pointermove", (event) => held && flight.choose(lpn.timeline.nearest(event.offsetX, time, data)));
     for (const kind of ["pointerup", "pointercancel"]) time.addEventListener(kind, () => (held = false));
     resized.disconnect();
     resized.observe(root.map);

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import base64
 import json
+import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,8 +13,10 @@ import cv2
 import numpy as np
 import pytest
 
+from explorer.compute.background_jobs import BackgroundJob, ReportProgress
 from explorer.flight_window import page
 from explorer.flight_window.service import FlightService, FlightView
+from lpn.core.errors import DataError
 from lpn.locate.pipeline import LocatedFlight
 from lpn.maps import open_map
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
@@ -121,6 +125,30 @@ def test_windows_that_are_not_ranked_are_not_painted(view: FlightView, flight: L
 
 def test_the_answer_is_the_window_that_the_stage_compares(view: FlightView, flight: LocatedFlight) -> None:
     assert page.answer_window(view, analysis(flight, 7)) == [0.0, 0.0, 60.0]
+
+
+def test_the_progress_of_the_registration_is_told_until_it_ends() -> None:
+    assert page.progress(None) == ""
+    may_end = threading.Event()
+
+    def register(report: ReportProgress) -> None:
+        report(2, 60)
+        may_end.wait(60)
+        if may_fail:
+            raise DataError("A photo is damaged.")
+
+    may_fail = False
+    job = BackgroundJob(register, None)
+    while job.total == 0:
+        time.sleep(0.01)
+    assert page.progress(job) == "Registering photos: 2 of 60"
+    may_end.set()
+    assert job.wait(60)
+    assert page.progress(job) == ""
+    may_fail = True
+    job = BackgroundJob(register, None)
+    assert job.wait(60)
+    assert page.progress(job) == "Registration failed: A photo is damaged."
 
 
 def test_a_spot_lists_the_frames_that_show_it(view: FlightView) -> None:

@@ -1,0 +1,78 @@
+// The tiles of a map: loaded a few at a time as they are needed, kept up to a number, and drawn with what is there so far.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.tiles) return;
+  const SIDE = 256;
+  // Tiles that load at once, and tiles in memory.
+  const LOADING = 6, KEPT = 300;
+  // Milliseconds until a tile that could not be loaded is asked for again.
+  const RETRY = 2000;
+
+  // `redraw` is called when a tile has come.
+  lpn.tiles = (redraw) => {
+    const images = new Map(); // by level/column/row, the oldest first
+    const image = (level, column, row) => {
+      const key = level + "/" + column + "/" + row;
+      const found = images.get(key);
+      if (!found) return null;
+      images.delete(key);
+      images.set(key, found);
+      return found.ready ? found : null;
+    };
+    const load = (key, address) => {
+      const one = new Image();
+      images.set(key, one);
+      one.onload = () => ((one.ready = true), redraw());
+      one.onerror = () => ((one.failed = performance.now()), setTimeout(redraw, RETRY + 100));
+      one.src = address + "tile/" + key;
+    };
+    const request = (wanted, address) => {
+      let busy = [...images.values()].filter((one) => !one.ready && !one.failed).length;
+      for (const key of wanted) {
+        const known = images.get(key);
+        if (busy >= LOADING) break;
+        if (known && !(known.failed && performance.now() - known.failed > RETRY)) continue;
+        load(key, address);
+        busy++;
+      }
+      for (const [key, one] of images) {
+        if (images.size <= KEPT) break;
+        if (one.ready || one.failed) images.delete(key);
+      }
+    };
+
+    // Draw the tiles in sight, and return how many are missing. `shown` has size, scale, toPixels, and toMetres.
+    const draw = (pen, ratio, data, shown) => {
+      const { west, north, side, levels } = data.pyramid;
+      const level = Math.min(Math.max(Math.ceil(Math.log2((side * shown.scale * ratio) / SIDE) - 0.2), 0), levels);
+      const step = side / 2 ** level, most = 2 ** level - 1;
+      const number = (metres) => Math.min(Math.max(Math.floor(metres / step), 0), most);
+      const [left, top] = shown.toMetres([0, 0]), [right, bottom] = shown.toMetres(shown.size);
+      const columns = [number(left - west), number(Math.min(right, data.bounds[2] - 1e-6) - west)];
+      const rows = [number(north - top), number(north - Math.max(bottom, data.bounds[1] + 1e-6))];
+      const missing = [];
+      for (let row = rows[0]; row <= rows[1]; row++)
+        for (let column = columns[0]; column <= columns[1]; column++) {
+          const corners = [0, 1].map((far) => shown.toPixels([west + (column + far) * step, north - (row + far) * step]).map(Math.round));
+          const box = [...corners[0], corners[1][0] - corners[0][0], corners[1][1] - corners[0][1]];
+          let found = image(level, column, row);
+          if (found) {
+            pen.drawImage(found, ...box);
+            continue;
+          }
+          const far = Math.hypot(column - (columns[0] + columns[1]) / 2, row - (rows[0] + rows[1]) / 2);
+          missing.push([far, level + "/" + column + "/" + row]);
+          // A part of a coarser tile stands for it.
+          for (let up = 1; up <= level && !found; up++) {
+            found = image(level - up, column >> up, row >> up);
+            const part = SIDE / 2 ** up;
+            if (found) pen.drawImage(found, (column % 2 ** up) * part, (row % 2 ** up) * part, part, part, ...box);
+          }
+        }
+      const wanted = missing.sort((one, two) => one[0] - two[0]).map((one) => one[1]);
+      request(image(0, 0, 0) || !level ? wanted : ["0/0/0", ...wanted], data.address);
+      return missing.length;
+    };
+    return { draw: draw, clear: () => images.clear() };
+  };
+})();

@@ -1,0 +1,75 @@
+// The timeline of a flight: a value of each frame over time, and a mark that says what may be believed of it.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.timeline) return;
+  const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." };
+  // Where a frame lies between the left and the right border, in pixels.
+  const across = (i, width, data) => {
+    const { times, low, high } = data.span;
+    return 44 + ((width - 56) * (times[i] - low)) / (high - low || 1);
+  };
+  const nearest = (left, element, data) => {
+    const far = (i) => Math.abs(across(i, element.clientWidth, data) - left);
+    return data.names.reduce((best, _, i) => (far(i) < far(best) ? i : best), 0);
+  };
+  // Draw lines, each with values, states (2: refused), and a colour, in the ink of the page.
+  const draw = (element, data, lines, plot, chosen, colour) => {
+    const [pen] = lpn.pens.canvas(element);
+    const [width, height] = [element.clientWidth, element.clientHeight];
+    const foot = height - 16, head = 8;
+    const values = lines.flatMap((one) => one.values.filter((value) => value !== null)).sort((a, b) => a - b);
+    const most = values.length ? values[values.length - 1] : 1;
+    // One wrong guess far away must not flatten the others: the scale ends at three times the 90th percentile.
+    const usual = values.length ? values[Math.floor(0.9 * (values.length - 1))] : 1;
+    const top = (plot === "height" ? most : Math.min(most, 3 * usual)) || 1;
+    const low = plot === "height" && values.length ? Math.max(values[0] - 0.3 * (most - values[0]) - 1, 0) : 0;
+    const level = (value) => foot - ((foot - head) * (Math.min(value, top) - low)) / (top - low || 1);
+    pen.strokeStyle = pen.fillStyle = colour;
+    pen.globalAlpha = 0.25;
+    pen.lineWidth = 1;
+    pen.strokeRect(44, head - 0.5, width - 56, foot - head + 0.5);
+    pen.globalAlpha = 0.85;
+    pen.font = "12px system-ui, sans-serif";
+    pen.textBaseline = "middle";
+    pen.textAlign = "right";
+    pen.fillText(top.toFixed(top < 10 ? 1 : 0) + " m", 40, head + 5);
+    pen.fillText(low.toFixed(0), 40, foot - 4);
+    pen.textAlign = "center";
+    pen.globalAlpha = 1;
+    if (!values.length) pen.fillText(EMPTY[plot], width / 2, (head + foot) / 2);
+    for (const one of lines) {
+      pen.strokeStyle = pen.fillStyle = one.colour;
+      pen.beginPath();
+      one.values.forEach((value, i) => {
+        if (value === null) return;
+        const at = [across(i, width, data), level(value)];
+        if (one.line) pen[i && one.values[i - 1] !== null ? "lineTo" : "moveTo"](...at);
+      });
+      pen.lineWidth = 1.5;
+      pen.stroke();
+      one.values.forEach((value, i) => {
+        if (value === null) return;
+        pen.beginPath();
+        pen.arc(across(i, width, data), level(value), data.names.length > 300 ? 1.5 : 2.5, 0, 7);
+        pen.lineWidth = 1;
+        one.state[i] === 2 ? pen.stroke() : pen.fill();
+      });
+    }
+    // Below: what may be believed of each frame.
+    const colours = { true: "#00be88", false: "#8f7bff", null: "#ff8c1a" };
+    data.signs.forEach((sign, i) => {
+      pen.fillStyle = colours[sign];
+      pen.fillRect(across(i, width, data) - 2, foot + 4, 4, 8);
+    });
+    if (chosen >= 0) {
+      const at = across(chosen, width, data);
+      pen.strokeStyle = "#e6c300";
+      pen.lineWidth = 2;
+      pen.beginPath();
+      pen.moveTo(at, head - 4);
+      pen.lineTo(at, foot + 14);
+      pen.stroke();
+    }
+  };
+  lpn.timeline = { draw: draw, nearest: nearest };
+})();
