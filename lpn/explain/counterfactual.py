@@ -200,7 +200,7 @@ class Effect:
         before, after: Recall@1 in percent.
         gained: positions of queries that are found only under the new weights, (K,).
         lost: positions of queries that are found only under the old weights, (L,).
-        queries: the number of all queries.
+        queries: the number of all queries whose truth is known.
     """
 
     before: float
@@ -242,8 +242,11 @@ def effect(
     if first.shape != then.shape:
         raise InputError(f"There are {len(first)} known ranks for {len(then)} queries; expected one for each.")
     old, new = first == 0, then == 0
-    recalls = [100.0 * float(found.mean()) for found in (old, new)]
-    return Effect(recalls[0], recalls[1], np.flatnonzero(new & ~old), np.flatnonzero(old & ~new), len(then))
+    known = metrics.known_queries(truth)
+    counted = np.ones(len(then), bool) if known is None else known
+    recalls = [100.0 * float(found[counted].mean()) for found in (old, new)]
+    gained, lost = np.flatnonzero(new & ~old), np.flatnonzero(old & ~new)
+    return Effect(recalls[0], recalls[1], gained, lost, int(counted.sum()))
 
 
 def weighted_queries(query: Float32Array, weights: npt.ArrayLike | None) -> Float32Array:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -241,6 +242,11 @@ def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, mon
     known = metrics.retrieve(counterfactual.weighted_queries(query, before), of_query, gallery, labels).first
     again = counterfactual.effect(query, gallery, None, after, *args, first=known)
     np.testing.assert_array_equal(again.lost, found.lost)
+    if truth is not None:
+        blind = replace(truth[0], good=truth[0].good[:0], known=False)
+        graded = counterfactual.effect(query, gallery, before, after, None, None, [blind, *truth[1:]])
+        assert graded.queries == 24
+        assert (graded.before, graded.after) == pytest.approx(tuple(100 * h[1:].mean() for h in hits))
     with pytest.raises(InputError, match="3 known ranks for 25 queries"):
         counterfactual.effect(query, gallery, None, after, *args, first=known[:3])
 

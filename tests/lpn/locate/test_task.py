@@ -70,6 +70,8 @@ def test_evidence_of_centred_descriptors_adds_up(task: Task) -> None:
     analysis = _analyser(task).analyse(task, QueryRequest(5, evidence=True), 3)
     np.testing.assert_allclose(analysis.query.descriptor, task.query_descriptors[5], atol=1e-5)
     np.testing.assert_allclose(analysis.tile.descriptor, task.gallery_descriptors[analysis.chosen.index], atol=1e-5)
+    assert task.model is not None
+    assert task.model.for_parallel_inference().means is task.model.means
     assert analysis.pair_evidence is not None
     evidence = analysis.pair_evidence.evidence
     assert evidence.score == pytest.approx(analysis.chosen.score, abs=1e-5)
