@@ -75,7 +75,7 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "outlines": [None if one is None else [*_rounded(one.corners), one.registered] for one in view.outlines],
         "tracks": {name: _track(view, name) for name in _tracks(view)},
         "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
-        "signs": [view.belief(i).sign for i in range(len(frames))],
+        "signs": [view.beliefs[i].sign for i in range(len(frames))],
     }
 
 
@@ -121,7 +121,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
 def card(view: FlightView, frame: int, address: str) -> str:
     """Return the query, the answer, and the verdict for the chosen frame."""
     located = view.flight.frames[frame]
-    verdict = view.belief(frame)
+    verdict = view.beliefs[frame]
     stage = verdict.stage
     place = None if stage is None else located.stages[stage]
     degrees = None
@@ -220,7 +220,7 @@ def lists(view: FlightView) -> dict[str, str]:
     refused = [
         (i, printable(located.frame.name), _refusals(located))
         for i, located in enumerate(flight.frames)
-        if view.belief(i).stage != "registration" and _refusals(located)
+        if view.beliefs[i].stage != "registration" and _refusals(located)
     ]
     apart = [(one.frame, printable(flight.frames[one.frame].frame.name), [one.sentence]) for one in view.contradictions]
     notes = [*flight.notes, *flight.flight.notes, *flight.town.notes]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ class FlightView:
     Attributes:
         outlines: the ground that each frame shows; None where it is unknown.
         contradictions: frames whose answers lie too far apart.
+        beliefs: the verdict on each frame.
         corrections: a person's corrections by the frame's name.
         corrections_error: why they cannot be used, in one sentence; empty if they can.
     """
@@ -31,12 +32,19 @@ class FlightView:
     flight: LocatedFlight
     outlines: list[Outline | None]
     contradictions: list[Disagreement]
+    beliefs: list[Belief]
     corrections: dict[str, Correction]
     corrections_error: str = ""
 
-    def belief(self, frame: int) -> Belief:
-        """Return the verdict on a frame."""
-        return belief(self.flight.frames[frame], [one for one in self.contradictions if one.frame == frame])
+    @classmethod
+    def of(cls, flight: LocatedFlight, kept: dict[str, Correction], error: str) -> FlightView:
+        """Derive the view of a flight with its corrections, or with the reason why they cannot be used."""
+        found = disagreements(flight.frames)
+        of_frame: dict[int, list[Disagreement]] = {}
+        for one in found:
+            of_frame.setdefault(one.frame, []).append(one)
+        beliefs = [belief(located, of_frame.get(i, ())) for i, located in enumerate(flight.frames)]
+        return cls(flight, [outline(located) for located in flight.frames], found, beliefs, kept, error)
 
     def corrected(self, frame: int) -> tuple[float, float] | None:
         """Return where a person says that the middle of a frame's picture lies, in metres of the map's frame."""
@@ -75,8 +83,7 @@ class FlightService:
         assert flight is not None
         with self._lock:
             if self._view is None or self._view.flight is not flight:
-                outlines = [outline(located) for located in flight.frames]
-                self._view = FlightView(flight, outlines, disagreements(flight.frames), *self._read())
+                self._view = FlightView.of(flight, *self._read())
             return self._view
 
     def correct(self, frame: int, corners: Float64Array | None) -> None:
@@ -93,7 +100,7 @@ class FlightService:
         correction = None if corners is None else Correction.of(corners, town.frame)
         found = corrections.set_correction(self.corrections_file, name, correction)
         with self._lock:
-            self._view = FlightView(view.flight, view.outlines, view.contradictions, found)
+            self._view = replace(view, corrections=found, corrections_error="")
 
     def _read(self) -> tuple[dict[str, Correction], str]:
         try:
