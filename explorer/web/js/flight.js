@@ -317,15 +317,17 @@
   };
 
   // ---- the timeline
-  const series = () =>
-    plot === "height"
-      ? [{ label: "Height", colour: ink(), values: data.heights, state: data.heights.map(() => 0), line: true }]
+  const series = (kind) =>
+    kind === "height"
+      ? [{ colour: ink(), values: data.heights, state: data.heights.map(() => 0), line: true }]
       : shown()
-          .filter(([name]) => name !== "tag" && (plot === "error" || name !== "retrieval"))
-          .map(([, track]) => ({ colour: track.colour, values: track[plot], state: track.state }));
+          .filter(([name]) => name !== "tag" && (kind === "error" || !["retrieval", "corrected"].includes(name)))
+          .map(([, track]) => ({ colour: track.colour, values: track[kind], state: track.state }));
   const drawTime = () => {
     const element = find(".time canvas");
-    lpn.timeline.draw(element, data, series(), plot, chosen, ink());
+    element.classList.toggle("stacked", plot === "all");
+    const plots = plot === "all" ? ["error", "radius", "height"] : [plot];
+    lpn.timeline.draw(element, data, plots.map((kind) => ({ plot: kind, lines: series(kind) })), chosen, ink());
     element.setAttribute("aria-valuemax", total());
     element.setAttribute("aria-valuenow", chosen + 1);
     element.setAttribute("aria-valuetext", chosen < 0 ? "no frame" : data.names[chosen]);

@@ -3,6 +3,9 @@
   const lpn = window.lpn;
   if (lpn.timeline) return;
   const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." };
+  const LABELS = { error: "Error", radius: "Radius", height: "Height" };
+  // The colours of verdicts: to believe, without a position, to doubt.
+  const SIGNS = { true: "#00be88", false: "#8f7bff", null: "#ff8c1a" };
   // Where a frame lies between the left and the right border, in pixels.
   const across = (i, width, data) => {
     const { times, low, high } = data.span;
@@ -12,11 +15,8 @@
     const far = (i) => Math.abs(across(i, element.clientWidth, data) - left);
     return data.names.reduce((best, _, i) => (far(i) < far(best) ? i : best), 0);
   };
-  // Draw lines, each with values, states (2: refused), and a colour, in the ink of the page.
-  const draw = (element, data, lines, plot, chosen, colour) => {
-    const [pen] = lpn.pens.canvas(element);
-    const [width, height] = [element.clientWidth, element.clientHeight];
-    const foot = height - 16, head = 8;
+  // Draw lines, each with values, states (2: refused), and a colour, between two heights of the canvas.
+  const band = (pen, data, { plot, lines }, colour, width, head, foot) => {
     const values = lines.flatMap((one) => one.values.filter((value) => value !== null)).sort((a, b) => a - b);
     const most = values.length ? values[values.length - 1] : 1;
     // One wrong guess far away must not flatten the others: the scale ends at three times the 90th percentile.
@@ -37,39 +37,46 @@
     pen.textAlign = "center";
     pen.globalAlpha = 1;
     if (!values.length) pen.fillText(EMPTY[plot], width / 2, (head + foot) / 2);
-    for (const one of lines) {
-      pen.strokeStyle = pen.fillStyle = one.colour;
+    for (const { values: known, state, colour: ink, line } of lines) {
+      pen.strokeStyle = pen.fillStyle = ink;
       pen.beginPath();
-      one.values.forEach((value, i) => {
-        if (value === null) return;
-        const at = [across(i, width, data), level(value)];
-        if (one.line) pen[i && one.values[i - 1] !== null ? "lineTo" : "moveTo"](...at);
+      known.forEach((value, i) => {
+        if (line && value !== null) pen[i && known[i - 1] !== null ? "lineTo" : "moveTo"](across(i, width, data), level(value));
       });
       pen.lineWidth = 1.5;
       pen.stroke();
-      one.values.forEach((value, i) => {
+      known.forEach((value, i) => {
         if (value === null) return;
         pen.beginPath();
         pen.arc(across(i, width, data), level(value), data.names.length > 300 ? 1.5 : 2.5, 0, 7);
         pen.lineWidth = 1;
-        one.state[i] === 2 ? pen.stroke() : pen.fill();
+        state[i] === 2 ? pen.stroke() : pen.fill();
       });
     }
-    // Below: what may be believed of each frame.
-    const colours = { true: "#00be88", false: "#8f7bff", null: "#ff8c1a" };
+  };
+  // Draw bands of { plot, lines } one below the other, in the ink of the page.
+  const draw = (element, data, bands, chosen, colour) => {
+    const [pen] = lpn.pens.canvas(element);
+    const [width, height] = [element.clientWidth, element.clientHeight];
+    const foot = height - 16, tall = foot / bands.length;
+    bands.forEach((one, i) => {
+      band(pen, data, one, colour, width, i * tall + 8, (i + 1) * tall);
+      if (bands.length === 1) return;
+      pen.fillStyle = colour;
+      pen.textAlign = "right";
+      pen.fillText(LABELS[one.plot], 40, (i + 0.5) * tall + 4);
+    });
     data.signs.forEach((sign, i) => {
-      pen.fillStyle = colours[sign];
+      pen.fillStyle = SIGNS[sign];
       pen.fillRect(across(i, width, data) - 2, foot + 4, 4, 8);
     });
-    if (chosen >= 0) {
-      const at = across(chosen, width, data);
-      pen.strokeStyle = "#e6c300";
-      pen.lineWidth = 2;
-      pen.beginPath();
-      pen.moveTo(at, head - 4);
-      pen.lineTo(at, foot + 14);
-      pen.stroke();
-    }
+    if (chosen < 0) return;
+    pen.strokeStyle = "#e6c300";
+    pen.lineWidth = 2;
+    pen.beginPath();
+    pen.moveTo(across(chosen, width, data), 4);
+    pen.lineTo(across(chosen, width, data), foot + 14);
+    pen.stroke();
   };
   lpn.timeline = { draw: draw, nearest: nearest };
 })();
