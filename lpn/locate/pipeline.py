@@ -22,6 +22,7 @@ from lpn.flights import Flight, Frame, ground_width
 from lpn.flights.cameras import rotation
 from lpn.locate import measures
 from lpn.locate.audit import TagAudit, audit_tags
+from lpn.locate.continuity import top_speed, within_reach
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
 from lpn.locate.registration import Expectation, Registration, register
@@ -485,6 +486,32 @@ def _registered(
                 ratios.append(answer.width / expected)
         if on_progress is not None:
             on_progress("registration", i + 1, len(frames))
+    _refuse_jumps(frames)
+
+
+def _refuse_jumps(frames: list[LocatedFrame]) -> None:
+    """Refuse registrations that the drone cannot have flown to and from; cameras and pictures' middles are two tracks."""
+    for of_camera in (True, False):
+        timed = [
+            (located.frame.time, answer, located)
+            for located in frames
+            if (answer := located.stages["registration"]).accepted
+            and answer.camera == of_camera
+            and answer.radius is not None
+            and located.frame.time is not None
+        ]
+        times = np.array([time for time, _, _ in timed], np.float64)
+        places = np.array([(answer.x, answer.y) for _, answer, _ in timed], np.float64).reshape(-1, 2)
+        radii = np.array([answer.radius for _, answer, _ in timed], np.float64)
+        if (speed := top_speed(times, places)) is None:
+            continue
+        sentence = (
+            f"The photo fits the map here, but the drone flies up to {speed:.0f} m/s and would have had to be faster to get here "
+            "and on from here: it may be an equal building."
+        )
+        for (_, answer, located), kept in zip(timed, within_reach(times, places, radii, speed), strict=True):
+            if not kept:
+                located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
 
 
 def _candidates(located: LocatedFrame, options: LocateOptions) -> list[list[float]] | None:

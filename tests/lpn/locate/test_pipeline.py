@@ -122,6 +122,23 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
     assert len(registered) == 6
 
 
+def test_a_registration_that_no_drone_can_have_flown_to_is_refused(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def answer(town: Map, features: MapFeatures, located: LocatedFrame, *rest: object) -> StageRecord:
+        del town, features, rest
+        number = int(located.frame.name)
+        return StageRecord("accepted", "It agrees.", 8.0 * number, 40.0 * (number == 5), radius=0.5)
+
+    monkeypatch.setattr(pipeline, "_register_frame", answer)
+    frames = tuple(replace(flight.frames[0], name=str(i), time=float(i)) for i in range(30))
+    found = locate(town, replace(flight, frames=frames), None, SIFT)
+    answers = [located.stages["registration"] for located in found.frames]
+    assert [i for i, answer in enumerate(answers) if not answer.accepted] == [5]
+    assert "would have had to be faster to get here" in answers[5].sentence
+    assert (answers[5].x, answers[5].y) == (40.0, 40.0)
+
+
 def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight, tmp_path: Path) -> None:
     broken = tmp_path / "broken.jpg"
     broken.write_bytes(b"nothing")
