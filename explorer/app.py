@@ -7,7 +7,7 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
@@ -15,17 +15,13 @@ from typing import Any
 
 import viser
 
-from explorer.client_session import ClientSession
-from explorer.failure_lab.service import FailureLab
-from explorer.flight_window.pictures import FlightPictures
-from explorer.flight_window.service import FlightService
-from explorer.opening import open_flight_over, open_model, open_saved
+from explorer.client_session import ClientSession, WorkspaceServices
+from explorer.opening import offered_flight, open_flight_over, open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
-from explorer.server.picture_route import PictureRoute
-from explorer.url_state import UrlState
-from explorer.workspace import Workspace
+from explorer.server.picture_route import EncodedPicture, PictureRoute
+from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.log import conceal
@@ -37,26 +33,44 @@ log = logging.getLogger(__name__)
 
 # Seconds that closing the app may take.
 _CLOSE_TIMEOUT = 1.5
+# Seconds that a workspace may take to open before a page says so.
+_UNNOTICED = 0.4
+# Key of the workspace that a page shows first.
+_FIRST = "first"
 
 
 class App:
     """A running server with one `ClientSession` per browser.
 
     Args:
+        workspace: what a page shows first.
         authenticator: the access rules; by default a random token, and none on a loopback address.
+        label: display name of the workspace beside `others`.
+        others: further workspaces that a page can show, by their keys in its address.
 
     Raises:
         InputError: when the address or port cannot be listened on.
         MissingPackageError: when viser's page cannot be protected.
     """
 
-    def __init__(self, workspace: Workspace, host: str, port: int, authenticator: Authenticator | None = None) -> None:
+    def __init__(
+        self,
+        workspace: Workspace,
+        host: str,
+        port: int,
+        authenticator: Authenticator | None = None,
+        label: str = "",
+        others: Mapping[str, LazyWorkspace] | None = None,
+    ) -> None:
         _check_free(host, port)
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
         conceal(self.authenticator.token)
         conceal(self.authenticator.cookie_value)
-        flight_pictures = FlightPictures(workspace)
-        self._pictures = PictureRoute(flight_pictures.find)
+        self._others, self._lock = others or {}, threading.Lock()
+        self._services: dict[str, WorkspaceServices] = {}
+        self._choices = {_FIRST: label} | {key: other.label for key, other in self._others.items()} if others else {}
+        self._first = self._add(_FIRST, workspace)
+        self._pictures = PictureRoute(self._find_picture)
         self.gateway = Gateway(self.authenticator, self._pictures)
         viser_compat.use_thread_safe_buffers()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
@@ -66,10 +80,7 @@ class App:
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
         self.server.scene.world_axes.visible = False
         self._sessions: dict[int, ClientSession] = {}
-        failure_lab, url_state, flight = FailureLab(workspace), UrlState(workspace), FlightService(workspace)
-        self.server.on_client_connect(
-            lambda client: self._connected(client, workspace, failure_lab, url_state, flight, flight_pictures)
-        )
+        self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
 
     def close(self) -> None:
@@ -86,21 +97,57 @@ class App:
         if not writes_finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
 
-    def _connected(
-        self,
-        client: viser.ClientHandle,
-        workspace: Workspace,
-        failure_lab: FailureLab,
-        url_state: UrlState,
-        flight: FlightService,
-        flight_pictures: FlightPictures,
-    ) -> None:
+    def _connected(self, client: viser.ClientHandle) -> None:
         log.info("Browser %d connected", client.client_id)
-        self._sessions[client.client_id] = ClientSession(
-            client, workspace, failure_lab, url_state, flight, flight_pictures
-        )
+        with self._lock:
+            self._begin(client, self._first)
+
+    def _begin(self, client: viser.ClientHandle, services: WorkspaceServices, search: str | None = None) -> None:
+        self._sessions[client.client_id] = ClientSession(client, services, self._show_other, search)
         if client.client_id not in self.server.get_clients():  # it left while its session was being built
             self._disconnected(client)
+
+    def _add(self, key: str, workspace: Workspace) -> WorkspaceServices:
+        """Return the services of a workspace, made once."""
+        if key not in self._services:
+            workspace.key, workspace.choices = key, self._choices
+            self._services[key] = WorkspaceServices.of(workspace)
+        return self._services[key]
+
+    def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
+        found = (services.flight_pictures.find(path) for services in list(self._services.values()))
+        return next((compute for compute in found if compute is not None), None)
+
+    def _show_other(self, session: ClientSession, key: str, search: str) -> None:
+        threading.Thread(target=self._replace, args=(session, key, search), name="explorer-show", daemon=True).start()
+
+    def _replace(self, session: ClientSession, key: str, search: str) -> None:
+        """Open a workspace, and show it in the page of a session, as if the page had been loaded again."""
+        client = session.client
+        if key not in self._services:
+            other = self._others[key]
+            job = other.open()
+            if not job.wait(_UNNOTICED):
+                notice = session.wait_for(other.label)
+                while not job.wait(0.5):
+                    if job.total:
+                        notice.body = (
+                            f"{job.done:,} of {job.total:,} pictures are described; this page goes on until then."
+                        )
+                    if client.client_id not in self.server.get_clients():
+                        return
+                notice.remove()
+            if other.workspace is None:
+                session.stay(other.label, other.error)
+                return
+            with self._lock:
+                self._add(key, other.workspace)
+        with self._lock:
+            if self._sessions.get(client.client_id) is session:  # neither gone nor replaced meanwhile
+                session.leave()
+                client.gui.reset()
+                client.scene.reset()
+                self._begin(client, self._services[key], search)
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         session = self._sessions.pop(client.client_id, None)
@@ -123,19 +170,22 @@ def run(
     baseline: Path | None = None,
     authenticator: Authenticator | None = None,
     provider: ProviderName = "auto",
+    flight: tuple[Path, Path] | None = None,
 ) -> None:
     """Open a model and a data set, print the address of the explorer, and serve it until KeyboardInterrupt.
 
     Args:
         second_model: a second model for comparisons.
         baseline: a model of one part to offer for comparisons.
+        flight: a map and a flight over it that a page offers beside the data set; they are opened when a browser asks for them.
         authenticator: the access rules; by default those of `App`.
         provider: what computes the networks, see `lpn.load`.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    _serve(lambda: open_model(data, model, query, second_model, baseline, provider), host, port, authenticator)
+    others = {} if flight is None else {"flight": offered_flight(*flight, model, provider)}
+    _serve(lambda: open_model(data, model, query, second_model, baseline, provider), host, port, authenticator, others)
 
 
 def run_flight(
@@ -172,12 +222,18 @@ def run_saved(
     _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, authenticator)
 
 
-def _serve(open_workspace: Callable[[], Workspace], host: str, port: int, authenticator: Authenticator | None) -> None:
+def _serve(
+    open_workspace: Callable[[], Workspace],
+    host: str,
+    port: int,
+    authenticator: Authenticator | None,
+    others: Mapping[str, LazyWorkspace] | None = None,
+) -> None:
     host = host or "0.0.0.0"
     _check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    app = App(open_workspace(), host, port, authenticator)
+    app = App(open_workspace(), host, port, authenticator, "pairs", others)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     port = app.server.get_port()

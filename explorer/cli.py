@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 
@@ -82,7 +82,7 @@ class Explore:
                 "The demo is not part of this installation; give a data set with --data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
-        offers = self.data is None and self.model is None and DEMO_BASELINE.is_file()
+        is_demo = self.data is None and self.model is None
         run(
             self.data or DEMO,
             self.model or DEMO / "lpn.onnx",
@@ -90,9 +90,10 @@ class Explore:
             self.host,
             self.port,
             self.beside,
-            DEMO_BASELINE if offers else None,
+            DEMO_BASELINE if is_demo and DEMO_BASELINE.is_file() else None,
             authenticator,
             self.provider,
+            DEMO_FLIGHT if is_demo and DEMO_FLIGHT[0].is_file() else None,
         )
 
     def _explore_flight(self, authenticator: Authenticator) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from dataclasses import asdict, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import viser
@@ -44,28 +45,52 @@ _ADDRESS_TIMEOUT = 30.0
 _SLOW = 0.5
 
 
+@dataclass(frozen=True, eq=False)
+class WorkspaceServices:
+    """A workspace, and what is derived from it once for all browsers.
+
+    Attributes:
+        failure_lab: computes the failure laboratory's tables.
+        url_state: converts states to addresses and back.
+        flight: derives what flight windows show.
+        flight_pictures: serves their pictures.
+    """
+
+    workspace: Workspace
+    failure_lab: FailureLab
+    url_state: UrlState
+    flight: FlightService
+    flight_pictures: FlightPictures
+
+    @classmethod
+    def of(cls, workspace: Workspace) -> WorkspaceServices:
+        """Derive them from a workspace."""
+        return cls(
+            workspace, FailureLab(workspace), UrlState(workspace), FlightService(workspace), FlightPictures(workspace)
+        )
+
+
 class ClientSession:
     """Connects one browser's controls, worker, and views.
 
     Callbacks replace the state (`change`) and wake the worker; the worker analyses the newest state and draws it.
 
     Args:
-        failure_lab: computes the failure laboratory's tables for all browsers.
-        url_state: converts states to addresses and back, for all browsers.
-        flight: derives what flight windows show, for all browsers.
-        flight_pictures: serves their pictures.
+        services: the workspace to show.
+        show_other: replaces this session by one of another workspace, given its key and the query string of its address.
+        search: a query string in place of that of the page's address.
     """
 
     def __init__(
         self,
         client: viser.ClientHandle,
-        workspace: Workspace,
-        failure_lab: FailureLab,
-        url_state: UrlState,
-        flight: FlightService,
-        flight_pictures: FlightPictures,
+        services: WorkspaceServices,
+        show_other: Callable[[ClientSession, str, str], None],
+        search: str | None = None,
     ) -> None:
-        self._client, self._workspace, self._url_state = client, workspace, url_state
+        workspace = services.workspace
+        self.client, self._workspace, self._url_state = client, workspace, services.url_state
+        self._show_other, self._search = show_other, search
         self._lock = threading.RLock()
         self._greeted = self._small = False
         self._sequence = 0
@@ -91,9 +116,9 @@ class ClientSession:
                 self._requests,
                 lambda name: self._bridge.call("tab", name),
             )
-            self._lab = FailureLabWindow(client, workspace, failure_lab, self.change, viewport, self._reporter)
+            self._lab = FailureLabWindow(client, workspace, services.failure_lab, self.change, viewport, self._reporter)
             self._flight = FlightWindow(
-                client, workspace, flight, flight_pictures, self.change, viewport, self._on_error
+                client, workspace, services.flight, services.flight_pictures, self.change, viewport, self._on_error
             )
             self._panels.navigation.order = self._lab.order
             self._panels.query.compare_models = self._explain_window.compare_models
@@ -105,6 +130,7 @@ class ClientSession:
                 "task": lambda name: self.change(self._panels.navigation.choose_task(name)),
                 "dark": lambda _: self.change(session_state.flip_dark),
                 "glossary": lambda _: glossary.show(),
+                "show": self._on_other,
             }
             handlers |= self._explain_window.handlers() | self._lab.handlers() | self._flight.handlers()
             properties = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
@@ -149,6 +175,25 @@ class ClientSession:
         self._flight.leave()
         self._requests.close()
 
+    def wait_for(self, label: str) -> viser.NotificationHandle:
+        """Say that another workspace is being opened, and show this one until then."""
+        self._worker.wake()
+        return self.client.add_notification(
+            f"Opening {label}",
+            "Its pictures are described; this page goes on until then.",
+            loading=True,
+            auto_close_seconds=None,
+        )
+
+    def stay(self, label: str, error: str) -> None:
+        """Say why another workspace cannot be shown, and go on with this one."""
+        self._worker.wake()
+        self._panels.notify_error(f"Not opened: {label}", error)
+
+    def _on_other(self, key: Any) -> None:
+        if isinstance(key, str) and key in self._workspace.choices and key != self._workspace.key:
+            self._show_other(self, key, "?theme=dark" if self._state.dark else "?theme=light")
+
     def _on_select(self, shown: SessionState, index: int) -> None:
         self.change(lambda state: session_state.compare(state, shown, index))
 
@@ -161,6 +206,10 @@ class ClientSession:
             self._greeted = True
             self._greeting_timeout.cancel()
             self._fit(value.get("small"))
+            search = search if self._search is None else self._search
+            if (other := self._url_state.other_workspace(search)) is not None:
+                self._show_other(self, other, search)
+                return
             before = self._state
             state, problems = self._url_state.read(search, before)
             self.change(lambda _: replace(state, page=state.query // PAGE_SIZE))
@@ -175,7 +224,7 @@ class ClientSession:
             self._panels.fit(self._small)
 
     def _set_theme(self, state: SessionState) -> None:
-        self._client.gui.configure_theme(
+        self.client.gui.configure_theme(
             dark_mode=state.dark,
             show_logo=False,
             show_share_button=False,
@@ -189,7 +238,7 @@ class ClientSession:
             analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             self._sequence += 1
             started = time.perf_counter()
-            with self._client.atomic():  # the page draws one frame
+            with self.client.atomic():  # the page draws one frame
                 self._stage.show(analysis)
                 self._explain_window.show(analysis)
                 self._lab.show(analysis)
@@ -216,7 +265,7 @@ class ClientSession:
         query = f"own picture {printable(analysis.name)}" if state.upload else f"query {printable(analysis.name)}"
         change = f"turn {state.angle:g}, shift {state.shift} {state.down}, zoom {state.zoom:g}"
         times = f"computed in {1000 * analysis.seconds:.0f} ms, shown in {1000 * drawing:.0f} ms"
-        return f"Browser {self._client.client_id}: answer {self._sequence}: {state.task}, {query}, {change}: {times}"
+        return f"Browser {self.client.client_id}: answer {self._sequence}: {state.task}, {query}, {change}: {times}"
 
     def _on_error(self, error: Exception) -> None:
         text = (

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 
 from rich.console import Console
@@ -14,7 +14,7 @@ from rich.progress import TaskID
 import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
-from explorer.workspace import SecondModel, Workspace
+from explorer.workspace import LazyWorkspace, Workspace
 from lpn.analysis.task import Task, gallery_geometry, offered_tasks, open_task
 from lpn.core.errors import DataError, LPNError
 from lpn.core.files import printable
@@ -35,6 +35,8 @@ log = logging.getLogger(__name__)
 SAVED_MAP = (16, 16)
 # Seconds that the start waits for registration; answers from the cache take less.
 REGISTRATION_WAIT = 3.0
+# Overlap of the windows under an offered flight, a quarter as many as `lpn locate` describes: somebody waits for them.
+OFFERED_OVERLAP = 0.5
 
 
 def open_model(
@@ -81,19 +83,30 @@ def open_model(
     workspace.choose_first_query(query)
     if second_model is not None:
         second = open_model(data, second_model, provider=provider)
-        workspace.second = SecondModel(second.model_name, lambda: second)
+        workspace.second = LazyWorkspace(second.model_name, lambda _: second)
         workspace.second.open()
     elif baseline is not None:
-        workspace.second = SecondModel("the baseline (n = 1)", lambda: _open_baseline(data, baseline, provider))
+        workspace.second = LazyWorkspace(
+            "the baseline (n = 1)", _naming_files([baseline], lambda _: open_model(data, baseline, provider=provider))
+        )
     return workspace
 
 
-def _open_baseline(data: Path, baseline: Path, provider: ProviderName) -> Workspace:
-    """Open the baseline; errors name its file without the folder, because a browser shows them."""
-    try:
-        return open_model(data, baseline, provider=provider)
-    except LPNError as error:
-        raise type(error)(str(error).replace(str(baseline), printable(baseline.name))) from error
+def _naming_files(
+    files: Sequence[Path], open_workspace: Callable[[ReportProgress], Workspace]
+) -> Callable[[ReportProgress], Workspace]:
+    """Return a function whose errors name files without their folders, because a browser shows them."""
+
+    def opened(report: ReportProgress) -> Workspace:
+        try:
+            return open_workspace(report)
+        except LPNError as error:
+            text = str(error)
+            for file in files:
+                text = text.replace(str(file), printable(file.name))
+            raise type(error)(text) from error
+
+    return opened
 
 
 def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> Workspace:
@@ -140,6 +153,8 @@ def open_flight_over(
     second_model: Path | None = None,
     register: bool = True,
     provider: ProviderName = "auto",
+    overlap: float = LocateOptions.overlap,
+    report: ReportProgress | None = None,
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
 
@@ -152,35 +167,52 @@ def open_flight_over(
         query: name of the frame that a new browser shows first; by default the flight's first that can be read.
         second_model: another model to compare with on the same flight; it is opened, too.
         register: whether photos are laid over the map.
+        overlap: share of a window's side that its neighbour covers, too.
+        report: receives the progress of the description; by default the terminal shows it.
 
     Raises:
         LPNError: when map, flight, or model cannot be used, or there is no such frame.
     """
-    workspace, opened, located = _open_located(map_path, flight_path, model, provider)
+    options = LocateOptions(register=False, overlap=overlap)
+    workspace, opened, located = _open_located(map_path, flight_path, model, provider, options, report)
     for note in (*located.town.notes, *located.flight.notes, *located.notes):
         Console(stderr=True).print(printable(note), highlight=False, markup=False, soft_wrap=True)
     broken = () if located.retrieval is None else located.retrieval.broken
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
     if second_model is not None:
-        second, _, _ = _open_located(map_path, flight_path, second_model, provider)
-        workspace.second = SecondModel(second.model_name, lambda: second)
+        second, _, _ = _open_located(map_path, flight_path, second_model, provider, options, report)
+        workspace.second = LazyWorkspace(second.model_name, lambda _: second)
         workspace.second.open()
     if register:
-        _begin_registration(workspace, located, opened)
+        _begin_registration(workspace, located, opened, options)
     return workspace
 
 
+def offered_flight(map_path: Path, flight_path: Path, model: Path, provider: ProviderName = "auto") -> LazyWorkspace:
+    """Return a flight over a map that is opened when a browser asks for it, see `open_flight_over`."""
+
+    def opened(report: ReportProgress) -> Workspace:
+        return open_flight_over(map_path, flight_path, model, provider=provider, overlap=OFFERED_OVERLAP, report=report)
+
+    return LazyWorkspace("a flight over its map", _naming_files([map_path, flight_path, model], opened))
+
+
 def _open_located(
-    map_path: Path, flight_path: Path, model: Path, provider: ProviderName
+    map_path: Path,
+    flight_path: Path,
+    model: Path,
+    provider: ProviderName,
+    options: LocateOptions,
+    report: ReportProgress | None,
 ) -> tuple[Workspace, Model, LocatedFlight]:
     """Open a flight without registration; return the model as well, whose descriptors are not centred."""
     with _status(f"Opening {printable(map_path.name)}, {printable(flight_path.name)}, and {printable(model.name)}"):
         town, flight, opened = open_map(map_path), open_flight(flight_path), lpn.load(model, provider)
     for view in ("satellite", "drone"):
         opened.check_view(view)
-    with _progress() as report:
-        located = locate(town, flight, opened, LocateOptions(register=False), report)
+    with _progress() if report is None else nullcontext(_counts(report)) as progress:
+        located = locate(town, flight, opened, options, progress)
     task = flight_task(opened, model.name, located, flight_path)
     workspace = Workspace(
         task.model_name,
@@ -196,15 +228,19 @@ def _open_located(
     return workspace, opened, located
 
 
-def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model) -> None:
+def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model, options: LocateOptions) -> None:
     """Register in the background, and wait as long as answers come from the cache."""
 
     def register(report: ReportProgress) -> LocatedFlight:
-        return registered(located, model, on_progress=lambda _, done, total: report(done, total))
+        return registered(located, model, options, on_progress=_counts(report))
 
     job = workspace.register_flight(register)
     with _status("Registering frames; the page opens while this goes on"):
         job.wait(REGISTRATION_WAIT)
+
+
+def _counts(report: ReportProgress) -> Progress:
+    return lambda _, done, total: report(done, total)
 
 
 def _begin_ranking(task: Task) -> RankingJob:

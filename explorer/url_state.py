@@ -45,6 +45,7 @@ class UrlState:
         }
         reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
         self._parameters = (
+            _Parameter("show", self._write_key, self._read_key),
             _Parameter("task", lambda s: s.task, self._read_task),
             _Parameter("query", self._write_query, self._read_query),
             _Parameter("with", self._write_tile, self._read_tile),
@@ -86,7 +87,7 @@ class UrlState:
             state: supplies what the query string leaves out.
         """
         try:
-            given = dict(parse_qsl(text[:_MAX_LENGTH].removeprefix("?"), True, max_num_fields=200))
+            given = _given(text)
         except ValueError:
             return state, ["It is too long."]
         problems = []
@@ -98,6 +99,26 @@ class UrlState:
             except UnusableError as problem:
                 problems.append(f"{parameter.key}={printable(value[:60])}: {problem}")
         return state, problems
+
+    def other_workspace(self, text: str) -> str | None:
+        """Return the key of the other workspace that a query string names, see `Workspace.choices`; None if it names none.
+
+        Args:
+            text: untrusted.
+        """
+        try:
+            key = _given(text).get("show")
+        except ValueError:
+            return None
+        return key if key != self._workspace.key and key in self._workspace.choices else None
+
+    def _write_key(self, _: SessionState) -> str | None:
+        return None if self._workspace.key in ("", next(iter(self._workspace.choices), "")) else self._workspace.key
+
+    def _read_key(self, state: SessionState, value: str) -> SessionState:
+        if value != self._workspace.key:
+            raise UnusableError(f"there is nothing else to show than {', '.join(self._workspace.choices) or 'this'}.")
+        return state
 
     def _read_task(self, state: SessionState, value: str) -> SessionState:
         if value not in self._workspace.tasks:
@@ -146,6 +167,11 @@ class UrlState:
     def _read_region(self, state: SessionState, value: str) -> SessionState:
         rows, columns = self._workspace.map_sizes[self._workspace.tasks[state.task].query_view]
         return replace(state, region=cells(value, rows * columns))
+
+
+def _given(text: str) -> dict[str, str]:
+    """Return the parameters of a query string; ValueError if there are too many."""
+    return dict(parse_qsl(text[:_MAX_LENGTH].removeprefix("?"), True, max_num_fields=200))
 
 
 def ranges(numbers: Sequence[int]) -> str:

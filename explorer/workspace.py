@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -77,7 +77,10 @@ class Workspace:
         self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
         self.first_query = 0
         # Another model on the same data to compare with, if there is one.
-        self.second: SecondModel | None = None
+        self.second: LazyWorkspace | None = None
+        # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
+        self.choices: Mapping[str, str] = {}
+        self.key = ""
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None
@@ -196,15 +199,15 @@ class Workspace:
         return overlays.data_uri(shown)
 
 
-class SecondModel:
-    """A model to compare with on the same data, opened once for all browsers: at the start, or when a browser asks for it.
+class LazyWorkspace:
+    """A further workspace, opened once for all browsers: at the start, or when a browser asks for it.
 
     Args:
         label: display name, such as "the baseline (n = 1)".
-        open_workspace: opens the model; it may take as long as the description of all pictures.
+        open_workspace: opens it; that may take as long as the description of all pictures, whose progress it reports.
     """
 
-    def __init__(self, label: str, open_workspace: Callable[[], Workspace]) -> None:
+    def __init__(self, label: str, open_workspace: Callable[[ReportProgress], Workspace]) -> None:
         self.label = label
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
@@ -212,24 +215,24 @@ class SecondModel:
 
     @property
     def workspace(self) -> Workspace | None:
-        """The second model's workspace; None until it is open."""
+        """The workspace; None until it is open."""
         return None if self._job is None else self._job.value
 
     @property
     def error(self) -> str:
-        """One sentence if the model could not be opened, else empty."""
+        """One sentence if it could not be opened, else empty."""
         return "" if self._job is None else self._job.error or ""
 
     @property
     def opening(self) -> bool:
-        """The model is being opened."""
+        """The workspace is being opened."""
         return self._job is not None and not self._job.wait(0)
 
     def open(self) -> BackgroundJob[Workspace]:
-        """Open the model in the background, unless it is open or being opened; after a failure, try again."""
+        """Open it in the background, unless it is open or being opened; after a failure, try again."""
         with self._lock:
             self._jobs.forget_failed("open")
-            self._job = self._jobs.join("open", self, lambda _: self._open())
+            self._job = self._jobs.join("open", self, self._open)
             return self._job
 
 

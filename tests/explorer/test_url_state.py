@@ -156,7 +156,22 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale"}
     fields = set(vars(state)) - left_out
-    assert {named.get(field, field) for field in fields} == set(links.keys)
+    assert {named.get(field, field) for field in fields} | {"show"} == set(links.keys)
+
+
+def test_an_address_names_its_workspace_where_there_are_several(data: Path, model_file: Path) -> None:
+    workspace = open_model(data, model_file)
+    state = SessionState(next(iter(workspace.tasks)), 4)
+    for key, shown in (("", ""), ("pairs", ""), ("flight", "flight")):
+        workspace.key, workspace.choices = key, {"pairs": "pairs", "flight": "a flight"} if key else {}
+        links = UrlState(workspace)
+        assert parse_qs(links.write(state)).get("show", [""]) == [shown]
+        assert links.read(links.write(state), state) == (state, [])
+        others = {"pairs", "flight"} - {key} if key else set()
+        for name in ("pairs", "flight", "", "rubbish"):
+            assert links.other_workspace(f"?show={name}") == (name if name in others else None)
+        assert links.other_workspace("?" + "&".join("show=flight" for _ in range(300))) is None
+    assert "nothing else to show than pairs, flight" in links.read("show=rubbish", state)[1][0]
 
 
 def test_ranges_are_short_and_exact() -> None:

@@ -1,0 +1,100 @@
+"""An app that offers several workspaces, as a person uses it."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import BrowserContext, Locator, expect
+
+from explorer.app import App
+from explorer.compute.background_jobs import ReportProgress
+from explorer.opening import open_model
+from explorer.workspace import LazyWorkspace, Workspace
+from lpn.core.errors import DataError
+from tests.e2e.conftest import PATIENCE, ExplorerPage
+from tools.fixtures.processes import free_port
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A running app with a workspace of four parts, one of one part that opens when it may, and one that never opens."""
+
+    app: App
+    may_open: threading.Event
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.app.server.get_port()}"
+
+
+@pytest.fixture
+def offer(data: Path, model_file: Path, one_part_model_file: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Offer]:
+    monkeypatch.setenv("LPN_CACHE", str(model_file.parent / "cache"))
+    may_open = threading.Event()
+
+    def slowly(report: ReportProgress) -> Workspace:
+        report(3, 7)
+        assert may_open.wait(PATIENCE)
+        return open_model(data, one_part_model_file)
+
+    def never(_: ReportProgress) -> Workspace:
+        raise DataError("The map is not there; give another.")
+
+    others = {"whole": LazyWorkspace("whole pictures", slowly), "broken": LazyWorkspace("a broken map", never)}
+    app = App(open_model(data, model_file), "127.0.0.1", free_port(), None, "four rings", others)
+    yield Offer(app, may_open)
+    may_open.set()
+    app.close()
+
+
+def chip(explorer: ExplorerPage, label: str) -> Locator:
+    return explorer.page.locator("#lpn-workspaces a", has_text=label)
+
+
+def expect_workspace(explorer: ExplorerPage, label: str, parts: int) -> None:
+    expect(chip(explorer, label)).to_have_class("chosen")
+    expect(explorer.page.locator("#lpn-header .facts", has_text=f"n = {parts}")).to_be_visible()
+
+
+def test_a_page_changes_its_workspace_and_back(offer: Offer, contexts: Callable[..., BrowserContext]) -> None:
+    explorer = ExplorerPage(contexts().new_page())
+    explorer.open(offer.url)
+    expect_workspace(explorer, "four rings", 4)
+    explorer.key("o")
+    expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
+    chip(explorer, "whole pictures").click()
+    notice = explorer.page.locator(".mantine-Notification-root", has_text="Opening whole pictures")
+    expect(notice).to_contain_text("3 of 7 pictures are described")
+    explorer.fill("Rotate", "33")  # the page goes on meanwhile
+    explorer.expect_status("angle", "33")
+    offer.may_open.set()
+    expect_workspace(explorer, "whole pictures", 1)
+    expect(notice).to_have_count(0)
+    explorer.expect_status("angle", "0")
+    expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
+    explorer.key("n")  # its controls, keys, and messages work
+    explorer.expect_status("query", "1")
+    expect(explorer.page).to_have_url(re.compile("show=whole"))
+    explorer.page.reload()
+    expect_workspace(explorer, "whole pictures", 1)
+    explorer.expect_status("query", "1")
+    chip(explorer, "four rings").click()
+    expect_workspace(explorer, "four rings", 4)
+    explorer.expect_status("query", "0")
+    expect(explorer.page).to_have_url(re.compile(r"\?(?!.*show=)"))
+    assert len(offer.app._sessions) == 1
+
+
+def test_a_workspace_that_does_not_open_says_why_and_the_page_stays(
+    offer: Offer, contexts: Callable[..., BrowserContext]
+) -> None:
+    explorer = ExplorerPage(contexts().new_page())
+    explorer.open(f"{offer.url}/?show=broken")
+    notice = explorer.page.locator(".mantine-Notification-root", has_text="Not opened: a broken map")
+    expect(notice).to_contain_text("The map is not there; give another.")
+    expect_workspace(explorer, "four rings", 4)
