@@ -231,8 +231,11 @@ def _open_located(
 def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model, options: LocateOptions) -> None:
     """Register in the background, and wait as long as answers come from the cache."""
 
+    def publish(partial: LocatedFlight) -> None:
+        workspace.flight = partial
+
     def register(report: ReportProgress) -> LocatedFlight:
-        return registered(located, model, options, on_progress=_counts(report))
+        return registered(located, model, options, on_progress=_counts(report), on_partial=publish)
 
     job = workspace.register_flight(register)
     with _status("Registering frames; the page opens while this goes on"):

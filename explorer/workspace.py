@@ -144,7 +144,7 @@ class Workspace:
         return self.flight is not None
 
     def register_flight(self, register: Callable[[ReportProgress], LocatedFlight]) -> BackgroundJob[None]:
-        """Start the registration of the flight in the background; `flight` has its answers when it is done."""
+        """Start the registration of the flight in the background; `flight` is replaced as it goes on, and when it is done."""
 
         def work(report: ReportProgress) -> None:
             yield_cores()  # it takes minutes, and answers must not wait for it

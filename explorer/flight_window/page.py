@@ -85,7 +85,10 @@ def _tracks(view: FlightView) -> list[str]:
 
 
 def _track(view: FlightView, name: str) -> dict[str, Any]:
-    """Return a track: x, y, state, radius, and error of each frame, None where unknown; a tag counts as accepted."""
+    """Return a track: x, y, state, radius, and error of each frame, None where unknown; a tag counts as accepted.
+
+    The state is -1 while the stage has no answer.
+    """
     found: dict[str, Any] = {"label": LABELS[name], "colour": theme.css(COLOURS[name])}
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
     flight = view.flight
@@ -102,7 +105,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
             continue
         answer = located.stages.get(name)
         if answer is None:
-            rows.append((None, None, 2, None, None))
+            rows.append((None, None, -1, None, None))
         else:
             rows.append((answer.x, answer.y, _STATES[answer.state], answer.radius, located.error(name)))
     columns = list(zip(*rows, strict=True)) or [()] * 5

@@ -11,7 +11,7 @@ from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import LPNError
 from lpn.locate import corrections
-from lpn.locate.belief import Belief, Disagreement, belief, disagreements
+from lpn.locate.belief import Belief, Disagreement, beliefs, disagreements
 from lpn.locate.corrections import Correction
 from lpn.locate.coverage import Outline, outline
 from lpn.locate.pipeline import LocatedFlight
@@ -40,11 +40,8 @@ class FlightView:
     def of(cls, flight: LocatedFlight, kept: dict[str, Correction], error: str) -> FlightView:
         """Derive the view of a flight with its corrections, or with the reason why they cannot be used."""
         found = disagreements(flight.frames)
-        of_frame: dict[int, list[Disagreement]] = {}
-        for one in found:
-            of_frame.setdefault(one.frame, []).append(one)
-        beliefs = [belief(located, of_frame.get(i, ())) for i, located in enumerate(flight.frames)]
-        return cls(flight, [outline(located) for located in flight.frames], found, beliefs, kept, error)
+        verdicts = beliefs(flight.frames, found)
+        return cls(flight, [outline(located) for located in flight.frames], found, verdicts, kept, error)
 
     def corrected(self, frame: int) -> tuple[float, float] | None:
         """Return where a person says that the middle of a frame's picture lies, in metres of the map's frame."""

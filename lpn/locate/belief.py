@@ -82,6 +82,14 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
     return found
 
 
+def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]) -> list[Belief]:
+    """Return the verdict on each frame; `contradictions` are those of all frames."""
+    of_frame: dict[int, list[Disagreement]] = {}
+    for one in contradictions:
+        of_frame.setdefault(one.frame, []).append(one)
+    return [belief(located, of_frame.get(i, ())) for i, located in enumerate(frames)]
+
+
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -> Belief:
     """Return the verdict on a frame.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
@@ -46,6 +47,8 @@ _AROUND = 0.75
 _MAX_TILT = 15.0
 _TILT_ERROR = 1.5
 _TOP = 5
+# Seconds from one answer of a registration that goes on to the next.
+_PARTIAL_INTERVAL = 3.0
 
 
 @dataclass(frozen=True)
@@ -322,16 +325,28 @@ def registered(
     model: Model | None,
     options: LocateOptions | None = None,
     on_progress: Progress | None = None,
+    on_partial: Callable[[LocatedFlight], None] | None = None,
 ) -> LocatedFlight:
     """Register the frames of a flight whose other stages are done, and audit its tags; `located` is not changed.
 
     Args:
         model, options: those that the flight was located with, so that answers of `locate` are found in the cache.
         on_progress: as for `locate`; an exception that it raises stops the run, and a later one goes on.
+        on_partial: called every few seconds with the flight as far as it is registered; the tags are not audited yet.
     """
     options = replace(options or LocateOptions(), register=True)
     frames = [replace(frame, stages=dict(frame.stages)) for frame in located.frames]
-    _registered(located.town, located.flight, frames, options, model, located.retrieval, on_progress)
+    published = time.monotonic()
+
+    def report(stage: str, done: int, total: int) -> None:
+        nonlocal published
+        if on_progress is not None:
+            on_progress(stage, done, total)
+        if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
+            on_partial(replace(located, frames=[replace(frame, stages=dict(frame.stages)) for frame in frames]))
+            published = time.monotonic()
+
+    _registered(located.town, located.flight, frames, options, model, located.retrieval, report)
     answers = [frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

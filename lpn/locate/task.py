@@ -25,7 +25,7 @@ from lpn.datasets import Picture, Truth
 from lpn.datasets.geo import Position
 from lpn.flights import Frame
 from lpn.flights.cut import cut_square
-from lpn.locate.belief import belief, disagreements
+from lpn.locate.belief import beliefs, disagreements
 from lpn.locate.pipeline import STAGES, LocatedFlight, LocatedFrame
 from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map, Window
@@ -223,12 +223,9 @@ def _columns(located: LocatedFlight, found: MapRetrieval, turns: list[int]) -> l
 
 def stage_columns(located: LocatedFlight) -> list[Column]:
     """Return what the stages say of each frame: metres from its tag, the registration, the verdict, and the reason for it."""
-    contradictions = disagreements(located.frames)
-    beliefs = [
-        belief(frame, [one for one in contradictions if one.frame == i]) for i, frame in enumerate(located.frames)
-    ]
+    found = beliefs(located.frames, disagreements(located.frames))
     verdicts = [
-        "contradicted" if one.stage == "registration" and not one.sign else _VERDICTS[one.stage] for one in beliefs
+        "contradicted" if one.stage == "registration" and not one.sign else _VERDICTS[one.stage] for one in found
     ]
     answers = [frame.stages.get("registration") for frame in located.frames]
     columns = [
@@ -236,7 +233,7 @@ def stage_columns(located: LocatedFlight) -> list[Column]:
         text_column("registration", ["" if answer is None else answer.state for answer in answers]),
         _numbers("inliers", [None if answer is None else answer.inliers for answer in answers]),
         text_column("verdict", verdicts),
-        text_column(REASON, [one.reason for one in beliefs]),
+        text_column(REASON, [one.reason for one in found]),
     ]
     return [column for column in columns if column.known.any()]
 

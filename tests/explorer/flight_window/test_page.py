@@ -83,6 +83,15 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     assert "Only &lt;i&gt;4&lt;/i&gt; matches agree." in third
 
 
+def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refused(flight: LocatedFlight) -> None:
+    stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "registration"}
+    waiting = view_of(replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)]))
+    track = page.data(waiting, "x/")["tracks"]["registration"]
+    assert track["state"] == [0, 0, -1]
+    assert track["count"] == "2 of 3"
+    assert "Refused 0" in page.lists(waiting)["counts"]
+
+
 def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView) -> None:
     lists = page.lists(view)
     assert "Registration: Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]

@@ -122,6 +122,24 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
     assert len(registered) == 6
 
 
+def test_a_registration_in_progress_is_told_without_changing_the_flight(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "_PARTIAL_INTERVAL", 0.0)
+    answer = StageRecord("accepted", "It agrees.", 1.0, 2.0, radius=0.5, width=WIDTH)
+    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: answer)
+    frames = [LocatedFrame(frame, None) for frame in flight.frames]
+    located = LocatedFlight(flight, town, frames, None, ["A note."], None)
+    partial: list[LocatedFlight] = []
+    whole = pipeline.registered(located, None, SIFT, on_partial=partial.append)
+    answered = [["registration" in frame.stages for frame in one.frames] for one in partial]
+    assert answered == [[i <= last for i in range(4)] for last in range(3)]
+    assert all("registration" in frame.stages for frame in whole.frames)
+    assert not any(frame.stages for frame in located.frames)
+    assert whole.audit is not None
+    assert partial[-1].audit is None
+
+
 def test_a_registration_that_no_drone_can_have_flown_to_is_refused(
     town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
