@@ -343,7 +343,9 @@ def registered(
         if on_progress is not None:
             on_progress(stage, done, total)
         if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
-            on_partial(replace(located, frames=[replace(frame, stages=dict(frame.stages)) for frame in frames]))
+            copies = [replace(frame, stages=dict(frame.stages)) for frame in frames]
+            _refuse_jumps(copies[:done])
+            on_partial(replace(located, frames=copies))
             published = time.monotonic()
 
     _registered(located.town, located.flight, frames, options, model, located.retrieval, report)

@@ -389,7 +389,10 @@
 
   // ---- from the server
   flight.show = (given) => {
-    if (data && data.address !== given.address) tiles.clear();
+    if (data && data.address !== given.address) {
+      tiles.clear();
+      spotted = null;
+    }
     const same = data && String(data.bounds) === String(given.bounds);
     data = given;
     const times = data.times || data.names.map((_, i) => i), [low, high] = range(times);
