@@ -379,7 +379,6 @@ RECIPES: dict[str, Recipe] = {
     "world": replace(_SMALL, epochs=60, satellite_rotation=180.0, place_rotation=0.0, compression=0.5),
     "map": replace(
         _SMALL,
-        size=160,
         dropout=0.0,
         windows=512,
         epochs=12,
