@@ -1,7 +1,7 @@
 """Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
 
-FLIGHT is what `lpn world --flight` made. OUT gets `photos`, as many as `COUNT` evenly from the whole flight, as WebP with EXIF
-and XMP unchanged; `map.tif`, the map with stronger compression; and `truth.csv` with the rows of these photos.
+FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos evenly from the whole flight as WebP with
+EXIF and XMP unchanged; `map-in-spring.tif`, the map with stronger compression; and `truth.csv` with the rows of these photos.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.files import write_atomic
 from lpn.datasets.rendered import UNFINISHED
 from lpn.world.flight import MAP, TRUTH
@@ -49,16 +50,17 @@ def main() -> None:
 
 def pack(flight: Path, out: Path) -> None:
     """Write photos, map, and truth."""
+    packed_map, photos = (path.name for path in DEMO_FLIGHT)
     with (flight / TRUTH).open(newline="") as file:
         header, *rows = csv.reader(file)
     chosen = [rows[i] for i in np.linspace(0, len(rows) - 1, min(COUNT, len(rows))).round().astype(int)]
     for row in chosen:
         name, row[0] = row[0], Path(row[0]).with_suffix(".webp").name
-        write_atomic(out / "photos" / row[0], as_webp((flight / "photos" / name).read_bytes()))
+        write_atomic(out / photos / row[0], as_webp((flight / "photos" / name).read_bytes()))
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([header, *chosen])
     write_atomic(out / TRUTH, text.getvalue().encode())
-    write_atomic(out / MAP.name, compressed_map(flight / MAP, QUALITY["map"]))
+    write_atomic(out / packed_map, compressed_map(flight / MAP, QUALITY["map"]))
 
 
 def as_webp(data: bytes) -> bytes:

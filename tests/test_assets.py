@@ -18,7 +18,7 @@ import trimesh
 import lpn
 from lpn import descriptors
 from lpn.core import images
-from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_QUERY
 from lpn.core.files import cache_folder
 from lpn.core.views import View
 from lpn.datasets import open_dataset
@@ -160,12 +160,12 @@ def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(
     monkeypatch.setattr(sys, "argv", ["pack_flight.py", str(made), str(packed)])
     pack_flight.main()
     before = {frame.name: frame for frame in make_flight([made / "photos", made / "truth.csv"], tmp_path / "a").frames}
-    after = make_flight([packed / "photos", packed / "truth.csv"], tmp_path / "b").frames
+    after = make_flight([packed / DEMO_FLIGHT[1].name, packed / "truth.csv"], tmp_path / "b").frames
     assert [frame.name for frame in after] == [f"LPN_{number:04d}.webp" for number in (1, 3, 5, 7, 9)]
     for frame in after:
         original = before[frame.file.with_suffix(".JPG").name]
         assert replace(frame, name=original.name, file=original.file) == original
-    with rasterio.open(made / "map/map.tif") as large, rasterio.open(packed / "map.tif") as small:
+    with rasterio.open(made / "map/map.tif") as large, rasterio.open(packed / DEMO_FLIGHT[0].name) as small:
         assert (large.crs, large.transform, large.shape) == (small.crs, small.transform, small.shape)
     (made / "unfinished.txt").touch()
     monkeypatch.setattr(sys, "argv", ["pack_flight.py", str(made), str(tmp_path / "other")])
