@@ -529,7 +529,7 @@ def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
     with WebSocketClient(url(app)) as talker:
         talker.greet()
         session = weakref.ref(app._sessions[max(app._sessions)])
-        handle = weakref.ref(session()._client)  # type: ignore[union-attr]
+        handle = weakref.ref(session().client)  # type: ignore[union-attr]
         talker.upload("mine.png", picture(600))
         talker.wait(lambda: talker.status("name") == "mine.png")
         assert len(alive(OwnPicture)) == 1
