@@ -1,7 +1,7 @@
 """Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
 
-FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos evenly from the whole flight as WebP with
-EXIF and XMP unchanged; `map-in-spring.tif`, the map with stronger compression; and `truth.csv` with the rows of these photos.
+FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, the last `COUNT` photos as WebP with EXIF and XMP unchanged,
+because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; and `truth.csv` with the rows of these photos.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import shutil
 import sys
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from lpn.core.demo import DEMO_FLIGHT
@@ -53,7 +52,7 @@ def pack(flight: Path, out: Path) -> None:
     packed_map, photos = (path.name for path in DEMO_FLIGHT)
     with (flight / TRUTH).open(newline="") as file:
         header, *rows = csv.reader(file)
-    chosen = [rows[i] for i in np.linspace(0, len(rows) - 1, min(COUNT, len(rows))).round().astype(int)]
+    chosen = rows[-COUNT:]
     for row in chosen:
         name, row[0] = row[0], Path(row[0]).with_suffix(".webp").name
         write_atomic(out / photos / row[0], as_webp((flight / "photos" / name).read_bytes()))
