@@ -1,7 +1,8 @@
 """Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
 
-FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, the last `COUNT` photos as WebP with EXIF and XMP unchanged,
-because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; and `truth.csv` with the rows of these photos.
+FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, the last `COUNT` photos as WebP with EXIF and XMP
+unchanged, because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; and
+`truth.csv` with the rows of these photos.
 """
 
 from __future__ import annotations

@@ -67,6 +67,7 @@ class App:
         conceal(self.authenticator.token)
         conceal(self.authenticator.cookie_value)
         self._others, self._lock = others or {}, threading.Lock()
+        self._changing: set[int] = set()
         self._services: dict[str, WorkspaceServices] = {}
         self._choices = {_FIRST: label} | {key: other.label for key, other in self._others.items()} if others else {}
         self._first = self._add(_FIRST, workspace)
@@ -99,13 +100,29 @@ class App:
 
     def _connected(self, client: viser.ClientHandle) -> None:
         log.info("Browser %d connected", client.client_id)
-        with self._lock:
-            self._begin(client, self._first)
+        # viser never forgets a camera's callback, so it belongs to the browser and not to a session.
+        client.camera.on_update(lambda _: self._fit_camera(client.client_id))
+        self._begin(client, self._first)
 
-    def _begin(self, client: viser.ClientHandle, services: WorkspaceServices, search: str | None = None) -> None:
-        self._sessions[client.client_id] = ClientSession(client, services, self._show_other, search)
+    def _begin(
+        self,
+        client: viser.ClientHandle,
+        services: WorkspaceServices,
+        search: str | None = None,
+        replaced: ClientSession | None = None,
+    ) -> ClientSession:
+        session = ClientSession(client, services, self._show_other, search)
+        with self._lock:
+            if self._sessions.get(client.client_id) is replaced:  # else its page has changed its workspace already
+                self._sessions[client.client_id] = session
         if client.client_id not in self.server.get_clients():  # it left while its session was being built
             self._disconnected(client)
+        return session
+
+    def _fit_camera(self, client_id: int) -> None:
+        session = self._sessions.get(client_id)
+        if session is not None:
+            session.fit_camera()
 
     def _add(self, key: str, workspace: Workspace) -> WorkspaceServices:
         """Return the services of a workspace, made once."""
@@ -122,32 +139,56 @@ class App:
         threading.Thread(target=self._replace, args=(session, key, search), name="explorer-show", daemon=True).start()
 
     def _replace(self, session: ClientSession, key: str, search: str) -> None:
-        """Open a workspace, and show it in the page of a session, as if the page had been loaded again."""
-        client = session.client
-        if key not in self._services:
-            other = self._others[key]
-            job = other.open()
-            if not job.wait(_UNNOTICED):
-                notice = session.wait_for(other.label)
-                while not job.wait(0.5):
-                    if job.total:
-                        notice.body = (
-                            f"{job.done:,} of {job.total:,} pictures are described; this page goes on until then."
-                        )
-                    if client.client_id not in self.server.get_clients():
-                        return
-                notice.remove()
-            if other.workspace is None:
-                session.stay(other.label, other.error)
-                return
-            with self._lock:
-                self._add(key, other.workspace)
+        """Show a workspace in the page of a session, unless another change of that page goes on."""
+        client_id = session.client.client_id
         with self._lock:
-            if self._sessions.get(client.client_id) is session:  # neither gone nor replaced meanwhile
-                session.leave()
-                client.gui.reset()
-                client.scene.reset()
-                self._begin(client, self._services[key], search)
+            # The page may ask before its session is listed.
+            if client_id in self._changing or self._sessions.setdefault(client_id, session) is not session:
+                return
+            self._changing.add(client_id)
+        try:
+            if self._opened(session, key):
+                self._exchange(session, key, search)
+        finally:
+            self._changing.discard(client_id)
+
+    def _opened(self, session: ClientSession, key: str) -> bool:
+        """Wait until a workspace is open; False if it cannot be opened, which the page says, or the browser has left."""
+        if key in self._services:
+            return True
+        other = self._others[key]
+        job = other.open()
+        if not job.wait(_UNNOTICED):
+            notice = session.wait_for(other.label)
+            while not job.wait(0.5):
+                if job.total:
+                    notice.body = f"{job.done:,} of {job.total:,} pictures are described; this page goes on until then."
+                if session.client.client_id not in self.server.get_clients():
+                    return False
+            notice.remove()
+        if other.workspace is None:
+            session.stay(other.label, other.error)
+            return False
+        with self._lock:
+            self._add(key, other.workspace)
+        return True
+
+    def _exchange(self, session: ClientSession, key: str, search: str) -> None:
+        """Replace a session by one of another workspace, as if the page had been loaded again."""
+        client = session.client
+        if self._sessions.get(client.client_id) is not session:
+            return
+        session.leave()
+        try:
+            client.gui.reset()
+            client.scene.reset()
+            self._begin(client, self._services[key], search, session)
+        except Exception:
+            log.exception("A page could not change its workspace")
+            client.gui.reset()
+            client.scene.reset()
+            again = self._begin(client, self._first, "", session)
+            again.stay(self._choices[key], "The server's log has the details.")
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
         session = self._sessions.pop(client.client_id, None)

@@ -164,6 +164,10 @@ class ClientSession:
             self._panels.write(state)
         self._worker.wake()
 
+    def fit_camera(self) -> None:
+        """Fit the stage to the page's window, whose camera has changed."""
+        self._stage.fit()
+
     def leave(self) -> None:
         """Stop all threads and computations of this browser; it has disconnected."""
         self._greeting_timeout.cancel()

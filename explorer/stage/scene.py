@@ -154,7 +154,6 @@ class Stage:
         self._drawn: list[tuple[DescribedPicture, Evidence | None, View, object, UInt8Array] | None] = [None, None]
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
-        client.camera.on_update(lambda _: self.fit())
         self.fit()
 
     def fit(self) -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import threading
+import time
+import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 from playwright.sync_api import BrowserContext, Locator, expect
 
 from explorer.app import App
+from explorer.client_session import ClientSession, WorkspaceServices
 from explorer.compute.background_jobs import ReportProgress
 from explorer.opening import open_model
 from explorer.workspace import LazyWorkspace, Workspace
@@ -61,10 +66,13 @@ def expect_workspace(explorer: ExplorerPage, label: str, parts: int) -> None:
     expect(explorer.page.locator("#lpn-header .facts", has_text=f"n = {parts}")).to_be_visible()
 
 
-def test_a_page_changes_its_workspace_and_back(offer: Offer, contexts: Callable[..., BrowserContext]) -> None:
+def test_a_page_changes_its_workspace_and_back(
+    offer: Offer, contexts: Callable[..., BrowserContext], caplog: pytest.LogCaptureFixture
+) -> None:
     explorer = ExplorerPage(contexts().new_page())
     explorer.open(offer.url)
     expect_workspace(explorer, "four rings", 4)
+    former = weakref.ref(*offer.app._sessions.values())
     explorer.key("o")
     expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
     chip(explorer, "whole pictures").click()
@@ -87,7 +95,40 @@ def test_a_page_changes_its_workspace_and_back(offer: Offer, contexts: Callable[
     expect_workspace(explorer, "four rings", 4)
     explorer.expect_status("query", "0")
     expect(explorer.page).to_have_url(re.compile(r"\?(?!.*show=)"))
+    explorer.page.set_viewport_size({"width": 1000, "height": 900})  # no stage of a former session is asked to fit
+    explorer.key("n")
+    explorer.expect_status("query", "1")
+    until = time.monotonic() + PATIENCE
+    while gc.collect() >= 0 and former() is not None and time.monotonic() < until:
+        time.sleep(0.2)
+    assert former() is None
     assert len(offer.app._sessions) == 1
+    assert "Traceback" not in caplog.text
+
+
+def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
+    offer: Offer, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    explorer = ExplorerPage(contexts().new_page())
+    explorer.open(offer.url)
+    for _ in range(3):
+        chip(explorer, "whole pictures").click()
+    notice = explorer.page.locator(".mantine-Notification-root", has_text="Opening whole pictures")
+    expect(notice).to_have_count(1)
+    build = ClientSession.__init__
+
+    def failing(session: ClientSession, client: Any, services: WorkspaceServices, *rest: Any) -> None:
+        if services.workspace.key == "whole":
+            raise RuntimeError("on purpose")
+        build(session, client, services, *rest)
+
+    monkeypatch.setattr(ClientSession, "__init__", failing)
+    offer.may_open.set()
+    failed = explorer.page.locator(".mantine-Notification-root", has_text="Not opened: whole pictures")
+    expect(failed).to_contain_text("The server's log has the details.")
+    expect_workspace(explorer, "four rings", 4)
+    explorer.key("n")
+    explorer.expect_status("query", "1")
 
 
 def test_a_workspace_that_does_not_open_says_why_and_the_page_stays(
