@@ -1,8 +1,8 @@
 """Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
 
-FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, the last `COUNT` photos as WebP with EXIF and XMP
-unchanged, because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; and
-`truth.csv` with the rows of these photos.
+FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos in a row as WebP with their EXIF and XMP,
+because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; and `truth.csv` with the
+rows of these photos.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from lpn.datasets.rendered import UNFINISHED
 from lpn.world.flight import MAP, TRUTH
 from lpn.world.flight_files import compressed_map
 
-COUNT = 40
-"""Photos that are packed."""
+COUNT, FIRST = 40, 0.6
+"""Photos that are packed, and where they begin as a share of the flight: with the free path, a photo a second."""
 
 QUALITY = {"photo": 68, "map": 70}
 """Of WebP, and of the map's JPEG; leaves and sensor noise cost most, and matching needs them least."""
@@ -53,7 +53,8 @@ def pack(flight: Path, out: Path) -> None:
     packed_map, photos = (path.name for path in DEMO_FLIGHT)
     with (flight / TRUTH).open(newline="") as file:
         header, *rows = csv.reader(file)
-    chosen = rows[-COUNT:]
+    begin = round(FIRST * len(rows))
+    chosen = rows[begin : begin + COUNT]
     for row in chosen:
         name, row[0] = row[0], Path(row[0]).with_suffix(".webp").name
         write_atomic(out / photos / row[0], as_webp((flight / "photos" / name).read_bytes()))

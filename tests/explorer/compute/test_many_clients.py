@@ -297,7 +297,7 @@ def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, mo
     with Browser(url(app)) as browser, ThreadPoolExecutor(1) as pool:
         browser.greet()
         # In place of the threads that viser has for all browsers' callbacks.
-        monkeypatch.setattr(session_of(app, browser)._client.gui, "_thread_executor", pool)
+        monkeypatch.setattr(session_of(app, browser).client.gui, "_thread_executor", pool)
         with reading:
             browser.upload("mine.png", picture(90))
             until(session_of(app, browser)._panels.query._upload._reading.locked)
