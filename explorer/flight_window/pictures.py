@@ -7,6 +7,7 @@ import re
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
@@ -15,10 +16,11 @@ from explorer.compute.cache import SingleFlightCache
 from explorer.server.picture_route import PREFIX, EncodedPicture
 from explorer.workspace import Workspace
 from lpn.core import images
-from lpn.core.arrays import BoolArray, UInt8Array
+from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.locate.belief import belief
 from lpn.locate.pipeline import LocatedFrame
 from lpn.maps import Map, Window
+from lpn.maps.map import OVERVIEW
 
 TILE = 256
 # Tiles and photos in the cache, some 20 KB and 150 KB each.
@@ -26,8 +28,11 @@ _TILES, _PHOTOS = 1000, 40
 # Longer side of a photo, and side of the pictures that compare a photo with the map, in pixels.
 _PHOTO, _PAIR = 1280, 220
 _QUALITY = 82
-_TILE_PATH = re.compile(r"tile/(\d{1,2})/(\d{1,7})/(\d{1,7})")
-_FRAME_PATH = re.compile(r"(photo|pair|ground)/(\d{1,7})")
+# The finest level whose tiles are cut from the map's overview, which `Map.coverage` has often read already. Without it, each
+# coarse tile would read most pixels of a map.
+_COARSE = int(math.log2(OVERVIEW / TILE))
+_TILE_PATH = re.compile(r"tile/(\d{1,2})/(\d{1,7})/(\d{1,7})", re.ASCII)
+_FRAME_PATH = re.compile(r"(photo|pair|ground)/(\d{1,7})", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -71,8 +76,8 @@ class FlightPictures:
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._name = workspace, secrets.token_hex(4)
         self.address = f"{PREFIX.lstrip('/')}{self._name}/"
-        self._tiles: SingleFlightCache[str, EncodedPicture] = SingleFlightCache(_TILES)
-        self._photos: SingleFlightCache[str, EncodedPicture] = SingleFlightCache(_PHOTOS)
+        self._tiles: SingleFlightCache[tuple[int, ...], EncodedPicture] = SingleFlightCache(_TILES)
+        self._photos: SingleFlightCache[tuple[str, int], EncodedPicture] = SingleFlightCache(_PHOTOS)
 
     def find(self, path: str) -> Callable[[], EncodedPicture] | None:
         """Return what computes the picture of a path; None if there is no such picture. The path is untrusted."""
@@ -81,17 +86,41 @@ class FlightPictures:
         if flight is None or name != self._name:
             return None
         if match := _TILE_PATH.fullmatch(rest):
-            window = Pyramid.of(flight.town).window(*map(int, match.groups()))
-            if window is None:
+            level, column, row = map(int, match.groups())
+            if Pyramid.of(flight.town).window(level, column, row) is None:
                 return None
-            return lambda: self._tiles.get(rest, lambda: encoded(*flight.town.read(window, TILE)))
-        if (match := _FRAME_PATH.fullmatch(rest)) and int(match[2]) < len(flight.frames):
-            located = flight.frames[int(match[2])]
-            if match[1] == "ground":
+            return lambda: self._tiles.get(
+                (level, column, row), lambda: encoded(*tile(flight.town, level, column, row))
+            )
+        if (match := _FRAME_PATH.fullmatch(rest)) and (frame := int(match[2])) < len(flight.frames):
+            kind, located = match[1], flight.frames[frame]
+            if kind == "ground":
                 return lambda: _ground(flight.town, located)
-            make = _photo if match[1] == "photo" else _square_photo
-            return lambda: self._photos.get(rest, lambda: make(located))
+            make = _photo if kind == "photo" else _square_photo
+            return lambda: self._photos.get((kind, frame), lambda: make(located))
         return None
+
+
+def tile(town: Map, level: int, column: int, row: int) -> tuple[UInt8Array, BoolArray]:
+    """Return a tile of a map's pyramid, RGB (TILE, TILE, 3), and which pixels are valid, (TILE, TILE)."""
+    pyramid = Pyramid.of(town)
+    window = pyramid.window(level, column, row)
+    assert window is not None
+    if level > _COARSE or pyramid.levels <= _COARSE:
+        return town.read(window, TILE)
+    step = OVERVIEW >> level
+    part = np.s_[row * step : (row + 1) * step, column * step : (column + 1) * step]
+    picture, valid = (array[part] for array in town.overview(OVERVIEW))
+    # The overview ends where the map does.
+    missing = ((0, step - valid.shape[0]), (0, step - valid.shape[1]))
+    shares = _reduced(np.pad(valid, missing).astype(np.float32))
+    sums = _reduced(np.pad(picture, (*missing, (0, 0))).astype(np.float32))
+    found = sums / np.maximum(shares, 1e-6)[..., None]  # invalid pixels are 0
+    return np.clip(found.round(), 0, 255).astype(np.uint8), shares >= 0.5
+
+
+def _reduced(array: Float32Array) -> Float32Array:
+    return cast(Float32Array, cv2.resize(array, (TILE, TILE), interpolation=cv2.INTER_AREA))
 
 
 def encoded(picture: UInt8Array, valid: BoolArray | None = None) -> EncodedPicture:

@@ -135,12 +135,12 @@ class Gateway:
                 self._rate_limiter.wrong_token(request.address)
             return refusal_page(verdict)
         if self._pictures is not None and self._pictures.serves(raw.path) and not request.upgrade:
-            return self._picture(self._pictures, raw.path, request.only("host"))
+            return self._picture(self._pictures, raw.path, request)
         response = page(connection, raw)
         return None if response is None else _add_security_headers(response, request.only("host"))
 
-    async def _picture(self, pictures: PictureRoute, path: str, host: str) -> Response:
-        return _add_security_headers(await pictures.respond(path), host)
+    async def _picture(self, pictures: PictureRoute, path: str, request: HttpRequest) -> Response:
+        return _add_security_headers(await pictures.respond(path, request.address), request.only("host"))
 
 
 class _Connection(ServerConnection):

@@ -18,9 +18,13 @@ log = logging.getLogger(__name__)
 
 # The folder of all these addresses.
 PREFIX = "/pictures/"
-# Pictures that are computed or wait. A page asks for six at a time.
-_MAX_WAITING = 64
-_PATH = re.compile(re.escape(PREFIX) + r"([\w./-]{1,120})")
+# Pictures that are computed or wait, for all browsers and for one address. A page asks for six at a time.
+_MAX_WAITING, _MAX_WAITING_FOR_ONE = 64, 32
+# Seconds after which a request is told to come again. The gateway aborts requests that take longer than 10 s.
+_PATIENCE = 8.0
+# Paths in memory whose failure was logged.
+_MAX_LOGGED = 1000
+_PATH = re.compile(re.escape(PREFIX) + r"([\w./-]{1,120})", re.ASCII)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,40 +39,53 @@ class EncodedPicture:
 PictureSource = Callable[[str], Callable[[], EncodedPicture] | None]
 
 
+@dataclass(frozen=True, eq=False)
+class _Computing:
+    """A picture that is computed or waits, and the address of the browser that asked first."""
+
+    picture: asyncio.Future[EncodedPicture]
+    address: str
+
+
 class PictureRoute:
     """Answers requests for pictures on two threads of its own, so that no browser waits for another's tiles.
 
-    A browser may keep a picture for an hour: its address must change with its content.
+    Equal requests share one computation, which goes on when a request times out. A browser may keep a picture for an hour: its
+    address must change with its content.
     """
 
     def __init__(self, source: PictureSource) -> None:
         self._source = source
         self._executor = ThreadPoolExecutor(2, thread_name_prefix="explorer-pictures")
-        self._waiting = 0
+        self._computing: dict[str, _Computing] = {}
+        self._logged: set[str] = set()
 
     def serves(self, path: str) -> bool:
         """Return whether a request's path is one of a picture."""
         return path.startswith(PREFIX)
 
-    async def respond(self, path: str) -> Response:
-        """Return the picture, or an error without a body: 404 for an unknown one, 503 if too many wait, 500 if it fails."""
+    async def respond(self, path: str, address: str = "") -> Response:
+        """Return the picture, or an error without a body.
+
+        The error is 404 for an unknown picture, 503 if too many wait, it takes long, or the app closes, and 500 if it fails.
+
+        Args:
+            address: of the browser.
+        """
         match = _PATH.fullmatch(path.partition("?")[0])
         compute = None if match is None else self._source(match[1])
         if compute is None:
             return _empty(404, "Not Found")
-        if self._waiting >= _MAX_WAITING:
+        future = self._join(path, address, compute)
+        if future is None:
             return _empty(503, "Service Unavailable")
-        self._waiting += 1
-        try:
-            picture = await asyncio.get_running_loop().run_in_executor(self._executor, compute)
-        except LPNError as error:
-            log.warning("A picture cannot be shown: %s", error)
+        # `wait` cancels no computation, neither after its time nor when the request is aborted.
+        await asyncio.wait([future], timeout=_PATIENCE)
+        if not future.done() or future.cancelled():
+            return _empty(503, "Service Unavailable")
+        if future.exception() is not None:
             return _empty(500, "Internal Server Error")
-        except Exception:
-            log.exception("A picture cannot be shown")
-            return _empty(500, "Internal Server Error")
-        finally:
-            self._waiting -= 1
+        picture = future.result()
         headers = Headers()
         headers["Content-Type"] = picture.mime
         headers["Content-Length"] = str(len(picture.data))
@@ -79,6 +96,40 @@ class PictureRoute:
     def close(self) -> None:
         """Compute no further picture."""
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def _join(
+        self, path: str, address: str, compute: Callable[[], EncodedPicture]
+    ) -> asyncio.Future[EncodedPicture] | None:
+        """Return the computation of a path, begun if there is none; None if too many wait, or the app closes."""
+        if path in self._computing:
+            return self._computing[path].picture
+        for_one = sum(one.address == address for one in self._computing.values())
+        if len(self._computing) >= _MAX_WAITING or for_one >= _MAX_WAITING_FOR_ONE:
+            return None
+        try:
+            future = asyncio.get_running_loop().run_in_executor(self._executor, compute)
+        except RuntimeError:  # the executor is shut down
+            return None
+        self._computing[path] = _Computing(future, address)
+        future.add_done_callback(lambda _: self._finish(path, future))
+        return future
+
+    def _finish(self, path: str, future: asyncio.Future[EncodedPicture]) -> None:
+        """Forget a computation; log its error once until the path succeeds."""
+        del self._computing[path]
+        error = None if future.cancelled() else future.exception()
+        if error is None:
+            self._logged.discard(path)
+            return
+        if path in self._logged:
+            return
+        if len(self._logged) >= _MAX_LOGGED:
+            self._logged.clear()
+        self._logged.add(path)
+        if isinstance(error, LPNError):
+            log.warning("A picture cannot be shown: %s", error)
+        else:
+            log.error("A picture cannot be shown", exc_info=error)
 
 
 def _empty(status: int, reason: str) -> Response:

@@ -22,6 +22,8 @@ from lpn.maps.window import Window
 _BLOCK = 512
 # Most cells of the coverage along the longer side.
 _COVERAGE = 1024
+# Pixels along the longer side of the overview that a map keeps in memory, some 16 MB.
+OVERVIEW = 2 * _COVERAGE
 # Widest map in metres: grid north and scale of one frame would be too far off.
 _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
@@ -72,7 +74,8 @@ class Map:
         self.resolution = self.sheets[0].resolution
         self._boxes = boxes
         self._coverage = coverage
-        self._lock = Lock()
+        self._lock, self._overview_lock = Lock(), Lock()
+        self._overview: tuple[UInt8Array, BoolArray] | None = None
 
     @property
     def notes(self) -> list[str]:
@@ -163,14 +166,20 @@ class Map:
     def overview(self, pixels: int) -> tuple[UInt8Array, BoolArray]:
         """Return a picture of the whole map, north up, `pixels` along its longer side.
 
+        It reads all pixels of sheets without overviews of their own, so the one of `OVERVIEW` pixels is kept.
+
         Returns:
-            RGB (rows, columns, 3) from the north-west corner of `bounds` on, and which pixels are valid (rows, columns).
+            RGB (rows, columns, 3) from the north-west corner of `bounds` on, and which pixels are valid (rows, columns); the
+            kept ones are read-only.
         """
-        west, south, east, north = self.bounds
-        side = max(east - west, north - south)
-        columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
-        whole = Window(west + side / 2, north - side / 2, side)
-        return self._read(whole, pixels, (0, 0, columns, rows))
+        if pixels != OVERVIEW:
+            return self._whole(pixels)
+        with self._overview_lock:
+            if self._overview is None:
+                self._overview = self._whole(pixels)
+                for array in self._overview:
+                    array.setflags(write=False)
+            return self._overview
 
     def digest(self) -> str:
         """Return a digest that changes with the pixels or their places: of names, sizes, and times of change of all files.
@@ -199,6 +208,13 @@ class Map:
     def _side(self) -> float:
         """The longer side in metres."""
         return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1])
+
+    def _whole(self, pixels: int) -> tuple[UInt8Array, BoolArray]:
+        west, south, east, north = self.bounds
+        side = self._side
+        columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
+        whole = Window(west + side / 2, north - side / 2, side)
+        return self._read(whole, pixels, (0, 0, columns, rows))
 
     def _read(self, window: Window, pixels: int, part: tuple[int, int, int, int]) -> tuple[UInt8Array, BoolArray]:
         picture = np.zeros((part[3], part[2], 3), np.uint8)

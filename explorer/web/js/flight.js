@@ -290,7 +290,11 @@
     all("[data-photo]").forEach((one) => one.classList.toggle("off", ["swipe", "blink"].includes(one.dataset.photo) && !followed?.homography));
     if (!there) return;
     const image = layer.firstElementChild, source = data.address + "photo/" + chosen;
-    if (image.getAttribute("src") !== source) image.setAttribute("src", source);
+    if (image.getAttribute("src") !== source) {
+      image.dataset.failures = 0;
+      image.onerror = () => flight.again(image);
+      image.setAttribute("src", source);
+    }
     if (!image.naturalWidth) {
       image.onload = draw;
       return;
@@ -302,6 +306,13 @@
     image.style.width = image.naturalWidth + "px";
     image.style.transform = lpn.transform(lpn.product(look, lpn.product(matrix, pixels)));
     layer.style.clipPath = photo === "swipe" ? `inset(0 0 0 ${swipe.value}%)` : "none";
+  };
+  // Ask twice more for a picture that could not be loaded: the server may have been busy.
+  flight.again = (image) => {
+    const failures = Number(image.dataset.failures || 0) + 1, source = image.getAttribute("src");
+    image.dataset.failures = failures;
+    if (failures > 2) return;
+    setTimeout(() => image.isConnected && image.getAttribute("src") === source && image.setAttribute("src", source), 2000 * failures);
   };
   const setPhoto = (mode) => {
     if (mode !== photo) ties = null;

@@ -5,8 +5,9 @@
   const SIDE = 256;
   // Tiles that load at once, and tiles in memory.
   const LOADING = 6, KEPT = 300;
-  // Milliseconds until a tile that could not be loaded is asked for again.
-  const RETRY = 2000;
+  // Milliseconds until a tile that could not be loaded is asked for again, twice as many after each failure, and failures after
+  // which it is left out.
+  const RETRY = 2000, ATTEMPTS = 6;
 
   // `redraw` is called when a tile has come.
   lpn.tiles = (redraw) => {
@@ -19,25 +20,32 @@
       images.set(key, found);
       return found.ready ? found : null;
     };
-    const load = (key, address) => {
+    const load = (key, address, failures) => {
       const one = new Image();
       images.set(key, one);
       one.onload = () => ((one.ready = true), redraw());
-      one.onerror = () => ((one.failed = performance.now()), setTimeout(redraw, RETRY + 100));
+      one.onerror = () => {
+        one.failures = failures + 1;
+        if (one.failures === ATTEMPTS) return;
+        const wait = RETRY * 2 ** failures;
+        one.again = performance.now() + wait;
+        setTimeout(redraw, wait + 100);
+      };
       one.src = address + "tile/" + key;
     };
+    const due = (one) => !one || performance.now() > one.again;
     const request = (wanted, address) => {
-      let busy = [...images.values()].filter((one) => !one.ready && !one.failed).length;
+      let busy = [...images.values()].filter((one) => !one.ready && !one.failures).length;
       for (const key of wanted) {
         const known = images.get(key);
         if (busy >= LOADING) break;
-        if (known && !(known.failed && performance.now() - known.failed > RETRY)) continue;
-        load(key, address);
+        if (!due(known)) continue;
+        load(key, address, known ? known.failures : 0);
         busy++;
       }
       for (const [key, one] of images) {
         if (images.size <= KEPT) break;
-        if (one.ready || one.failed) images.delete(key);
+        if (one.ready || one.failures) images.delete(key);
       }
     };
 
@@ -70,7 +78,8 @@
           }
         }
       const wanted = missing.sort((one, two) => one[0] - two[0]).map((one) => one[1]);
-      request(image(0, 0, 0) || !level ? wanted : ["0/0/0", ...wanted], data.address);
+      // The coarsest tile comes last: it may take seconds on a large map, and stands only for tiles that are not there yet.
+      request(image(0, 0, 0) || !level ? wanted : [...wanted, "0/0/0"], data.address);
       return missing.length;
     };
     return { draw: draw, clear: () => images.clear() };

@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
-from explorer.flight_window.pictures import TILE, FlightPictures, Pyramid, ground_window
+from explorer.flight_window import pictures as pictures_module
+from explorer.flight_window.pictures import TILE, FlightPictures, Pyramid, ground_window, tile
 from explorer.server.picture_route import PREFIX
 from lpn.core.arrays import AnyArray
 from lpn.locate.pipeline import LocatedFlight
-from lpn.maps import Window
+from lpn.maps import Window, open_map
+from tests.lpn.maps.small_maps import smooth, write_geotiff
 
 
 @pytest.fixture
@@ -46,16 +49,43 @@ def test_tiles_of_a_level_cover_the_map_without_gap_or_overlap(flight: LocatedFl
 def test_a_tile_shows_its_window_and_is_transparent_where_the_map_is_unknown(
     flight: LocatedFlight, pictures: FlightPictures
 ) -> None:
-    tile = loaded(pictures, "tile/1/1/0")
+    shown = loaded(pictures, "tile/1/1/0")
     window = Pyramid.of(flight.town).window(1, 1, 0)
     assert window is not None
     expected, valid = flight.town.read(window, TILE)
-    assert tile.shape[:2] == (TILE, TILE)
-    assert np.abs(tile[..., 2::-1].astype(int) - expected)[valid].mean() < 3
+    assert shown.shape[:2] == (TILE, TILE)
+    assert np.abs(shown[..., 2::-1].astype(int) - expected)[valid].mean() < 3
     edge = loaded(pictures, "tile/1/0/0")
     # The western 20 m of a tile of 100 m are not valid.
     assert edge[10:100, :40, 3].max() == 0
     assert edge[10:100, 60:, 3].min() == 255
+
+
+def test_coarse_tiles_of_a_large_map_are_cut_from_one_overview(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ground = smooth(600, 1200)
+    mask = np.full((600, 1200, 1), 255, np.uint8)
+    mask[:, :300] = 0
+    town = open_map(write_geotiff(tmp_path / "large.tif", np.dstack([ground, mask])))
+    monkeypatch.setattr(pictures_module, "TILE", 32)
+    monkeypatch.setattr(pictures_module, "OVERVIEW", 256)
+    monkeypatch.setattr(pictures_module, "_COARSE", 3)
+    monkeypatch.setattr("lpn.maps.map.OVERVIEW", 256)
+    pyramid = Pyramid.of(town)
+    places = [(0, 0, 0), (1, 1, 0), (3, 2, 1), (3, 7, 3), (3, 7, 4)]
+    windows = [pyramid.window(*place) for place in places]
+    expected = [town.read(window, 32) for window in windows if window is not None]
+    town.overview(256)
+    reads: list[Window] = []
+    read = town._read
+    monkeypatch.setattr(town, "_read", lambda window, *rest: reads.append(window) or read(window, *rest))
+    for place, (picture, valid) in zip(places, expected, strict=True):
+        found, known = tile(town, *place)
+        assert (known != valid).mean() < 0.05, place
+        both = known & valid
+        assert np.abs(found.astype(int) - picture)[both].mean() < 3 if both.any() else not valid.any(), place
+    assert not reads
+    tile(town, 4, 8, 4)
+    assert len(reads) == 1
 
 
 def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, pictures: FlightPictures) -> None:
@@ -83,6 +113,7 @@ def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, 
         "other/0",
         "tile/0/0/0/",
         "tile/0/0/0x",
+        "tile/\u0660/0/0",
     ],
 )
 def test_no_other_path_leads_to_a_picture(pictures: FlightPictures, path: str) -> None:

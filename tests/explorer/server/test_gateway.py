@@ -116,9 +116,11 @@ def test_pages_are_answered_while_pictures_are_computed_and_too_many_pictures_ar
         may_end.wait(60)
         return EncodedPicture(b"late", "image/jpeg")
 
-    picture_source["slow"] = slow
+    picture_source.update({f"slow{i}": slow for i in range(4)})
     statuses: list[int] = []
-    clients = [threading.Thread(target=lambda: statuses.append(get(app, f"{PREFIX}slow")[0])) for _ in range(4)]
+    clients = [
+        threading.Thread(target=lambda path=f"{PREFIX}slow{i}": statuses.append(get(app, path)[0])) for i in range(4)
+    ]
     for client in clients:
         client.start()
     # Two are computed, one waits, and the fourth is refused at once.
