@@ -1,8 +1,8 @@
-"""Registrations that one drone can have flown: jumps between neighbours are found out.
+"""Registrations that one drone can have flown: short jumps away and back are found out.
 
 Equal houses in a row give registrations that agree well, one house too far. Neighbours in time tell them: the drone cannot have
-been there. The largest set of frames is kept in which each is within reach of the next; of several, the one with the shortest
-track. Up to one false registration in 20 leaves the usual speed as it is.
+been there and back. A false alarm costs a true position, so the limit is generous: frames are found out only in short runs
+between neighbours that fit each other, and not at all where they would be many.
 """
 
 from __future__ import annotations
@@ -11,56 +11,100 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array
 
-# The reach of a drone is this many times the 90th percentile of speeds between neighbours, and so many radii.
-_FASTER = 1.2
+# Limits of the speed: times the 80th percentile of registered speeds, and times the largest speed of the tags near by.
+_REGISTERED, _TAGGED = 1.2, 1.3
+# Neighbours on each side whose tags are near by.
+_NEAR = 10
+# Metres a second that no limit is below: with tags, and without, when it is what common drones can fly.
+_LEAST, _COMMON = 10.0, 20.0
 _RADII = 2.0
 # Fewer positions tell no usual speed.
 _FEWEST = 8
+# Frames of the longest run that can be found out. A step that cannot be flown costs as much as one frame more.
+_LONGEST = 5
+_GAP = _LONGEST + 1.0
+# Share of the frames above which no frame should be refused.
+MOST = 0.1
 
 
-def top_speed(times: Float64Array, places: Float64Array) -> float | None:
-    """Return the metres a second that the flight can fly: 1.2 times the 90th percentile of the speeds between neighbours.
+def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
+    """Return the metres a second that the drone can fly from each position to the next, (N - 1,).
+
+    It is 1.2 times the 80th percentile of the speeds between neighbours, and at least 1.3 times the largest speed of the tags
+    from 10 positions before to 10 after, and 10 m/s. It is at least 20 m/s where there are no tags, and everywhere if half of
+    the tags stay as they were.
 
     Args:
         times: seconds, ascending, (N,).
         places: metres east and north, (N, 2).
+        tags: likewise, NaN where there is none.
 
     Returns:
         None with fewer than 8 positions, or if fewer than 7 pairs of neighbours have different times.
     """
-    steps = np.diff(times)
-    if len(times) < _FEWEST or (steps > 0).sum() < _FEWEST - 1:
+    seconds = np.diff(times)
+    if len(times) < _FEWEST or (seconds > 0).sum() < _FEWEST - 1:
         return None
-    speeds = np.linalg.norm(np.diff(places, axis=0), axis=1)[steps > 0] / steps[steps > 0]
-    return float(_FASTER * np.quantile(speeds, 0.9))
+    least = np.full(len(seconds), _COMMON)
+    if tags is not None:
+        told = np.linalg.norm(np.diff(tags, axis=0), axis=1)
+        told[seconds > 0] /= seconds[seconds > 0]
+        if (told > 0).sum() > len(told) / 2:
+            padded = np.pad(np.where(seconds > 0, told, 0), _NEAR, "edge")
+            largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEAR + 1).max(axis=1)
+            least = np.where(np.isnan(largest), _COMMON, np.maximum(_LEAST, _TAGGED * largest))
+    moved = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    usual = float(np.quantile(moved[seconds > 0] / seconds[seconds > 0], 0.8))
+    return np.asarray(np.maximum(least, _REGISTERED * usual), np.float64)
 
 
-def within_reach(times: Float64Array, places: Float64Array, radii: Float64Array, speed: float) -> BoolArray:
-    """Return which positions belong to the largest set that can be flown, (N,).
+def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds: Float64Array) -> BoolArray:
+    """Return which positions are jumps away and back, (N,).
 
-    Two positions can be flown if their distance is at most `speed` times the time between them and twice their joint 1-sigma
-    radius. Times in whole seconds may be wrong by one.
+    Two positions can be flown if their distance is at most the time between them at these speeds and twice their joint 1-sigma
+    radius. Times in whole seconds may be wrong by one. A track of positions is sought, each within reach of the next, with
+    the most frames; of several, the shortest one. A step of the track that cannot be flown costs 6 frames. The up to 5 frames
+    that a step leaves out are jumps if the step can be flown, but neither the way to them nor that from them, or not the whole
+    way over them.
+
+    Time and memory are linear in N.
 
     Args:
         times: seconds, ascending, (N,).
         places: metres east and north, (N, 2).
         radii: 1-sigma radii in metres, (N,).
-        speed: metres a second.
+        speeds: metres a second from each position to the next, (N - 1,).
     """
-    slack = 1.0 if (times == np.round(times)).all() else 0.0
-    apart = np.linalg.norm(places[:, None] - places, axis=-1)
+    count = len(times)
+    found = np.zeros(count, bool)
+    if count < 3:
+        return found
+    slack = speeds if (times == np.round(times)).all() else np.zeros_like(speeds)
+    far = np.concatenate([[0.0], np.cumsum(speeds * np.diff(times))])
+
+    def steps(lag: int) -> tuple[Float64Array, Float64Array]:
+        """Distances from each position to the one `lag` later, and how far the drone gets meanwhile, (N - lag,)."""
+        reach = far[lag:] - far[:-lag] + slack[: count - lag] + _RADII * np.hypot(radii[lag:], radii[:-lag])
+        return np.linalg.norm(places[lag:] - places[:-lag], axis=1), reach
+
+    lags = [steps(lag) for lag in range(1, min(_LONGEST + 1, count - 1) + 1)]
     # One frame more outweighs any length of the track.
-    cost = 1 / (1 + len(times) * apart.max(initial=0.0))
-    scores, previous = np.ones(len(times)), np.full(len(times), -1)
-    for i in range(1, len(times)):
-        reach = speed * (times[i] - times[:i] + slack) + _RADII * np.hypot(radii[:i], radii[i])
-        chains = np.where(apart[i, :i] <= reach, scores[:i] - cost * apart[i, :i], 0.0)
-        best = int(np.argmax(chains))
-        if chains[best] > 0:
-            scores[i], previous[i] = chains[best] + 1, best
-    kept = np.zeros(len(times), bool)
-    at = int(np.argmax(scores)) if len(times) else -1
-    while at >= 0:
-        kept[at] = True
-        at = int(previous[at])
-    return kept
+    metre = 1 / (1 + count * float(np.linalg.norm(np.ptp(places, axis=0))))
+    gains = [(1 - metre * apart - _GAP * (apart > reach)).tolist() for apart, reach in lags]
+    scores, previous = [1.0] * count, [-1] * count
+    for i in range(1, count):
+        for lag in range(1, min(len(gains), i) + 1):
+            score = scores[i - lag] + gains[lag - 1][i - lag]
+            if score > scores[i]:
+                scores[i], previous[i] = score, i - lag
+    last = int(np.argmax(scores))
+    while (first := previous[last]) >= 0:
+        apart, reach = lags[last - first - 1]
+        if last - first > 1 and apart[first] <= reach[first]:
+            way, can = (values[first:last] for values in lags[0])
+            if (way[0] > can[0] and way[-1] > can[-1]) or way.sum() > reach[first] + _RADII * radii[
+                first + 1 : last
+            ].sum():
+                found[first + 1 : last] = True
+        last = first
+    return found

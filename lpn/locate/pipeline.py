@@ -21,9 +21,8 @@ from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import cache_folder
 from lpn.flights import Flight, Frame, ground_width
 from lpn.flights.cameras import rotation
-from lpn.locate import measures
+from lpn.locate import continuity, measures
 from lpn.locate.audit import TagAudit, audit_tags
-from lpn.locate.continuity import top_speed, within_reach
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
 from lpn.locate.registration import Expectation, Registration, register
@@ -46,6 +45,9 @@ _AROUND = 0.75
 # Degrees from straight down up to which the camera's place is told, and 1-sigma error of a tilt.
 _MAX_TILT = 15.0
 _TILT_ERROR = 1.5
+# How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
+_SWAY = 0.1
+_UNKNOWN = (math.nan, math.nan)
 _TOP = 5
 # Seconds from one answer of a registration that goes on to the next.
 _PARTIAL_INTERVAL = 3.0
@@ -348,14 +350,14 @@ def registered(
             on_partial(replace(located, frames=copies))
             published = time.monotonic()
 
-    _registered(located.town, located.flight, frames, options, model, located.retrieval, report)
+    said = _registered(located.town, located.flight, frames, options, model, located.retrieval, report)
     answers = [frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
     ).reshape(-1, 2)
-    tags = np.array([(np.nan, np.nan) if frame.tag is None else frame.tag for frame in frames])
+    tags = np.array([_UNKNOWN if frame.tag is None else frame.tag for frame in frames])
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
-    return replace(located, frames=frames, audit=audit, notes=[*located.notes, *_turn_notes(frames)])
+    return replace(located, frames=frames, audit=audit, notes=[*located.notes, *said, *_turn_notes(frames)])
 
 
 def _tags(town: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
@@ -476,8 +478,8 @@ def _registered(
     model: Model | None,
     found: MapRetrieval | None,
     on_progress: Progress | None,
-) -> None:
-    """Enter the answers of the registration, those of a killed run from its records."""
+) -> list[str]:
+    """Enter the answers of the registration, those of a killed run from its records; return sentences about them."""
     matchers = [open_matcher(options.matcher)]
     if options.matcher == "auto" and matchers[0].name != SiftMatcher.name:
         matchers.append(SiftMatcher())
@@ -503,32 +505,47 @@ def _registered(
                 ratios.append(answer.width / expected)
         if on_progress is not None:
             on_progress("registration", i + 1, len(frames))
-    _refuse_jumps(frames)
+    return _refuse_jumps(frames)
 
 
-def _refuse_jumps(frames: list[LocatedFrame]) -> None:
-    """Refuse registrations that the drone cannot have flown to and from; cameras and pictures' middles are two tracks."""
+def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
+    """Refuse registrations that the drone cannot have flown to and back from, unless they are many; return sentences about it.
+
+    Cameras and pictures' middles are two tracks.
+    """
+    notes = []
     for of_camera in (True, False):
         timed = [
-            (located.frame.time, answer, located)
+            (located, answer)
             for located in frames
             if (answer := located.stages["registration"]).accepted
             and answer.camera == of_camera
             and answer.radius is not None
             and located.frame.time is not None
         ]
-        times = np.array([time for time, _, _ in timed], np.float64)
-        places = np.array([(answer.x, answer.y) for _, answer, _ in timed], np.float64).reshape(-1, 2)
-        radii = np.array([answer.radius for _, answer, _ in timed], np.float64)
-        if (speed := top_speed(times, places)) is None:
+        times = np.array([located.frame.time for located, _ in timed], np.float64)
+        places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
+        sway = 0.0 if of_camera else _SWAY
+        radii = np.array([math.hypot(answer.radius or 0.0, sway * (answer.width or 0.0)) for _, answer in timed])
+        tags = np.array([_UNKNOWN if located.tag is None else located.tag for located, _ in timed]).reshape(-1, 2)
+        if (speeds := continuity.top_speeds(times, places, tags)) is None:
             continue
-        sentence = (
-            f"The photo fits the map here, but the drone flies up to {speed:.0f} m/s and would have had to be faster to get here "
-            "and on from here: it may be an equal building."
-        )
-        for (_, answer, located), kept in zip(timed, within_reach(times, places, radii, speed), strict=True):
-            if not kept:
-                located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
+        jumps = np.flatnonzero(continuity.jumps(times, places, radii, speeds))
+        if len(jumps) > continuity.MOST * len(timed):
+            notes.append(
+                f"{len(jumps)} of {len(timed)} registrations lie where the drone would have had to be faster than it flies to "
+                "get there and back. These are too many to tell which of all are wrong, so none of them was refused; check "
+                "the track."
+            )
+            continue
+        for i in jumps:
+            located, answer = timed[i]
+            sentence = (
+                f"The photo fits the map here, but the drone flies up to {speeds[i - 1 : i + 1].max():.0f} m/s and would have "
+                "had to be faster to get here and back: it may be an equal building."
+            )
+            located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
+    return notes
 
 
 def _candidates(located: LocatedFrame, options: LocateOptions) -> list[list[float]] | None:

@@ -1,66 +1,113 @@
-"""Registrations that one drone can have flown, against brute force."""
+"""Registrations that one drone can have flown, and jumps away and back."""
 
 from __future__ import annotations
 
-from itertools import combinations, pairwise
+import os
+import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lpn.core.arrays import Float64Array
-from lpn.locate.continuity import top_speed, within_reach
+from lpn.flights import open_flight
+from lpn.locate.continuity import jumps, top_speeds
+from lpn.maps import LocalFrame
+
+EAST = np.array([1.0, 0.0])
 
 
-def flown(count: int, rng: np.random.Generator) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return times, places, and radii of a drone that flies east at 8 m/s."""
-    times = np.cumsum(rng.uniform(1.1, 3, count))
-    return times, np.stack([8 * times, np.zeros(count)], axis=1) + rng.normal(0, 0.5, (count, 2)), np.full(count, 1.0)
+def flown(speeds: list[float], step: float, seed: int = 0) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return times, places, and radii of a drone that flies east at these speeds, a frame each `step` seconds."""
+    times = (np.arange(len(speeds)) + 0.01) * step
+    noise = np.random.default_rng(seed).normal(0, 0.6, (len(speeds), 2))
+    return times, np.outer(np.cumsum(speeds) * step, EAST) + noise, np.full(len(speeds), 0.6)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_the_largest_set_with_the_shortest_track_is_kept(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    times, places, radii = flown(9, rng)
-    moved = rng.choice(9, 3, replace=False)
-    places[moved] += rng.normal(0, 30, (3, 2))
-
-    def length(chosen: tuple[int, ...]) -> float | None:
-        total = 0.0
-        for a, b in pairwise(chosen):
-            step = float(np.linalg.norm(places[a] - places[b]))
-            if step > 10 * (times[b] - times[a]) + 2 * np.sqrt(2):
-                return None
-            total += step
-        return total
-
-    found: dict[tuple[int, ...], float] = {}
-    for size in range(9, 0, -1):
-        chains = {chosen: length(chosen) for chosen in combinations(range(9), size)}
-        found = {chosen: total for chosen, total in chains.items() if total is not None}
-        if found:
-            break
-    kept = within_reach(times, places, radii, 10.0)
-    assert tuple(np.flatnonzero(kept)) == min(found, key=lambda chosen: found[chosen])
+def found(
+    times: Float64Array, places: Float64Array, radii: Float64Array, tags: Float64Array | None = None
+) -> list[int]:
+    speeds = top_speeds(times, places, tags)
+    assert speeds is not None
+    return np.flatnonzero(jumps(times, places, radii, speeds)).tolist()
 
 
-def test_two_frames_that_agree_on_the_next_house_are_found_out() -> None:
-    times, places, radii = flown(20, np.random.default_rng(1))
-    places[8:10] += (-37.0, 4.0)
-    speed = top_speed(times, places)
-    assert speed is not None
-    assert np.flatnonzero(~within_reach(times, places, radii, speed)).tolist() == [8, 9]
+@pytest.mark.parametrize("step", [0.5, 1.0, 2.4])
+@pytest.mark.parametrize(
+    "speeds",
+    [
+        [0] * 60 + [10] * 5 + [0] * 35,
+        [0] * 40 + [300] + [0] * 39,
+        [2] * 112 + [-18] * 8,
+        [0] * 60 + [28] * 5 + [0] * 35,
+    ],
+)
+def test_true_positions_of_uneven_flights_stay(speeds: list[float], step: float) -> None:
+    assert found(*flown(speeds, step)) == []
+    # Late tags, too.
+    times, places, radii = flown(speeds, step)
+    assert found(times, places, radii, places[np.maximum(np.arange(len(places)) - 2, 0)]) == []
 
 
-def test_a_flight_without_jumps_keeps_all_frames_also_with_whole_seconds() -> None:
-    times, places, radii = flown(30, np.random.default_rng(2))
-    speed = top_speed(times, places)
-    assert speed == pytest.approx(1.2 * 8, rel=0.15)
-    assert within_reach(times, places, radii, speed).all()
-    assert within_reach(np.floor(times), places, np.full(30, 0.1), speed).all()
+@pytest.mark.parametrize("name", ["brighton", "caliterra", "seneca"])
+def test_tags_of_real_flights_are_positions_that_were_flown(name: str) -> None:
+    if "LPN_FLIGHTS" not in os.environ:
+        pytest.skip("LPN_FLIGHTS does not name the folder of the real flights")
+    flight = open_flight(Path(os.environ["LPN_FLIGHTS"]) / name / "photos")
+    places = LocalFrame(*np.nanmean(flight.degrees, axis=0).tolist()).xy(*flight.degrees.T)
+    assert found(flight.times, places, np.full(len(places), 1.0)) == []
+    assert found(flight.times, places, np.full(len(places), 1.0), places) == []
+
+
+def test_the_next_house_within_a_second_is_found_out_without_tags() -> None:
+    times, places, radii = flown([8.0] * 60, 1.0)
+    places[8:10] += (-4.0, 38.0)
+    places[20] += (75.0, 0.0)
+    assert found(times, places, radii) == [8, 9, 20]
+    # A jump at the end has no way back.
+    places[59] += (0.0, 38.0)
+    assert found(times, places, radii) == [8, 9, 20]
+
+
+@pytest.mark.parametrize("jump", [(0.0, 38.0), (38.0, 0.0), (-38.0, 0.0)])
+def test_tags_tell_the_speed_so_that_the_next_house_in_two_seconds_is_found_out(jump: tuple[float, float]) -> None:
+    times, places, radii = flown([8.0] * 60, 2.4)
+    tags = places + 5.0
+    places[30] += jump
+    assert found(times, places, radii, tags) == [30]
+    # Tags that stay as they were tell no speed.
+    assert found(times, places, radii, np.zeros_like(tags)) == found(times, places, radii)
+
+
+def test_long_runs_stay_and_whole_seconds_may_be_wrong_by_one() -> None:
+    times, places, radii = flown([8.0] * 40, 1.0)
+    far = places.copy()
+    far[10:16] += (0.0, 200.0)
+    assert found(times, far, radii) == []
+    far[15] -= (0.0, 200.0)
+    assert found(times, far, radii) == [10, 11, 12, 13, 14]
+    near = places.copy()
+    near[20] += (0.0, 30.0)
+    assert found(times, near, radii) == [20]
+    assert found(np.floor(times), near, radii) == []
 
 
 def test_a_few_positions_or_equal_times_tell_no_speed() -> None:
-    times, places, _ = flown(7, np.random.default_rng(3))
-    assert top_speed(times, places) is None
-    assert top_speed(np.zeros(20), np.zeros((20, 2))) is None
-    assert within_reach(np.zeros(0), np.zeros((0, 2)), np.zeros(0), 1.0).tolist() == []
+    times, places, _ = flown([8.0] * 7, 1.0)
+    assert top_speeds(times, places) is None
+    assert top_speeds(np.zeros(20), np.zeros((20, 2))) is None
+    assert jumps(np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(0)).tolist() == []
+    assert jumps(np.zeros(2), np.zeros((2, 2)), np.zeros(2), np.zeros(1)).tolist() == [False, False]
+
+
+def test_memory_is_linear() -> None:
+    times, places, radii = flown([8.0] * 4000, 1.0)
+    places[1000] += (0.0, 60.0)
+    speeds = top_speeds(times, places)
+    assert speeds is not None
+    tracemalloc.start()
+    try:
+        assert np.flatnonzero(jumps(times, places, radii, speeds)).tolist() == [1000]
+        assert tracemalloc.get_traced_memory()[1] < 2000 * len(times)
+    finally:
+        tracemalloc.stop()
