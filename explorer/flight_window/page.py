@@ -206,6 +206,8 @@ def painting(
     values: FloatingArray = ranking.scores if painted == "all" else ranking.cosines[:, painted]
     ranked = ranking.order  # without windows of other sizes, which the retrieval does not rank
     drawn = score_map.score_map(found.places[ranked], found.sizes[ranked], values[ranked].astype(np.float64))
+    if drawn is None:
+        return None
     cells = overlays.heat_cells(drawn.cells, drawn.low, drawn.high)
     return {
         "picture": overlays.png_data_uri(cells),

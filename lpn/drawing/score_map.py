@@ -28,7 +28,7 @@ class ScoreMap:
     high: float
 
 
-def score_map(places: Float64Array, sizes: Float64Array, values: Float64Array) -> ScoreMap:
+def score_map(places: Float64Array, sizes: Float64Array, values: Float64Array) -> ScoreMap | None:
     """Paint each window's score over the ground about its centre, as far as half way to its neighbours of the same size.
 
     Where windows of several sizes lie, the highest score counts.
@@ -36,8 +36,13 @@ def score_map(places: Float64Array, sizes: Float64Array, values: Float64Array) -
     Args:
         places: centres, (W, 2) metres; those of one size lie on a grid.
         sizes: sides in metres, (W,).
-        values: scores, (W,); at least one.
+        values: scores, (W,).
+
+    Returns:
+        None without a window.
     """
+    if not len(values):
+        return None
     levels = [sizes == size for size in np.unique(sizes)]
     steps = [_step(places[level], float(sizes[level][0])) for level in levels]
     corners = [(places[m].min(0) - s / 2, places[m].max(0) + s / 2) for m, s in zip(levels, steps, strict=True)]

@@ -4,11 +4,13 @@
     DJI_0018.JPG,46.84260512,-91.99455804,46.84281 -91.99501,46.84297 -91.99430,46.84240 -91.99410,46.84224 -91.99481
 
 `latitude` and `longitude` are of the picture's middle on the ground, the other columns of its corners, in WGS 84 degrees. The
-file may be edited by hand, and by several programs at once, since each change replaces one line under a lock.
+file may be edited by hand, and by several programs at once, since each change replaces one line under a lock. It is UTF-8;
+bytes of a file's name that are not stay as they are.
 """
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 from collections.abc import Mapping
@@ -50,11 +52,7 @@ class Correction:
         Raises:
             InputError: if no camera above the ground could take such a picture.
         """
-        after, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
-        turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-        sides = np.linalg.norm(after, axis=1)
-        # Seen from above, the corners of a picture follow each other clockwise.
-        if not (turns < 0).all() or -turns.sum() / 4 < _MIN_AREA or sides.max() > _MAX_SIDE:
+        if not _possible(corners):
             raise InputError(
                 "The tie points turn the photo over, fold it, or make it too small or too large; move them back into the order "
                 "in which the photo shows them."
@@ -78,6 +76,16 @@ def homography(corners: Float64Array, width: int, height: int) -> Float64Array:
     return np.asarray(shift @ matrix, np.float64)
 
 
+def _possible(corners: Float64Array) -> bool:
+    """Return whether a camera above the ground could take a picture with these corners in metres, (4, 2)."""
+    after, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
+    turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    # Seen from above, the corners of a picture follow each other clockwise.
+    return bool(
+        (turns < 0).all() and -turns.sum() / 4 >= _MIN_AREA and np.linalg.norm(after, axis=1).max() <= _MAX_SIDE
+    )
+
+
 def read_corrections(file: Path) -> dict[str, Correction]:
     """Read all corrections, by the frame's name; empty if the file does not exist.
 
@@ -91,20 +99,32 @@ def read_corrections(file: Path) -> dict[str, Correction]:
             raise DataError(
                 f"{file} has more than {_MAX_BYTES // 1_000_000} MB, too much for corrections; move it away."
             )
-        rows = list(csv.reader(io.StringIO(file.read_text("utf-8-sig"), newline=""), strict=True))
+        rows = list(
+            csv.reader(
+                io.StringIO(
+                    file.read_bytes().removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape"), newline=""
+                ),
+                strict=True,
+            )
+        )
     except OSError as error:
         raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
+    except csv.Error as error:
+        raise DataError(f"{file} is not a CSV file; correct it, or move it away.") from error
     if not rows or rows[0] != _HEADER:
         first = printable(",".join(rows[0]))[:100] if rows else "empty"
         raise DataError(f"The first line of {file} is {first}; expected {','.join(_HEADER)}, so correct it.")
-    return {
-        name: correction
-        for number, row in enumerate(rows[1:], 1)
-        if row
-        for name, correction in [_parse(file, number, row)]
-    }
+    found: dict[str, Correction] = {}
+    for number, row in enumerate(rows[1:], 1):
+        if not row:
+            continue
+        name, correction = _parse(file, number, row)
+        if name in found:
+            raise DataError(
+                f"Entry {number} of {file} is a second one of the frame {printable(name)[:100]}; remove one of them."
+            )
+        found[name] = correction
+    return found
 
 
 def set_correction(file: Path, name: str, correction: Correction | None) -> dict[str, Correction]:
@@ -147,7 +167,14 @@ def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:
             f"Entry {number} of {file} is {printable(','.join(row))[:100]}; expected {','.join(_HEADER)}, each corner as "
             "latitude and longitude with a space between them."
         )
-    return row[0], Correction(places[0], places[1:])
+    middle, corners = places[0], places[1:]
+    near = LocalFrame(*corners[0].tolist()) if np.ptp(corners, axis=0).max() < 1 else None
+    if near is None or not _possible(near.xy(*corners.T)):
+        raise DataError(
+            f"Entry {number} of {file} has corners that turn the photo {printable(row[0])[:100]} over, fold it, or make it too "
+            "small or too large; correct them, or remove the line."
+        )
+    return row[0], Correction(middle, corners)
 
 
 def _to_csv(corrections: Mapping[str, Correction]) -> bytes:
@@ -158,4 +185,4 @@ def _to_csv(corrections: Mapping[str, Correction]) -> bytes:
         latitude, longitude = one.middle.tolist()
         corners = [f"{a:.9f} {b:.9f}" for a, b in one.corners.tolist()]
         writer.writerow([name, f"{latitude:.9f}", f"{longitude:.9f}", *corners])
-    return text.getvalue().encode("utf-8", "replace")
+    return text.getvalue().encode("utf-8", "surrogateescape")

@@ -43,7 +43,14 @@ def outline(located: LocatedFrame) -> Outline | None:
     answer = located.stages.get("sequence")
     if answer is None or not answer.accepted or answer.x is None or answer.y is None:
         return None
-    return Outline(corners - corners.mean(axis=0) + (answer.x, answer.y), False)
+    return Outline(corners - crossing(corners) + (answer.x, answer.y), False)
+
+
+def crossing(corners: Float64Array) -> Float64Array:
+    """Return where the diagonals of a picture's corners on the ground, (4, 2), cross: the ground of its middle, (2,)."""
+    along, across = corners[2] - corners[0], corners[3] - corners[1]
+    share = np.linalg.solve(np.stack([along, -across], axis=1), corners[1] - corners[0])[0]
+    return np.asarray(corners[0] + share * along, np.float64)
 
 
 def corners_of(homography: Float64Array, width: int, height: int) -> Float64Array | None:

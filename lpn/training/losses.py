@@ -40,16 +40,21 @@ def infonce_loss(
     Args:
         first, second: descriptors (B, F); row i of both shows place i, and places differ within the batch.
         temperature: divides the mean cosine over parts.
+        smoothing: label smoothing from 0 to 1, shared by the pairs that are not left out.
         overlaps: pairs of places that share ground, (B, B) bool, which are neither positives nor negatives.
     """
     similarity = first @ second.T / temperature
+    counted = torch.ones_like(similarity, dtype=torch.bool)
     if overlaps is not None:
-        similarity = similarity.masked_fill(
-            overlaps & ~torch.eye(len(overlaps), dtype=torch.bool, device=overlaps.device), -torch.inf
-        )
-    target = torch.arange(len(similarity), device=similarity.device)
-    rows, columns = (F.cross_entropy(s, target, label_smoothing=smoothing) for s in (similarity, similarity.T))
-    return (rows + columns) / 2
+        counted = ~overlaps | torch.eye(len(overlaps), dtype=torch.bool, device=overlaps.device)
+    return (_smoothed(similarity, counted, smoothing) + _smoothed(similarity.T, counted.T, smoothing)) / 2
+
+
+def _smoothed(logits: Tensor, counted: Tensor, smoothing: float) -> Tensor:
+    """Cross-entropy of (B, B) towards its diagonal, over the columns that count; these alone share the smoothing."""
+    logs = logits.masked_fill(~counted, -torch.inf).log_softmax(dim=1)
+    evenly = logs.masked_fill(~counted, 0.0).sum(dim=1) / counted.sum(dim=1)
+    return -((1 - smoothing) * logs.diagonal() + smoothing * evenly).mean()
 
 
 def contrastive_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = False) -> Tensor:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +57,17 @@ def test_corrections_are_kept_beside_the_flight_one_line_a_frame(tmp_path: Path)
     assert file.read_text().count("\n") == 2
 
 
+def test_names_that_are_not_utf_8_survive(tmp_path: Path) -> None:
+    file = tmp_path / NAME
+    name = os.fsdecode(b"caf\xe9.jpg")
+    set_correction(file, name, Correction.of(CORNERS, FRAME))
+    assert list(read_corrections(file)) == [name]
+    assert list(set_correction(file, "b.jpg", Correction.of(CORNERS, FRAME))) == [name, "b.jpg"]
+    assert list(set_correction(file, name, None)) == ["b.jpg"]
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert list(read_corrections(file)) == ["b.jpg"]
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
@@ -66,10 +78,17 @@ def test_corrections_are_kept_beside_the_flight_one_line_a_frame(tmp_path: Path)
         ("{head}\na,nan,2,1 2,1 2,1 2,1 2\n", "Entry 1"),
         ("{head}\na,91,2,1 2,1 2,1 2,1 2\n", "Entry 1"),
         ('{head}\n"a\n', "not a CSV file"),
+        ("{head}\na,48,9,48 9,48 9,48 9,48 9\n", "Entry 1 .* over, fold it"),
+        ("{head}\na,48,9,48.1 9,48 9.1,48.1 9.1,48 9\n", "Entry 1 .* over, fold it"),
+        ("{head}\na,40,10,50 0,50 20,30 20,30 0\n", "Entry 1 .* too large"),
+        ("{head}\na,48,9,48.3 9,48.3 9.3,48 9.3,48 9\n", "Entry 1 .* too large"),
+        ("{head}\n{line}\nb.jpg,{rest}\n{line}\n", "Entry 3 .* a second one of the frame a.jpg"),
     ],
 )
 def test_a_damaged_file_gets_one_sentence_and_stays(tmp_path: Path, text: str, sentence: str) -> None:
     file = tmp_path / NAME
+    rest = "48.0005,9.0005,48.001 9,48.001 9.001,48 9.001,48 9"
+    text = text.replace("{line}", f"a.jpg,{rest}").replace("{rest}", rest)
     file.write_text(text.replace("{head}", "frame,latitude,longitude,top left,top right,bottom right,bottom left"))
     before = file.read_bytes()
     with pytest.raises(DataError, match=sentence):

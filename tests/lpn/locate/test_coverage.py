@@ -48,7 +48,10 @@ def test_without_a_tag_the_sequence_places_the_picture_and_without_both_nothing_
     stages = {"sequence": StageRecord("accepted", "", 7.0, 9.0, radius=20.0)}
     found = outline(LocatedFrame(FRAME, None, stages))
     assert found is not None
-    np.testing.assert_allclose(found.corners.mean(axis=0), (7.0, 9.0))
+    # A camera at 30 m, 10 degrees from straight down, sees in its middle the ground 30 tan(10°) ahead.
+    camera = found.corners[0] - footprint(FRAME)[0]
+    ahead = 30 * np.tan(np.radians(10)) * np.array([np.sin(np.radians(40)), np.cos(np.radians(40))])
+    np.testing.assert_allclose(camera + ahead, (7.0, 9.0), atol=1e-6)
     assert outline(LocatedFrame(FRAME, None)) is None
     assert outline(LocatedFrame(Frame("a", Path("a"), 80, 60), TAG)) is None
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from lpn.core.errors import InputError
@@ -49,6 +50,23 @@ def test_infonce_is_symmetric_and_small_for_the_right_pairs(pair: tuple[Tensor, 
     assert infonce_loss(one, one, 0.05) < 1e-3
     torch.testing.assert_close(infonce_loss(one, other, 0.1), infonce_loss(other, one, 0.1))
     assert infonce_loss(one, one.roll(1, 0), 0.05) > 5
+
+
+def test_smoothed_infonce_leaves_overlapping_pairs_out(pair: tuple[Tensor, Tensor]) -> None:
+    one, other = (view.clone().requires_grad_() for view in pair)
+    overlaps = torch.zeros(B, B, dtype=torch.bool)
+    overlaps[0, 1] = overlaps[1, 0] = True
+    found = infonce_loss(one, other, 0.1, 0.2, overlaps)
+    table = one @ other.T / 0.1
+    terms = []
+    for logits in (table, table.T):
+        for i in range(B):
+            columns = [j for j in range(B) if {i, j} != {0, 1}]
+            terms.append(F.cross_entropy(logits[i, columns], torch.tensor(columns.index(i)), label_smoothing=0.2))
+    torch.testing.assert_close(found, torch.stack(terms).mean())
+    found.backward()
+    assert one.grad is not None
+    assert one.grad.isfinite().all()
 
 
 def test_descriptors_have_parts_of_equal_norm() -> None:
