@@ -161,8 +161,12 @@ def _verdict_colour(sign: bool | None) -> str:
     return theme.css(COLOURS["registration"] if sign else theme.FOR if sign is None else theme.AGAINST)
 
 
-def chosen(view: FlightView, frame: int, address: str) -> dict[str, Any]:
-    """Return what the script draws of the chosen frame."""
+def chosen(view: FlightView, frame: int, address: str, saves: int = 0) -> dict[str, Any]:
+    """Return what the script draws of the chosen frame.
+
+    Args:
+        saves: how many corrections of the page are saved; the page keeps its tie points until the number changes.
+    """
     located = view.flight.frames[frame]
     laid = view.homography(frame)
     return {
@@ -171,6 +175,7 @@ def chosen(view: FlightView, frame: int, address: str) -> dict[str, Any]:
         "homography": None if laid is None else laid.ravel().tolist(),
         "corrected": view.corrected(frame) is not None,
         "size": [located.frame.width, located.frame.height],
+        "saves": saves,
     }
 
 
@@ -180,7 +185,7 @@ def progress(registration: BackgroundJob[None] | None) -> str:
         return ""
     if registration.wait(0):
         return "" if registration.error is None else f"Registration failed: {registration.error}"
-    return f"Registering photos: {registration.done} of {registration.total or '…'}"
+    return f"Registering {registration.done}/{registration.total or '…'}"
 
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,7 +71,8 @@ class FlightService:
     """
 
     def __init__(self, workspace: Workspace) -> None:
-        self._workspace, self._lock = workspace, threading.Lock()
+        self._workspace, self._lock = workspace, threading.RLock()
+        self._watchers: list[Callable[[], None]] = []
         self.corrections_file = workspace.root / corrections.NAME
         self._view: FlightView | None = None
 
@@ -92,12 +94,26 @@ class FlightService:
         Raises:
             LPNError: when no picture could lie so, or the file cannot be written; then nothing has changed.
         """
-        view = self.view()
-        name, town = view.flight.frames[frame].frame.name, view.flight.town
-        correction = None if corners is None else Correction.of(corners, town.frame)
-        found = corrections.set_correction(self.corrections_file, name, correction)
-        with self._lock:
+        with self._lock:  # otherwise an older state of the file could be assigned last
+            view = self.view()
+            name, town = view.flight.frames[frame].frame.name, view.flight.town
+            correction = None if corners is None else Correction.of(corners, town.frame)
+            found = corrections.set_correction(self.corrections_file, name, correction)
             self._view = replace(view, corrections=found, corrections_error="")
+            watchers = list(self._watchers)
+        for on_change in watchers:
+            on_change()
+
+    def watch(self, on_change: Callable[[], None]) -> None:
+        """Call a function after each correction; it must return at once."""
+        with self._lock:
+            self._watchers.append(on_change)
+
+    def unwatch(self, on_change: Callable[[], None]) -> None:
+        """Call a function of `watch` no longer."""
+        with self._lock:
+            if on_change in self._watchers:
+                self._watchers.remove(on_change)
 
     def _read(self) -> tuple[dict[str, Correction], str]:
         try:

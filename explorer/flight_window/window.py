@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -31,6 +32,9 @@ _PAIR_SHARE = 0.49
 _FRAME_HEIGHT = 52
 # Seconds between two looks at a registration that goes on in the background.
 _INTERVAL = 1.0
+# Seconds for which the window tells what a correction led to.
+_SHOWN = 15.0
+_NO_PLACE = "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,15 @@ class _Choices:
     painted: Painted = "off"
     full_height: bool = True
     spot: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What the last correction led to, its frame, and until when it is told, in seconds of the monotonic clock."""
+
+    frame: int
+    text: str
+    until: float
 
 
 class FlightWindow:
@@ -77,8 +90,9 @@ class FlightWindow:
         self._analysis: StateAnalysis | None = None
         self._view: FlightView | None = None
         self._placed: bool | None = None
-        # What the last correction led to, and its frame.
-        self._said: tuple[int, str] = (-1, "")
+        self._resized = False
+        self._said: _Said | None = None
+        self._saves = 0
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Flight", viser.Icon.DRONE):
@@ -87,6 +101,7 @@ class FlightWindow:
             self._data, self._chosen, self._painting, self._spot, self._progress = (Html(gui) for _ in range(5))
         self._worker = Worker(self._work, on_error)
         viewport.watch(self._resize)
+        service.watch(self._worker.wake)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Return a handler for each kind of message of the window's HTML."""
@@ -109,6 +124,7 @@ class FlightWindow:
 
     def leave(self) -> None:
         """Stop working for a browser that left."""
+        self._service.unwatch(self._worker.wake)
         self._worker.stop()
 
     def _paint(self, part: Painted) -> None:
@@ -130,6 +146,11 @@ class FlightWindow:
                 self._choose(spot=spot)
             case messages.CorrectFrame(frame, corners):
                 self._correct(frame, np.array(corners, np.float64))
+            case None if kind == "flight-correct":  # the corners are infinite, or far beyond the map
+                with self._lock:
+                    analysis = self._analysis
+                if analysis is not None:
+                    self._say(analysis.state.query, _NO_PLACE)
             case messages.ForgetCorrection(frame):
                 self._correct(frame, None)
             case messages.ToggleHeight():
@@ -144,16 +165,30 @@ class FlightWindow:
             self._service.correct(frame, corners)
             text = "" if corners is None else f"Saved in {self._service.corrections_file.name}, beside the flight."
         except LPNError as error:
-            text = f"Not saved. {error}"
-        self._said = frame, text
+            self._say(frame, f"Not saved. {error}")
+        else:
+            with self._lock:
+                self._saves += 1
+            self._say(frame, text)
+
+    def _say(self, frame: int, text: str) -> None:
+        with self._lock:
+            self._said = _Said(frame, text, time.monotonic() + _SHOWN)
         self._worker.wake()
+
+    def _said_of(self, frame: int | None) -> _Said | None:
+        """Return what is told of a frame; it is forgotten at the next frame, and after some seconds."""
+        with self._lock:
+            if self._said is not None and (self._said.frame != frame or time.monotonic() >= self._said.until):
+                self._said = None
+            return self._said
 
     def _choose_query(self, state: SessionState, frame: int) -> SessionState:
         return session_state.choose_query(state, frame, len(self._workspace.tasks[state.task].queries))
 
     def _work(self) -> float | None:
         with self._lock:
-            analysis, choices = self._analysis, self._choices
+            analysis, choices, saves = self._analysis, self._choices, self._saves
         if analysis is None:
             return None
         state = analysis.state
@@ -170,12 +205,12 @@ class FlightWindow:
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height))
         shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
-        said = self._said[1] if self._said[0] == shown else ""
-        self._progress.show(page.calls({"status": said or page.progress(job)}))
+        said = self._said_of(shown)
+        self._progress.show(page.calls({"status": (said and said.text) or page.progress(job)}))
         self._chosen.show(
             page.calls(
                 {
-                    "follow": None if shown is None else page.chosen(view, shown, self._pictures.address),
+                    "follow": None if shown is None else page.chosen(view, shown, self._pictures.address, saves),
                     "answer": page.answer_window(view, analysis),
                 }
             )
@@ -185,7 +220,9 @@ class FlightWindow:
             frames = seen_by(view.outlines, *choices.spot)
             html = page.spot_list(view, frames, choices.spot)
             self._spot.show(page.calls({"spot": {"spot": choices.spot, "frames": frames, "html": html}}))
-        return _INTERVAL if running else None
+        if running:
+            return _INTERVAL
+        return None if said is None else max(said.until - time.monotonic(), 0.0)
 
     @property
     def _panel_height(self) -> int:
@@ -193,7 +230,9 @@ class FlightWindow:
 
     def _place(self, full_height: bool | None) -> None:
         """Cover the whole stage or its lower part; None hides the window."""
-        if full_height == self._placed:
+        with self._lock:
+            resized, self._resized = self._resized, False
+        if full_height == self._placed and not resized:
             return
         if full_height is not None:
             width, self._height = self._viewport.window(share=1.0 if full_height else 1 - _PAIR_SHARE)
@@ -204,5 +243,6 @@ class FlightWindow:
 
     def _resize(self) -> None:
         """Place the window again, because the viewport changed."""
-        self._placed = None if self._placed is None else not self._placed
+        with self._lock:
+            self._resized = True
         self._worker.wake()

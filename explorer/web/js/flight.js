@@ -37,6 +37,7 @@
     return [view.x + (left - width / 2) / view.scale, view.y - (top - height / 2) / view.scale];
   };
   flight.pixels = (at) => toPixels(at);
+  flight.followed = () => followed;
   flight.degrees = ([x, y]) => {
     const [west, south, east, north] = data.bounds;
     const u = (2 * x - west - east) / (east - west), v = (2 * y - south - north) / (north - south);
@@ -221,7 +222,7 @@
 
   // ---- tie points: four points of the photo that a person drags to their places on the map
   const TIES = [[0.15, 0.15], [0.85, 0.15], [0.85, 0.85], [0.15, 0.85]];
-  let ties = null; // { frame, points: metres of each tie point }
+  let ties = null; // { frame, points: metres of each tie point, saves: how many were saved when these were sent }
   const pixel = ([x, y]) => [x * followed.size[0] - 0.5, y * followed.size[1] - 0.5];
   const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
   const startTies = () => {
@@ -421,7 +422,8 @@
     if (frame !== chosen && !playing) position = frame;
     chosen = frame;
     // A saved or forgotten correction starts anew from what the server has.
-    if (ties && given && (ties.frame !== frame || ties.corrected !== undefined)) ties = null;
+    const saved = ties && given && ties.saves !== undefined && ties.saves !== given.saves;
+    if (ties && given && (ties.frame !== frame || saved)) ties = null;
     refresh();
   };
   flight.answer = (given) => ((answer = given), draw());
@@ -504,11 +506,11 @@
       const h = ties && tied();
       if (!h) return lpn.say("The tie points do not span a picture.");
       const millimetres = (value) => Math.round(1000 * value) / 1000;
-      ties.corrected = true;
+      ties.saves = followed.saves;
       lpn.send("flight-correct", [ties.frame, CORNERS.map((corner) => lpn.through(h, pixel(corner)).map(millimetres))]);
     },
     forget: () => {
-      if (ties) ties.corrected = false;
+      if (ties) ties.saves = followed.saves;
       lpn.send("flight-forget", chosen);
     },
   };

@@ -150,7 +150,7 @@ def test_the_progress_of_the_registration_is_told_until_it_ends() -> None:
     job = BackgroundJob(register, None)
     while job.total == 0:
         time.sleep(0.01)
-    assert page.progress(job) == "Registering photos: 2 of 60"
+    assert page.progress(job) == "Registering 2/60"
     may_end.set()
     assert job.wait(60)
     assert page.progress(job) == ""

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from explorer.flight_window import page
 from explorer.flight_window.service import FlightService
 from lpn.core.errors import InputError
+from lpn.locate import corrections
 from lpn.locate.corrections import NAME
 from lpn.locate.pipeline import LocatedFlight
 
@@ -43,6 +46,28 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightSe
     service.correct(2, None)
     assert service.view().homography(2) is None
     assert "corrected" not in page.data(service.view(), "x/")["tracks"]
+
+
+def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, may_end = threading.Event(), threading.Event()
+    write = corrections.set_correction
+
+    def slow(file: Path, name: str, correction: Any) -> dict[str, Any]:
+        found = write(file, name, correction)
+        if not begun.is_set():  # the first has read and written, and is the last to assign unless others wait
+            begun.set()
+            may_end.wait(0.3)
+        else:
+            may_end.set()
+        return found
+
+    monkeypatch.setattr(corrections, "set_correction", slow)
+    first = threading.Thread(target=service.correct, args=(0, CORNERS))
+    first.start()
+    assert begun.wait(60)
+    service.correct(1, CORNERS)
+    first.join(60)
+    assert sorted(service.view().corrections) == ["photo0.png", "photo1.png"]
 
 
 def test_a_refused_correction_changes_nothing(service: FlightService, tmp_path: Path) -> None:
