@@ -39,6 +39,8 @@ TILES = 48
 CARDS = 256
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
+# The grey that stands for a picture that cannot be read.
+_UNREADABLE = 60
 
 
 class Workspace:
@@ -188,14 +190,17 @@ class Workspace:
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.tasks[name]
-        picture = self.load_picture(task.gallery[index])
+        try:
+            picture = self.load_picture(task.gallery[index])
+        except PictureError:  # one damaged window does not spoil the answers that rank it
+            return np.full((*self.layout.card_pixels[::-1], 3), _UNREADABLE, np.uint8)
         return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)
 
     def _make_thumbnail(self, picture: Picture) -> str:
         try:
             shown = overlays.square(picture.load(), _THUMBNAIL)
         except PictureError:  # a flight may have frames that cannot be read
-            shown = np.full((_THUMBNAIL, _THUMBNAIL, 3), 60, np.uint8)
+            shown = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
         return overlays.data_uri(shown)
 
 

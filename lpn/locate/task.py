@@ -18,7 +18,7 @@ from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
-from lpn.core.errors import InputError
+from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
 from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import Picture, Truth
@@ -52,7 +52,10 @@ class _WindowCut:
     pixels: int
 
     def __call__(self) -> UInt8Array:
-        return self.town.read(self.window, self.pixels)[0]
+        try:
+            return self.town.read(self.window, self.pixels)[0]
+        except DataError as error:  # as `Picture.load` promises
+            raise PictureError(str(error)) from error
 
 
 @dataclass(frozen=True)

@@ -244,18 +244,18 @@ def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_f
     page.locator("[data-act=forget]").click()
     expect(page.locator("#lpn-flight-corrected")).to_have_count(0)
     assert read_corrections(file) == {}
-    # A photo that is turned over is refused; its tie points stay where they are when another browser forgets or saves something.
+    # A photo that is turned over is refused; its tie points stay where they are when the frame's card changes.
     left, right = box(page.locator('[data-tie="0"]')), box(corner)
     page.mouse.move(right["x"] + 10, right["y"] + 10)
     page.mouse.down()
     page.mouse.move(left["x"] - 60, left["y"] + 10, steps=4)
     page.mouse.up()
-    folded = box(corner)
+    folded = box(corner)["x"]
     page.locator("[data-act=save]").click()
     expect(page.locator("#lpn-flight .status")).to_contain_text("Not saved. The tie points turn the photo over")
     page.evaluate("() => lpn.flight.follow({ ...lpn.flight.followed(), card: 'another' })")
     expect(page.locator("#lpn-flight .about")).to_have_text("another")
-    assert box(corner) == folded
+    assert box(corner)["x"] == pytest.approx(folded, abs=2)
     assert read_corrections(file) == {}
 
 

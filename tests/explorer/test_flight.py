@@ -24,11 +24,11 @@ from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.cli.main import main
-from lpn.core.errors import InputError, PictureError
+from lpn.core.errors import DataError, InputError, PictureError
 from lpn.flights import write_flight
 from lpn.locate.pipeline import LocatedFlight, StageRecord
 from lpn.locate.task import TASK
-from lpn.maps import Window
+from lpn.maps import Map, Window
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
@@ -73,6 +73,19 @@ def test_frames_are_the_queries_and_windows_of_the_map_the_gallery(workspace: Wo
     assert analysis.matches[0].score == pytest.approx(located.frames[5].windows[0].score, abs=1e-5)
     assert workspace.thumbnail(task.queries[5]).startswith("data:image/jpeg")
     assert UrlState(workspace).read(f"query={task.query_names[5]}", _state(workspace, 0))[0].query == 5
+
+
+def test_a_window_that_cannot_be_read_is_grey_in_the_answers_that_rank_it(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def damaged(*_: Any) -> None:
+        raise DataError("The sheet is damaged.")
+
+    monkeypatch.setattr(Map, "read", damaged)
+    task = workspace.tasks[TASK]
+    card = workspace.card(task, 3)
+    assert (card.shape[1::-1], card.min(), card.max()) == (workspace.layout.card_pixels, 60, 60)
+    assert workspace.thumbnail(task.gallery[3]).startswith("data:image/jpeg")
 
 
 def test_the_picture_of_all_tiles_is_the_map(workspace: Workspace) -> None:

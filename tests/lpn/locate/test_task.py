@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import lpn
 from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import Task
+from lpn.core.errors import DataError, PictureError
 from lpn.flights import Flight
 from lpn.locate import retrieval
 from lpn.locate.pipeline import LocatedFlight, LocateOptions, locate
@@ -128,3 +130,14 @@ def test_no_window_is_cut_before_it_is_shown(
     assert task.gallery[7].load().shape == (*model.input_size, 3)
     assert located.retrieval is not None
     assert cuts == [located.retrieval.windows[7]]
+
+
+def test_a_window_on_a_damaged_part_of_the_map_is_a_picture_that_cannot_be_read(
+    task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def damaged(*_: Any) -> None:
+        raise DataError("The tile 3.png cannot be read; delete it, or make it again.")
+
+    monkeypatch.setattr(Map, "read", damaged)
+    with pytest.raises(PictureError, match=r"The tile 3\.png cannot be read"):
+        task.gallery[7].load()
