@@ -32,7 +32,7 @@ from lpn.locate.tracks import State, TrackPoint
 from lpn.maps import Map
 from lpn.models.base import Model
 
-FORMAT = "lpn-locate/2"
+FORMAT = "lpn-locate/3"
 STAGES = ("retrieval", "sequence", "registration")
 Progress = Callable[[str, int, int], None]
 # Ratios between the ground widths that are tried where none is known.
@@ -42,6 +42,8 @@ _RECENT = 7
 _LATEST = 3
 # Ground widths around a candidate that are searched.
 _AROUND = 0.75
+# Share of a photo's ground beyond what was searched, above which the search is repeated about the place found.
+_BEYOND = 0.05
 # Degrees from straight down up to which the camera's place is told, and 1-sigma error of a tilt.
 _MAX_TILT = 15.0
 _TILT_ERROR = 1.5
@@ -585,23 +587,40 @@ def _register_frame(
         told *= float(np.median(ratios[-_RECENT:]))
     best: Registration | None = None
     searched = 0.0
-    for kind, (width, known) in product(features, list(_tried_widths(town, told, widths))):
-        reach = _AROUND * width + (options.prior or 0.0 if found is None else 0.5 * float(np.median(found.sizes)))
-        ground = kind.around(centres, reach, width)
-        if ground is None:
-            return StageRecord(
-                "refused",
-                f"More than {MAX_BLOCKS} blocks of {town.name} would have to be searched for this photo; give --model, or "
-                "--prior with the metres around the tag.",
-            )
-        expected = Expectation(width if known else None, frame.heading, heading_is_certain(frame))
-        answer = register(kind.matcher, photo, ground, expected, [width], town.bounds)
-        if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
-            best, searched = answer, reach
-        if answer.accepted:
+    for again in (False, True):
+        best = None
+        for kind, (width, known) in product(features, list(_tried_widths(town, told, widths))):
+            reach = _AROUND * width + (options.prior or 0.0 if found is None else 0.5 * float(np.median(found.sizes)))
+            ground = kind.around(centres, reach, width)
+            if ground is None:
+                return StageRecord(
+                    "refused",
+                    f"More than {MAX_BLOCKS} blocks of {town.name} would have to be searched for this photo; give --model, or "
+                    "--prior with the metres around the tag.",
+                )
+            expected = Expectation(width if known else None, frame.heading, heading_is_certain(frame))
+            answer = register(kind.matcher, photo, ground, expected, [width], town.bounds)
+            if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
+                best, searched = answer, reach
+            if answer.accepted:
+                break
+        assert best is not None
+        if again or found is None or centres is None or not _reaches_out(best, photo.shape[1::-1], centres, searched):
             break
+        # A wrong place at the border of what was searched has no rival, as the true one beyond was not seen.
+        assert best.centre is not None
+        centres = best.centre[None]
     assert best is not None
     return _record(frame, photo.shape[1::-1], best, searched if found is None and centres is not None else None)
+
+
+def _reaches_out(answer: Registration, size: tuple[int, int], centres: Float64Array, reach: float) -> bool:
+    """Return whether an accepted photo of this size lies beyond squares of side 2 `reach` about points (K, 2)."""
+    if not answer.accepted:
+        return False
+    pixels = np.stack(np.meshgrid(*(np.linspace(0, side - 1, 9) for side in size)), axis=-1).reshape(-1, 2)
+    off = np.abs(answer.to_metres(pixels)[:, None] - centres).max(axis=2).min(axis=1)
+    return bool((off > reach).mean() > _BEYOND)
 
 
 def _tried_widths(town: Map, told: float | None, widths: list[float]) -> Iterator[tuple[float, bool]]:

@@ -18,7 +18,16 @@ from lpn.flights.cut import cut_square
 from lpn.locate import pipeline
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import SiftMatcher
-from lpn.locate.pipeline import LocatedFlight, LocatedFrame, LocateOptions, StageRecord, locate, nadir_pixel
+from lpn.locate.pipeline import (
+    LocatedFlight,
+    LocatedFrame,
+    LocateOptions,
+    StageRecord,
+    WindowRecord,
+    locate,
+    nadir_pixel,
+)
+from lpn.locate.registration import Registration
 from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.maps import Map, Window, open_map
 from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, GridModel, ground_to_photo, land, photo_of
@@ -214,6 +223,39 @@ def test_a_prior_beside_a_model_is_refused(town: Map, flight: Flight) -> None:
 def test_an_expected_width_is_tried_freely_too(town: Map) -> None:
     assert list(pipeline._tried_widths(town, 90.0, [])) == [(90.0, True), (90.0, False)]
     assert list(pipeline._tried_widths(town, 90.0, [50.0])) == [(90.0, True), (90.0, False)]
+
+
+@pytest.mark.parametrize(("east", "searches"), [(0.0, 1), (90.0, 2)])
+def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, east: float, searches: int
+) -> None:
+    found = Registration(
+        True, "", "sift", support=20.0, width=WIDTH, centre=np.array([east, 0.0]), covariance=np.eye(2)
+    )
+    found = replace(found, homography=np.linalg.inv(ground_to_photo((east, 0.0), 0.0, WIDTH, SIZE)))
+    answers = [found, Registration(False, "Another place agrees nearly as well.", "sift")]
+    centres: list[list[float]] = []
+
+    def search(matcher: object, photo: object, ground: np.ndarray, *rest: object) -> Registration:
+        del matcher, photo, rest
+        centres.append(ground[0].tolist())
+        return answers[min(len(centres), 2) - 1]
+
+    monkeypatch.setattr(pipeline, "register", search)
+    features = MapFeatures(town, SiftMatcher())
+    monkeypatch.setattr(features, "around", lambda places, *_: places)
+    located = LocatedFrame(flight.frames[0], None, windows=[WindowRecord(5.0, 0.0, 40.0, 0.9, 0.0, [], [])])
+    ranked = sized(np.full(25, 40.0))
+    answer = pipeline._register_frame(town, [features], located, SIFT, [], [], ranked)
+    assert answer.accepted == (searches == 1)
+    assert centres[0] == [5.0, 0.0]
+    assert set(map(tuple, centres[1:])) == ({(90.0, 0.0)} if searches == 2 else set())
+
+
+def sized(sizes: np.ndarray) -> MapRetrieval:
+    """Return a retrieval of which only the windows' sizes are known."""
+    none = np.zeros(0)
+    return MapRetrieval([], none, sizes, none.astype(np.float32), [], [], none, none, 32, {}, {})
 
 
 def _tilted(folder: Path, pitch: float, roll: float, told: float) -> Frame:
