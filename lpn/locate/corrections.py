@@ -29,8 +29,8 @@ from lpn.maps import LocalFrame
 NAME = "corrections.csv"
 _HEADER = ["frame", "latitude", "longitude", "top left", "top right", "bottom right", "bottom left"]
 _MAX_BYTES = 50_000_000
-# Longest side and least area of a corrected picture, in metres and square metres.
-_MAX_SIDE, _MIN_AREA = 20_000.0, 1.0
+# Sides and least area of a corrected picture, in metres and square metres, and the least sine at a corner.
+_MIN_SIDE, _MAX_SIDE, _MIN_AREA, _MIN_SINE = 0.1, 20_000.0, 1.0, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +76,20 @@ def homography(corners: Float64Array, width: int, height: int) -> Float64Array:
     return np.asarray(shift @ matrix, np.float64)
 
 
-def _possible(corners: Float64Array) -> bool:
-    """Return whether a camera above the ground could take a picture with these corners in metres, (4, 2)."""
+def _possible(corners: Float64Array, slack: float = 1.0) -> bool:
+    """Return whether a camera above the ground could take a picture with these corners in metres, (4, 2).
+
+    Args:
+        slack: factor of at least 1 on the limits, for corners that were rounded since they were checked.
+    """
     after, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    sides = np.linalg.norm(after, axis=1)
+    if not (_MIN_SIDE / slack <= sides.min() and sides.max() <= _MAX_SIDE * slack):
+        return False
     # Seen from above, the corners of a picture follow each other clockwise.
-    return bool(
-        (turns < 0).all() and -turns.sum() / 4 >= _MIN_AREA and np.linalg.norm(after, axis=1).max() <= _MAX_SIDE
-    )
+    sines = -turns / (sides * np.roll(sides, 1))
+    return bool((sines >= _MIN_SINE / slack).all() and -turns.sum() / 4 >= _MIN_AREA / slack)
 
 
 def read_corrections(file: Path) -> dict[str, Correction]:
@@ -168,8 +174,7 @@ def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:
             "latitude and longitude with a space between them."
         )
     middle, corners = places[0], places[1:]
-    near = LocalFrame(*corners[0].tolist()) if np.ptp(corners, axis=0).max() < 1 else None
-    if near is None or not _possible(near.xy(*corners.T)):
+    if not _possible(LocalFrame(*corners[0].tolist()).xy(*corners.T), slack=1.25):
         raise DataError(
             f"Entry {number} of {file} has corners that turn the photo {printable(row[0])[:100]} over, fold it, or make it too "
             "small or too large; correct them, or remove the line."

@@ -57,6 +57,15 @@ def test_corrections_are_kept_beside_the_flight_one_line_a_frame(tmp_path: Path)
     assert file.read_text().count("\n") == 2
 
 
+@pytest.mark.parametrize(("latitude", "longitude"), [(48.0, 9.0), (85.0, 179.9999), (-16.0, -179.9999)])
+@pytest.mark.parametrize("length", [1.01, 19_990.0])
+def test_what_is_saved_can_be_read(tmp_path: Path, latitude: float, longitude: float, length: float) -> None:
+    file, frame = tmp_path / NAME, LocalFrame(latitude, longitude)
+    corners = np.array([(0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.02, 0.0)]) * length
+    set_correction(file, "a", Correction.of(corners, frame))
+    np.testing.assert_allclose(frame.xy(*read_corrections(file)["a"].corners.T), corners, atol=2e-3)
+
+
 def test_names_that_are_not_utf_8_survive(tmp_path: Path) -> None:
     file = tmp_path / NAME
     name = os.fsdecode(b"caf\xe9.jpg")
