@@ -179,13 +179,13 @@ def chosen(view: FlightView, frame: int, address: str, saves: int = 0) -> dict[s
     }
 
 
-def progress(registration: BackgroundJob[None] | None) -> str:
-    """Return a sentence about a registration that goes on or failed; empty without one."""
+def progress(registration: BackgroundJob[None] | None, frames: int) -> str:
+    """Return how far a registration of a number of frames is, or why it failed; empty without one."""
     if registration is None:
         return ""
     if registration.wait(0):
         return "" if registration.error is None else f"Registration failed: {registration.error}"
-    return f"Registering {registration.done}/{registration.total or '…'}"
+    return f"Registering {registration.done}/{registration.total or frames}"
 
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:

@@ -206,7 +206,7 @@ class FlightWindow:
         self._shell.show(page.shell(names, self._panel_height))
         shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
         said = self._said_of(shown)
-        self._progress.show(page.calls({"status": (said and said.text) or page.progress(job)}))
+        self._progress.show(page.calls({"status": (said and said.text) or page.progress(job, len(view.flight.frames))}))
         self._chosen.show(
             page.calls(
                 {

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import FloatRect, Locator, Page, expect
+from playwright.sync_api import FloatRect, Locator, Page, Route, expect
 
 import lpn
 from explorer.app import App
@@ -147,6 +147,28 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     window.expect_frame(5)
     window.page.locator(".entry", has_text="Too few.").click()
     window.expect_frame(REFUSED)
+
+
+@pytest.mark.slow
+def test_pictures_that_the_server_is_too_busy_for_are_asked_for_again(
+    flight_app: RunningFlight, new_page: Callable[[], Page]
+) -> None:
+    window, asked = FlightPage(new_page()), list[str]()
+
+    def busy_at_first(route: Route) -> None:
+        asked.append(route.request.url)
+        route.fulfill(status=503) if asked.count(asked[-1]) == 1 else route.continue_()
+
+    window.page.route("**/pictures/**", busy_at_first)
+    window.enter(flight_app)
+
+    def shown() -> None:
+        sizes = window.page.locator("#lpn-flight figure img").evaluate_all("all => all.map((one) => one.naturalWidth)")
+        assert len(sizes) == 2
+        assert min(sizes) > 0
+
+    window.eventually(shown)
+    assert {asked.count(url) for url in asked} == {2}
 
 
 @pytest.mark.slow

@@ -137,10 +137,11 @@ def test_the_answer_is_the_window_that_the_stage_compares(view: FlightView, flig
 
 
 def test_the_progress_of_the_registration_is_told_until_it_ends() -> None:
-    assert page.progress(None) == ""
-    may_end = threading.Event()
+    assert page.progress(None, 60) == ""
+    may_begin, may_end = threading.Event(), threading.Event()
 
     def register(report: ReportProgress) -> None:
+        assert may_begin.wait(60)
         report(2, 60)
         may_end.wait(60)
         if may_fail:
@@ -148,16 +149,18 @@ def test_the_progress_of_the_registration_is_told_until_it_ends() -> None:
 
     may_fail = False
     job = BackgroundJob(register, None)
+    assert page.progress(job, 60) == "Registering 0/60"
+    may_begin.set()
     while job.total == 0:
         time.sleep(0.01)
-    assert page.progress(job) == "Registering 2/60"
+    assert page.progress(job, 60) == "Registering 2/60"
     may_end.set()
     assert job.wait(60)
-    assert page.progress(job) == ""
+    assert page.progress(job, 60) == ""
     may_fail = True
     job = BackgroundJob(register, None)
     assert job.wait(60)
-    assert page.progress(job) == "Registration failed: A photo is damaged."
+    assert page.progress(job, 60) == "Registration failed: A photo is damaged."
 
 
 def test_a_spot_lists_the_frames_that_show_it(view: FlightView) -> None:
