@@ -21,8 +21,8 @@ from lpn.datasets.rendered import UNFINISHED
 from lpn.world.flight import MAP, TRUTH
 from lpn.world.flight_files import compressed_map
 
-COUNT, FIRST = 40, 0.6
-"""Photos that are packed, and where they begin as a share of the flight: with the free path, a photo a second."""
+COUNT, FIRST = 40, 0.57
+"""Photos that are packed, and where they begin as a share of the flight: shortly before the free path, a photo a second."""
 
 QUALITY = {"photo": 68, "map": 70}
 """Of WebP, and of the map's JPEG; leaves and sensor noise cost most, and matching needs them least."""
