@@ -17,6 +17,7 @@ from explorer.server.picture_route import PREFIX, EncodedPicture
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
+from lpn.core.errors import DataError
 from lpn.locate.belief import belief
 from lpn.locate.pipeline import LocatedFrame
 from lpn.maps import Map, Window
@@ -108,9 +109,13 @@ def tile(town: Map, level: int, column: int, row: int) -> tuple[UInt8Array, Bool
     assert window is not None
     if level > _COARSE or pyramid.levels <= _COARSE:
         return town.read(window, TILE)
+    try:
+        overview = town.overview(OVERVIEW)
+    except DataError:  # a damaged part of the map must not hide the others
+        return town.read(window, TILE)
     step = OVERVIEW >> level
     part = np.s_[row * step : (row + 1) * step, column * step : (column + 1) * step]
-    picture, valid = (array[part] for array in town.overview(OVERVIEW))
+    picture, valid = (array[part] for array in overview)
     # The overview ends where the map does.
     missing = ((0, step - valid.shape[0]), (0, step - valid.shape[1]))
     shares = _reduced(np.pad(valid, missing).astype(np.float32))

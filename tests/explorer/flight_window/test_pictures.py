@@ -11,6 +11,7 @@ from explorer.flight_window import pictures as pictures_module
 from explorer.flight_window.pictures import TILE, FlightPictures, Pyramid, ground_window, tile
 from explorer.server.picture_route import PREFIX
 from lpn.core.arrays import AnyArray
+from lpn.core.errors import DataError
 from lpn.locate.pipeline import LocatedFlight
 from lpn.maps import Window, open_map
 from tests.lpn.maps.small_maps import smooth, write_geotiff
@@ -86,6 +87,12 @@ def test_coarse_tiles_of_a_large_map_are_cut_from_one_overview(tmp_path: Path, m
     assert not reads
     tile(town, 4, 8, 4)
     assert len(reads) == 1
+
+    def damaged(_: int) -> None:
+        raise DataError("The tile 3.png cannot be read.")
+
+    monkeypatch.setattr(town, "overview", damaged)
+    assert (tile(town, 1, 1, 0)[0] == expected[1][0]).all()
 
 
 def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, pictures: FlightPictures) -> None:
