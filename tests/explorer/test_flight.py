@@ -54,7 +54,9 @@ def _state(workspace: Workspace, query: int) -> SessionState:
     return SessionState(TASK, workspace.spec.n_parts, query=query)
 
 
-def _register(located: LocatedFlight, *_: Any, on_progress: Callable[[str, int, int], None]) -> LocatedFlight:
+def _register(
+    located: LocatedFlight, *_: Any, on_progress: Callable[[str, int, int], None], **__: Any
+) -> LocatedFlight:
     """Refuse all frames, as the registration would enter them."""
     on_progress("registration", len(located.frames), len(located.frames))
     refused = StageRecord("refused", "Only 4 matches agree.", inliers=4)
