@@ -124,7 +124,7 @@ class Workspace:
 
         Without a network, these are changes of the query, uploads, heatmaps, and the explain window.
         """
-        if not self.has_flight:
+        if state.flight and not self.has_flight:
             state = replace(state, flight=False)
         return (
             state

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, expect, sync_playwright
 
 from lpn.core.demo import DEMO
 from lpn.models.checkpoints import save
@@ -295,7 +295,12 @@ class ExplorerPage:
         shots = [b"", b""]
         while True:
             self.settle()
-            shots = [*shots[-2:], shown.screenshot()]
+            try:
+                shots = [*shots[-2:], shown.screenshot()]
+            except Error as error:
+                if "not attached" not in error.message:  # else the page has just put another in its place
+                    raise
+                continue
             if len(set(shots)) == 1:
                 picture = cv2.imdecode(np.frombuffer(shots[-1], np.uint8), cv2.IMREAD_COLOR).astype(int)
                 if holds(picture):
