@@ -113,7 +113,8 @@ class UrlState:
         return key if key != self._workspace.key and key in self._workspace.choices else None
 
     def _write_key(self, _: SessionState) -> str | None:
-        return None if self._workspace.key in ("", next(iter(self._workspace.choices), "")) else self._workspace.key
+        first = next(iter(self._workspace.choices), self._workspace.key)
+        return None if self._workspace.key == first else self._workspace.key
 
     def _read_key(self, state: SessionState, value: str) -> SessionState:
         if value != self._workspace.key:
