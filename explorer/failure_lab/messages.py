@@ -14,6 +14,7 @@ from msgspec import Meta
 from explorer.failure_lab import state
 from explorer.failure_lab.service import Findings, MapKind
 from explorer.failure_lab.state import LabState, OutcomeFilter, Tab
+from explorer.web import messages
 
 Index = Annotated[int, Meta(ge=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
@@ -165,12 +166,7 @@ MESSAGES: dict[str, type[LabMessage]] = {
 
 def decode(kind: str, value: Any) -> LabMessage | None:
     """Return the message that a JSON value holds, None if it holds none of this kind."""
-    message_type = MESSAGES[kind]
-    count = len(message_type.__struct_fields__)
-    try:
-        return msgspec.convert(value if count > 1 else [value][:count], message_type)
-    except (msgspec.ValidationError, UnicodeEncodeError):
-        return None
+    return messages.decode(MESSAGES, kind, value)
 
 
 def apply(message: LabMessage, lab: LabState, findings: Findings | None) -> LabState:

@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from explorer.web import messages
+
 Index = Annotated[int, Meta(ge=0, le=10**7)]
 Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Spot = tuple[Metres, Metres]
@@ -62,9 +64,4 @@ MESSAGES: dict[str, type[FlightMessage]] = {
 
 def decode(kind: str, value: Any) -> FlightMessage | None:
     """Return the message that a JSON value holds, None if it holds none of this kind."""
-    message_type = MESSAGES[kind]
-    count = len(message_type.__struct_fields__)
-    try:
-        return msgspec.convert(value if count > 1 else [value][:count], message_type)
-    except (msgspec.ValidationError, UnicodeEncodeError):
-        return None
+    return messages.decode(MESSAGES, kind, value)

@@ -1,4 +1,4 @@
-"""What is derived from a workspace's flight once for all browsers, and a person's corrections of its frames."""
+"""The view of a workspace's flight, derived once for all browsers, and a person's corrections of its frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lpn.locate.pipeline import LocatedFlight
 
 @dataclass(frozen=True, eq=False)
 class FlightView:
-    """What the windows show of a flight.
+    """The parts of a flight that all flight windows show.
 
     Attributes:
         outlines: the ground that each frame shows; None where it is unknown.

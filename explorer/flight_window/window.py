@@ -54,7 +54,7 @@ class _Choices:
 
 @dataclass(frozen=True)
 class _Said:
-    """What the last correction led to, its frame, and until when it is told, in seconds of the monotonic clock."""
+    """The result of the last correction, its frame, and the end of its display in seconds of the monotonic clock."""
 
     frame: int
     text: str

@@ -344,7 +344,7 @@ def _cell(setting: str, value: object) -> str:
 def table(first: str, second: str) -> str:
     """Return a Markdown table of two recipes, with the source of each setting; those without effect in both stand below it.
 
-    Of two recipes that are ours, it has the settings in which they differ, and those that they share stand below it.
+    The table of two recipes that are ours has the settings in which they differ. Settings that they share stand below it.
     """
     recipes = {name: asdict(find(name)) for name in (first, second)}
     if not {first, second} & set(_CHAINS):

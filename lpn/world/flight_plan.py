@@ -92,7 +92,7 @@ class AerialPose:
 
 @dataclass(frozen=True)
 class Tag:
-    """What a picture's files tell, unrounded.
+    """The values that a picture's files tell, before they are rounded.
 
     Attributes:
         takeoff_height: metres above the point of take-off.
@@ -208,7 +208,7 @@ def plan_flight(city: City, site: Site, frames: int) -> FlightPlan:
     )
     yaw = (nose + pan + rng.normal(0, 0.5, frames)) % 360
     e = TAG_ERRORS
-    # What the gimbal tells, and what it does.
+    # The gimbal tells `pitch` and `yaw`; the camera's own angles differ by its errors.
     pitch = np.minimum(pitch + rng.normal(0, 0.15, frames), -0.1)
     heading = yaw + rng.normal(0, e.compass) + rng.normal(0, e.yaw, frames)
     tilt = rng.normal(0, e.tilt, (2, frames))
