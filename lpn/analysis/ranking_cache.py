@@ -107,7 +107,8 @@ def cache_file(task: Task) -> Path | None:
     for labels in (task.query_labels, task.gallery_labels):
         digest.update(np.ascontiguousarray(labels, np.int64).tobytes() + b"|")
     for truth in task.truth or ():
-        digest.update(truth.good.astype(np.int64).tobytes() + b"/" + truth.junk.astype(np.int64).tobytes() + b"|")
+        digest.update(truth.good.astype(np.int64).tobytes() + b"/" + truth.junk.astype(np.int64).tobytes())
+        digest.update(b"|" if truth.trapezoid else b"-")
     return folder / f"{digest.hexdigest()[:24]}.npz"
 
 

@@ -74,11 +74,14 @@ class Truth:
         good: the true matches, (M,).
         junk: pictures that are removed from the ranking before it is scored, (J,).
         known: False if nobody knows the query's place. It is ranked, but counts neither as found nor as missed.
+        trapezoid: True if AP integrates the precision-recall points by the trapezoid rule; False if it is the mean precision at
+            the true matches, as GTA-UAV has it.
     """
 
     good: Int64Array
     junk: Int64Array
     known: bool = True
+    trapezoid: bool = True
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from lpn.locate.sequence import MotionModel, emissions, smooth
 from lpn.locate.tracks import State, TrackPoint
 from lpn.maps import Map
 from lpn.models.base import Model
+from lpn.retrieval import field_metrics
 
 FORMAT = "lpn-locate/3"
 STAGES = ("retrieval", "sequence", "registration")
@@ -261,11 +262,11 @@ class LocatedFlight:
         distances = np.array(rows)
         read = distances[np.isfinite(distances).all(axis=1)]
         depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
-        found = {f"recall@{k}": measures.recall_at(hits, k) for k in depths}
-        found |= {f"sdm@{k}": float(measures.sdm_at(distances, k, measures.GTA_UAV_DECAY).mean()) for k in depths}
+        found = {f"recall@{k}": field_metrics.recall_at(hits, k) for k in depths}
+        found |= {f"sdm@{k}": float(field_metrics.sdm_gta_uav(distances, k).mean()) for k in depths}
         if len(read):
-            found |= {f"dis@{k}": float(measures.distance_at(read, k).mean()) for k in depths}
-        return found | {f"ma@{m}": measures.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
+            found |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
+        return found | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
 
 
 def locate(
@@ -381,7 +382,7 @@ def _tags(town: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
     off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
     if (off > margin).all():
         middle = (town.frame.latitude, town.frame.longitude)
-        nearest = measures.great_circle(flight.degrees[given], np.array(middle)).min() / 1000
+        nearest = field_metrics.great_circle(flight.degrees[given], np.array(middle)).min() / 1000
         notes.append(
             f"The flight is elsewhere than the map {town.name}: its nearest position is {nearest:.1f} km from the map's middle. "
             "The positions were left out; give the map of this flight, unless its positions are wrong."

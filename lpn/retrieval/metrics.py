@@ -21,7 +21,18 @@ from lpn.retrieval import ranks
 from lpn.retrieval.inner_products import Scores, norms
 from lpn.retrieval.ranks import JUNK, GroundTruth, Ranked
 
-__all__ = ["JUNK", "Retrieval", "check_truth", "checked_labels", "evaluate", "flat_sides", "known_queries", "retrieve"]
+__all__ = [
+    "JUNK",
+    "Retrieval",
+    "check_truth",
+    "checked_labels",
+    "checked_sides",
+    "evaluate",
+    "flat_sides",
+    "known_queries",
+    "retrieve",
+    "without_distractors",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +98,11 @@ def evaluate(
     return retrieve(query, query_labels, gallery, gallery_labels, truth).metrics(known_queries(truth))
 
 
+def without_distractors(gallery_labels: Int64Array, query_labels: Int64Array) -> Int64Array:
+    """Return the gallery's labels (G,) with -1 for the places that no query shows, as Sample4Geo, DAC, and CAMP rank it."""
+    return np.where(np.isin(gallery_labels, query_labels), gallery_labels, JUNK)
+
+
 def known_queries(truth: Sequence[Truth] | None) -> BoolArray | None:
     """Return the queries whose truth is known, (Q,); None for all."""
     return None if truth is None else np.array([lists.known for lists in truth], bool)
@@ -110,7 +126,7 @@ def retrieve(
         factors: multiplied into each query first, (F,).
         progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
     """
-    (queries, tiles), lengths = _sides(query, gallery)
+    (queries, tiles), lengths = checked_sides(query, gallery)
     if truth is None:
         of_query = checked_labels(query_labels, queries, "query")
         ground_truth = GroundTruth.by_labels(of_query, checked_labels(gallery_labels, tiles, "gallery"))
@@ -151,10 +167,10 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
 
 def flat_sides(query: npt.ArrayLike, gallery: npt.ArrayLike) -> tuple[AnyArray, AnyArray]:
     """Return the descriptors of both sides as (Q, F) and (G, F); InputError if `evaluate` would refuse them."""
-    return _sides(query, gallery)[0]
+    return checked_sides(query, gallery)[0]
 
 
-def _sides(
+def checked_sides(
     query: npt.ArrayLike, gallery: npt.ArrayLike
 ) -> tuple[tuple[AnyArray, AnyArray], tuple[Float64Array, Float64Array]]:
     """Return what `flat_sides` returns, and bounds on the norms of the rows."""

@@ -53,11 +53,15 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """The true tiles and the junk of each query, and the tiles that are junk for all queries."""
+    """The true tiles and the junk of each query, and the tiles that are junk for all queries.
+
+    `trapezoid` tells for each query which average precision it has, see `average_precision`, (Q,).
+    """
 
     true: Lists
     junk: Lists
     common_junk: Int64Array
+    trapezoid: BoolArray
 
     @classmethod
     def by_labels(cls, of_query: Int64Array, of_tile: Int64Array) -> GroundTruth:
@@ -67,12 +71,16 @@ class GroundTruth:
         begin, end = (np.searchsorted(sorted_labels, of_query, side).astype(np.int64) for side in ("left", "right"))
         end[of_query == JUNK] = begin[of_query == JUNK]
         empty = np.zeros(len(of_query), np.int64)
-        return cls(Lists(by_label, begin, end), Lists(_NONE, empty, empty), np.flatnonzero(of_tile == JUNK))
+        common_junk, trapezoid = np.flatnonzero(of_tile == JUNK), np.ones(len(of_query), bool)
+        return cls(Lists(by_label, begin, end), Lists(_NONE, empty, empty), common_junk, trapezoid)
 
     @classmethod
     def by_lists(cls, truth: Sequence[Truth]) -> GroundTruth:
         """Take true tiles and junk from the data set's lists."""
-        return cls(Lists.of([lists.good for lists in truth]), Lists.of([lists.junk for lists in truth]), _NONE)
+        trapezoid = np.array([lists.trapezoid for lists in truth], bool)
+        return cls(
+            Lists.of([lists.good for lists in truth]), Lists.of([lists.junk for lists in truth]), _NONE, trapezoid
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +126,7 @@ class _Block:
             block[entries] = -np.inf
         size = block.shape
         self._max_close = max(_MAX_CLOSE, int(_MAX_CLOSE_SHARE * size[1]))
+        self._trapezoid = ground_truth.trapezoid[rows]
         self._needs_double = ~np.isfinite(errors)
         self._first, self._nearest, self._false = (np.full(size[0], -1, np.int64) for _ in range(3))
         self._precision = np.zeros(size[0])
@@ -166,7 +175,8 @@ class _Block:
         before = _ranks_before(exact[line], tiles[unsure][line], self._scores.pairs(queries[line], close), close)
         above[unsure] = _count_true(some > high) + np.bincount(line[before], minlength=len(unsure))
         self._first[rows], self._nearest[rows] = above, tiles
-        self._precision[rows] = (1 / (above + 1) + (above == 0)) / 2
+        precision = 1 / (above + 1)
+        self._precision[rows] = np.where(self._trapezoid[rows], (precision + (above == 0)) / 2, precision)
 
     def _rank_several(self, row: int, entries: slice) -> None:
         """Rank a query with several true matches."""
@@ -221,16 +231,21 @@ class _Block:
                 self._nearest[row] = tiles[np.argmax(true)]
 
     def _set_ranks(self, row: int, ranks: Int64Array) -> None:
-        self._first[row], self._precision[row] = ranks[0], average_precision(ranks)
+        self._first[row], self._precision[row] = ranks[0], average_precision(ranks, bool(self._trapezoid[row]))
 
     def _exact(self, row: int, tiles: Int64Array) -> Float64Array:
         return self._scores.exact(self._start + row, tiles)
 
 
-def average_precision(ranks: Int64Array) -> float:
-    """Average precision by the trapezoid rule, from the ascending 0-based ranks of all true matches, at least one."""
+def average_precision(ranks: Int64Array, trapezoid: bool = True) -> float:
+    """Average precision from the ascending 0-based ranks of all true matches, at least one.
+
+    It is the area below the precision-recall points by the trapezoid rule, or else the mean precision at the true matches.
+    """
     hits = np.arange(len(ranks))
     after = (hits + 1) / (ranks + 1)
+    if not trapezoid:
+        return float(after.mean())
     before = np.where(ranks == 0, 1.0, hits / np.maximum(ranks, 1))
     return float(((after + before) / 2).mean())
 

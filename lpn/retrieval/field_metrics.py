@@ -1,0 +1,178 @@
+"""Metrics of the field that use positions or lists of true tiles, by their papers' formulas.
+
+Two metrics are called SDM@K, and their values do not compare:
+
+    DenseUAV    sum over i < K of (K - i) exp(-5000 d_i) / sum of (K - i),    d_i in degrees, in single precision
+    GTA-UAV     sum over i < K of (K - i) exp(-0.001 d_i) / sum of (K - i),   d_i in metres
+
+where d_i is the distance from the query to the tile of rank i. Near the equator 5000 per degree is about 0.045 per metre, so
+DenseUAV's decays 45 times as fast. Distances are (Q, R): those of each query to its R nearest tiles, highest score first.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+import numpy.typing as npt
+
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.errors import InputError
+from lpn.retrieval.inner_products import Scores
+from lpn.retrieval.metrics import checked_sides
+
+# Decay of DenseUAV's SDM, per degree, and of GTA-UAV's, per metre.
+_DENSEUAV_DECAY = 5000.0
+_GTA_UAV_DECAY = 0.001
+# The equatorial radius of WGS 84 in metres, which DenseUAV's evaluation takes for a sphere's, and its flattening.
+_EQUATOR = 6_378_137.0
+_FLATTENING = 1 / 298.257223563
+# Vincenty's iteration converges within a few steps, except for nearly antipodal points.
+_STEPS = 60
+
+
+def recall_at(hits: npt.ArrayLike, k: int) -> float:
+    """Return Recall@K: the share in percent of queries with a hit among their first k tiles; hits: (Q, R) bool.
+
+    Raises:
+        InputError: if k is not between 1 and R.
+    """
+    values: BoolArray = np.asarray(hits, bool)
+    _check_depth(values.shape, k)
+    return float(100 * values[:, :k].any(axis=1).mean()) if len(values) else 0.0
+
+
+def sdm_denseuav(degrees: npt.ArrayLike, k: int) -> Float64Array:
+    """Return DenseUAV's SDM@K of each query, 0 .. 1, from distances of `degree_distances` (Dai et al., 2023), (Q,).
+
+    Raises:
+        InputError: if k is not between 1 and R.
+    """
+    return _sdm(degrees, k, _DENSEUAV_DECAY)
+
+
+def sdm_gta_uav(metres: npt.ArrayLike, k: int) -> Float64Array:
+    """Return GTA-UAV's SDM@K of each query, 0 .. 1, from distances in metres (Ji et al., 2024), (Q,).
+
+    Raises:
+        InputError: if k is not between 1 and R.
+    """
+    return _sdm(metres, k, _GTA_UAV_DECAY)
+
+
+def distance_at(metres: npt.ArrayLike, k: int) -> Float64Array:
+    """Return Dis@K of each query: the mean distance of its first k tiles, (Q,).
+
+    Raises:
+        InputError: if k is not between 1 and R.
+    """
+    values = np.asarray(metres, np.float64)
+    _check_depth(values.shape, k)
+    return cast(Float64Array, values[:, :k].mean(axis=1))
+
+
+def accuracy_within(top_distances: npt.ArrayLike, metres: float) -> float:
+    """Return DenseUAV's MA@m: the share in percent of queries whose top answer is nearer than m metres; top_distances: (Q,)."""
+    values = np.asarray(top_distances, np.float64)
+    if values.ndim != 1:
+        raise InputError(f"The distances have the shape {values.shape}; expected that of the top answer of each query.")
+    return float(100 * (values < metres).mean()) if len(values) else 0.0
+
+
+def degree_distances(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Array:
+    """Return DenseUAV's distance in degrees between latitude and longitude (..., 2), in single precision as released."""
+    a, b = np.asarray(queries, np.float32), np.asarray(tiles, np.float32)
+    return cast(Float64Array, np.sqrt(((a - b) ** 2).sum(axis=-1)).astype(np.float64))
+
+
+def great_circle(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Array:
+    """Return the haversine distance in metres between latitude and longitude in degrees (..., 2), as DenseUAV's MA@m uses it."""
+    a, b = np.radians(np.asarray(queries, np.float64)), np.radians(np.asarray(tiles, np.float64))
+    half = np.sin((b - a) / 2) ** 2
+    chord = half[..., 0] + np.cos(a[..., 0]) * np.cos(b[..., 0]) * half[..., 1]
+    return cast(Float64Array, 2 * _EQUATOR * np.arcsin(np.sqrt(np.clip(chord, 0, 1))))
+
+
+def geodesic(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Array:
+    """Return the distance in metres on the WGS 84 ellipsoid between latitude and longitude in degrees (..., 2).
+
+    It is Vincenty's inverse formula (1975), exact to less than a millimetre; for nearly antipodal points, where that does not
+    converge, the great circle's distance.
+    """
+    a, b = np.broadcast_arrays(np.radians(np.asarray(queries, np.float64)), np.radians(np.asarray(tiles, np.float64)))
+    east = b[..., 1] - a[..., 1]
+    # Reduced latitudes.
+    u, v = (np.arctan((1 - _FLATTENING) * np.tan(point[..., 0])) for point in (a, b))
+    sin_u, cos_u, sin_v, cos_v = np.sin(u), np.cos(u), np.sin(v), np.cos(v)
+    turn, before = east, np.full_like(east, np.inf)
+    for _ in range(_STEPS):
+        cross = np.hypot(cos_v * np.sin(turn), cos_u * sin_v - sin_u * cos_v * np.cos(turn))
+        along = sin_u * sin_v + cos_u * cos_v * np.cos(turn)
+        arc = np.arctan2(cross, along)
+        sin_alpha = np.divide(cos_u * cos_v * np.sin(turn), cross, out=np.zeros_like(cross), where=cross > 0)
+        cos2_alpha = 1 - sin_alpha**2
+        # Along the equator the middle's latitude has no effect.
+        ratio = np.divide(2 * sin_u * sin_v, cos2_alpha, out=np.zeros_like(cross), where=cos2_alpha > 0)
+        middle = np.where(cos2_alpha > 0, along - ratio, 0.0)
+        c = _FLATTENING / 16 * cos2_alpha * (4 + _FLATTENING * (4 - 3 * cos2_alpha))
+        series = arc + c * cross * (middle + c * along * (2 * middle**2 - 1))
+        before, turn = turn, east + (1 - c) * _FLATTENING * sin_alpha * series
+        if (np.abs(turn - before) < 1e-13).all():
+            break
+    polar = _EQUATOR * (1 - _FLATTENING)
+    square = cos2_alpha * (_EQUATOR**2 - polar**2) / polar**2
+    scale = 1 + square / 16384 * (4096 + square * (-768 + square * (320 - 175 * square)))
+    b_term = square / 1024 * (256 + square * (-128 + square * (74 - 47 * square)))
+    last = b_term / 6 * middle * (4 * cross**2 - 3) * (4 * middle**2 - 3)
+    shift = b_term * cross * (middle + b_term / 4 * (along * (2 * middle**2 - 1) - last))
+    found = polar * scale * (arc - shift)
+    settled = np.abs(turn - before) < 1e-9
+    return cast(Float64Array, np.where(settled, found, great_circle(np.degrees(a), np.degrees(b))))
+
+
+def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArray | None = None) -> Int64Array:
+    """Return the gallery positions of each query's k nearest tiles in the order of exact scores, ties in gallery order.
+
+    Args:
+        query, gallery: descriptors, (Q, n, D) or (Q, F) and (G, n, D) or (G, F), compared by inner product.
+        junk: gallery pictures that are dropped, (G,).
+
+    Returns:
+        (Q, K) with K the smaller of k and the number of tiles that are not junk.
+
+    Raises:
+        InputError: when `metrics.evaluate` would refuse the descriptors, or no tile is left.
+    """
+    (queries, tiles), lengths = checked_sides(query, gallery)
+    kept = len(tiles) - (0 if junk is None else int(junk.sum()))
+    depth = min(k, kept)
+    if depth < 1:
+        raise InputError(f"{kept} gallery pictures are not junk, and K is {k}; expected at least one of both.")
+    found = np.empty((len(queries), depth), np.int64)
+    scores = Scores(queries, tiles, lengths)
+    for rows, block, errors in scores.blocks():
+        if junk is not None:
+            block[:, junk] = -np.inf
+        limit = np.partition(block, -depth, axis=1)[:, -depth].astype(np.float64) - 2 * errors
+        for row, query_index in enumerate(range(rows.start, rows.stop)):
+            close = block[row] >= limit[row] if np.isfinite(limit[row]) else np.ones(len(tiles), bool)
+            if junk is not None:
+                close &= ~junk
+            candidates = np.flatnonzero(close)
+            order = np.argsort(-scores.exact(query_index, candidates), kind="stable")
+            found[query_index] = candidates[order[:depth]]
+    return found
+
+
+def _sdm(distances: npt.ArrayLike, k: int, decay: float) -> Float64Array:
+    values = np.asarray(distances, np.float64)
+    _check_depth(values.shape, k)
+    weights = np.arange(k, 0, -1, dtype=np.float64)
+    return cast(Float64Array, np.exp(-decay * values[:, :k]) @ weights / weights.sum())
+
+
+def _check_depth(shape: tuple[int, ...], k: int) -> None:
+    if len(shape) != 2 or not 1 <= k <= shape[1]:
+        raise InputError(
+            f"K is {k} and the ranked tiles have the shape {shape}; expected (queries, tiles) and K in 1 .. tiles."
+        )
