@@ -4,28 +4,40 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import lpn
 from lpn.core.errors import InputError
+from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
+
+if TYPE_CHECKING:
+    from lpn.descriptors import Store
+    from lpn.models.base import Model
 
 _FOR_RAY = ("address", "workers", "threads", "shard", "positions")
 
 
 @dataclass
 class DescribeCommand:
-    """Describe a folder of pictures into descriptors on disk; resumable. With --engine ray on many machines, into shards."""
+    """Describe pictures, or windows of a map, into descriptors on disk; resumable. With --engine ray on many machines, into
+    shards."""
 
     model: Path
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
-    images: str
-    """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
-    view: View
-    """The view the pictures show."""
     out: str
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
+    images: str | None = None
+    """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
+    map: Path | None = None
+    """Map whose windows are described in place of pictures: a folder of lpn map, or a georeferenced picture."""
+    view: View | None = None
+    """The view the pictures show; of a map satellite by default."""
+    size: tuple[float, ...] = ()
+    """With --map: sides of the windows in metres, such as 70 100 140; by default five, of up to 300 m or 0.6 of the map."""
+    overlap: float | None = None
+    """With --map: share of a window's side that its neighbour covers, too; 0.5 by default."""
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
     provider: ProviderName = "auto"
@@ -60,28 +72,66 @@ class DescribeCommand:
 
         if given := [name for name in _FOR_RAY if getattr(self, name) is not None]:
             raise InputError(f"--{given[0]} is for many workers; give it with --engine ray.")
-        if "://" in self.images + self.out:
+        if "://" in (self.images or "") + self.out:
             raise InputError("Only --engine ray reads and writes addresses; give folders, or --engine ray.")
-        model, root, out = lpn.load(self.model, self.provider, self.compile), Path(self.images), Path(self.out)
-        model.check_view(self.view)
+        if self.map is not None:
+            return self._windows(self.map)
+        images, view = self._pictures()
+        model, root, out = lpn.load(self.model, self.provider, self.compile), Path(images), Path(self.out)
+        model.check_view(view)
         files = descriptors.pictures_below(root)
-        store = descriptors.describe(model, files, self.view, out, root=root, precision=self.precision)
-        shape = " x ".join(map(str, store.descriptors.shape))
-        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions. Computed on {model.device}.")
+        self._report(descriptors.describe(model, files, view, out, root=root, precision=self.precision), model)
         return 0
+
+    def _windows(self, where: Path) -> int:
+        from lpn.descriptors.map_windows import describe_windows
+        from lpn.locate.retrieval import pyramid_sizes
+        from lpn.maps import NamedWindow, open_map
+
+        if self.images is not None:
+            raise InputError("A map's windows are described in place of pictures; give either --map or --images.")
+        model, town = lpn.load(self.model, self.provider, self.compile), open_map(where)
+        sizes = self.size or pyramid_sizes(town, [])
+        windows = town.pyramid(sizes, 0.5 if self.overlap is None else self.overlap)
+        if not windows:
+            raise InputError(
+                f"No window of {min(sizes):.0f} m or more fits on the map {printable(town.name)}; give smaller ones as --size."
+            )
+        named = NamedWindow.all_of(windows, town.frame)
+        self._report(
+            describe_windows(model, town, named, self.out, self.view or "satellite", self.precision), model, "windows"
+        )
+        return 0
+
+    def _report(self, store: Store, model: Model, rows: str = "pictures") -> None:
+        shape = " x ".join(map(str, store.descriptors.shape))
+        print(f"{self.out} holds {shape} numbers: {rows} x parts x dimensions. Computed on {model.device}.")
+
+    def _pictures(self) -> tuple[str, View]:
+        """Return what shows the pictures, and their view."""
+        if self.images is None:
+            raise InputError("There are no pictures to describe; give a folder as --images, or a map as --map.")
+        if self.view is None:
+            raise InputError("The view of the pictures is not given; give --view satellite, drone, or street.")
+        if self.size or self.overlap is not None:
+            raise InputError("Pictures have no windows; give --size and --overlap with --map only.")
+        return self.images, self.view
 
     def _shards(self) -> int:
         from lpn.cluster.driver import describe_shards
         from lpn.cluster.shards import BROKEN
 
+        if self.map is not None:
+            raise InputError("Windows of a map are described on one machine; leave --engine ray out.")
+        images, view = self._pictures()
         if self.compile or self.provider not in ("auto", "cpu"):
             raise InputError("Ray's workers compute on the CPU; leave --provider and --compile out, or --engine ray.")
         if self.precision == "int8":
             raise InputError("Shards hold float32 or float16; give one of these as --precision.")
         summary = describe_shards(
             self.model,
-            self.images,
-            self.view,
+            images,
+            view,
             self.out,
             precision=self.precision,
             address=self.address,

@@ -119,8 +119,7 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, partial: Part
     def prepare(i: int) -> Float32Array:
         return prepare_row(model, images.load_picture(files[i]), manifest.rows[i], manifest.change, view)
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns) as bar:
+    with progress_bar() as bar:
         task = bar.add_task(title, total=len(files), completed=len(files) - len(missing))
         for batch in describe_each(model, missing, prepare, view):
             if batch.items:
@@ -128,6 +127,11 @@ def _fill(model: Model, files: Sequence[Path], manifest: Manifest, partial: Part
             for _, error in batch.broken:
                 raise error
             bar.advance(task, len(batch.items))
+
+
+def progress_bar() -> Progress:
+    """Return a bar for the terminal, with the number of described pictures and the remaining time."""
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
 
 
 def prepare_row(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:

@@ -14,6 +14,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.index.base import Kind, check_names
+from lpn.maps.named_window import NamedWindow
 
 # Size of the descriptors that are added at once, in bytes; a killed run repeats at most this much.
 _CHUNK_BYTES = 64 << 20
@@ -54,7 +55,7 @@ class TileSource:
 
 
 def open_tiles(where: str, data: Path | None = None) -> TileSource:
-    """Open a store or shards of descriptors.
+    """Open a store or shards of descriptors. Windows of a map have the positions that their names tell.
 
     Args:
         where: folder of a store, or folder or address of shards.
@@ -78,7 +79,7 @@ def _of_store(folder: Path, data: Path | None) -> TileSource:
     names = [Path(row.file).as_posix() for row in manifest.rows]
     check_names(names, len(names))
     kind = Kind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
-    positions = None if data is None else _positions(data, names)
+    positions = _window_positions(names) if data is None else _positions(data, names)
     step = _step(kind)
 
     def chunk(start: int) -> TileChunk:
@@ -148,6 +149,14 @@ def _identity(names: list[str]) -> tuple[int, int]:
 
 def _step(kind: Kind) -> int:
     return max(1, _CHUNK_BYTES // (4 * kind.numbers))
+
+
+def _window_positions(names: list[str]) -> Float64Array | None:
+    """Return the centres of windows of a map, (N, 2); None if a name is not that of a window."""
+    windows = [window for name in names if (window := NamedWindow.parse(name)) is not None]
+    if not names or len(windows) < len(names):
+        return None
+    return np.array([(window.latitude, window.longitude) for window in windows])
 
 
 def _positions(root: Path, names: list[str]) -> Float64Array:

@@ -18,7 +18,7 @@ from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
-from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import Picture, Truth
@@ -29,6 +29,7 @@ from lpn.locate.belief import beliefs, disagreements
 from lpn.locate.pipeline import STAGES, LocatedFlight, LocatedFrame
 from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map, Window
+from lpn.maps.named_window import WindowCut
 from lpn.models.base import Model
 
 TASK = "drone-to-satellite"
@@ -41,21 +42,6 @@ _VERDICTS = {
     "retrieval": "not verified",
     None: "not located",
 }
-
-
-@dataclass(frozen=True)
-class _WindowCut:
-    """Cuts a window's picture from the map, as the retrieval does."""
-
-    town: Map
-    window: Window
-    pixels: int
-
-    def __call__(self) -> UInt8Array:
-        try:
-            return self.town.read(self.window, self.pixels)[0]
-        except DataError as error:  # as `Picture.load` promises
-            raise PictureError(str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -137,7 +123,7 @@ def _gallery(town: Map, found: MapRetrieval, root: Path) -> list[Picture]:
             root / "windows" / str(j),
             first + j,
             _window_name(window, several),
-            cut=_WindowCut(town, window, found.pixels),
+            cut=WindowCut(town, window, found.pixels),
         )
         for j, window in enumerate(found.windows)
     ]

@@ -9,8 +9,9 @@ It imports `core` only, and needs the extra `maps`; `training`, `locate`, and th
 
 from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
+from lpn.maps.named_window import NamedWindow
 from lpn.maps.opening import open_map
 from lpn.maps.sources import MapOptions
 from lpn.maps.window import Window
 
-__all__ = ["LocalFrame", "Map", "MapOptions", "Window", "open_map"]
+__all__ = ["LocalFrame", "Map", "MapOptions", "NamedWindow", "Window", "open_map"]

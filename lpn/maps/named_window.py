@@ -1,0 +1,100 @@
+"""Windows of a map named by where they are, so that each can be cut again from its name and the map.
+
+48.0042137,9.0133251,70m            centre in WGS 84 degrees (7 decimals are 1 cm), side in metres, north up
+48.0042137,9.0133251,70m,30deg      the heading that points up, where it is not north
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+from lpn.core.arrays import UInt8Array
+from lpn.core.errors import DataError, PictureError
+from lpn.maps.frame import LocalFrame
+from lpn.maps.map import Map
+from lpn.maps.window import Window
+
+_NAME = re.compile(r"(-?\d{1,2}\.\d{7}),(-?\d{1,3}\.\d{7}),(\d{1,6}(?:\.\d{1,2})?)m(?:,(\d{1,3}(?:\.\d{1,2})?)deg)?")
+
+
+@dataclass(frozen=True)
+class NamedWindow:
+    """A window of a map, in degrees.
+
+    Attributes:
+        latitude, longitude: of its centre, WGS 84 degrees.
+        size: its side in metres.
+        heading: what points up in its picture, degrees clockwise from north, 0 to below 360.
+    """
+
+    latitude: float
+    longitude: float
+    size: float
+    heading: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """The window's name, which `parse` reads."""
+        turned = f",{_short(self.heading)}deg" if self.heading else ""
+        return f"{self.latitude:.7f},{self.longitude:.7f},{_short(self.size)}m{turned}"
+
+    @classmethod
+    def parse(cls, name: str) -> Self | None:
+        """Return the window of a name; None if it is not the name of a window."""
+        match = _NAME.fullmatch(name)
+        if match is None:
+            return None
+        found = cls(float(match[1]), float(match[2]), float(match[3]), float(match[4] or 0.0))
+        valid = abs(found.latitude) <= 90 and abs(found.longitude) <= 180 and found.size > 0 and found.heading < 360
+        return found if valid else None
+
+    @classmethod
+    def all_of(cls, windows: Sequence[Window], frame: LocalFrame) -> list[Self]:
+        """Name windows of a map's frame: centres are rounded to 1e-7 degrees, sides to 1 cm, headings to 0.01 degrees."""
+        places = frame.degrees([(window.x, window.y) for window in windows]).round(7).tolist()
+        return [
+            cls(latitude, longitude, round(window.size, 2), round(window.heading, 2) % 360)
+            for (latitude, longitude), window in zip(places, windows, strict=True)
+        ]
+
+    def on(self, frame: LocalFrame) -> Window:
+        """Return the window in metres of a map's frame."""
+        x, y = frame.xy(self.latitude, self.longitude)[0].tolist()
+        return Window(x, y, self.size, self.heading)
+
+
+@dataclass(frozen=True)
+class WindowCut:
+    """Cuts a window's picture from a map.
+
+    Attributes:
+        pixels: side of the picture.
+    """
+
+    town: Map
+    window: Window
+    pixels: int
+
+    def __call__(self) -> UInt8Array:
+        """Return the picture, (pixels, pixels, 3) RGB; PictureError if the map's file is damaged there."""
+        try:
+            return self.town.read(self.window, self.pixels)[0]
+        except DataError as error:
+            raise PictureError(str(error)) from error
+
+
+def covers_part_of(town: Map, window: Window) -> bool:
+    """Return whether a window lies at least partly within a map's bounds."""
+    if not all(map(math.isfinite, (window.x, window.y))):
+        return False
+    (west, south), (east, north) = window.corners.min(axis=0).tolist(), window.corners.max(axis=0).tolist()
+    bounds = town.bounds
+    return bool(west < bounds[2] and east > bounds[0] and south < bounds[3] and north > bounds[1])
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}".rstrip("0").rstrip(".")
