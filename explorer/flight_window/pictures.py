@@ -18,6 +18,7 @@ from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.core.errors import DataError
+from lpn.core.homography import apply_homography, middle_pixel
 from lpn.locate.belief import belief
 from lpn.locate.pipeline import LocatedFrame
 from lpn.maps import Map, Window
@@ -147,10 +148,10 @@ def ground_window(located: LocatedFrame, stage: str | None) -> Window | None:
     if answer is None or answer.x is None or answer.y is None:
         return None
     if stage == "registration" and answer.homography is not None and answer.width is not None:
-        matrix = np.array(answer.homography).reshape(3, 3)
-        x, y, w = matrix @ ((frame.width - 1) / 2, (frame.height - 1) / 2, 1.0)
+        middle = middle_pixel(frame.width, frame.height)
+        x, y = apply_homography(np.array(answer.homography).reshape(3, 3), middle).tolist()
         share = min(frame.width, frame.height) / frame.width
-        return Window(float(x / w), float(y / w), answer.width * share, answer.heading or 0.0)
+        return Window(x, y, answer.width * share, answer.heading or 0.0)
     if not located.windows:
         return None
     best = located.windows[0]

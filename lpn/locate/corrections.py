@@ -17,12 +17,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import check_writable, exclusive_lock, printable, write_atomic
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
 from lpn.core.shutdown import uninterrupted
 from lpn.maps import LocalFrame
 
@@ -57,23 +57,12 @@ class Correction:
                 "The tie points turn the photo over, fold it, or make it too small or too large; move them back into the order "
                 "in which the photo shows them."
             )
-        matrix = homography(corners, 1, 1)
-        middle = (matrix @ (0.0, 0.0, 1.0))[:2] / matrix[2, 2]
+        middle = apply_homography(four_point_homography(corner_pixels(1, 1), corners), (0, 0))
         return cls(frame.degrees([middle])[0], frame.degrees(corners))
 
     def homography(self, frame: LocalFrame, width: int, height: int) -> Float64Array:
         """Return the matrix from pixels of a picture of this size to metres of a map's frame, (3, 3)."""
-        return homography(frame.xy(*self.corners.T), width, height)
-
-
-def homography(corners: Float64Array, width: int, height: int) -> Float64Array:
-    """Return the matrix, (3, 3), from a picture's pixels to its corners on the ground, (4, 2); whole pixels are centres."""
-    right, bottom = width - 0.5, height - 0.5
-    pixels = np.array([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)], np.float32)
-    # About the first corner, because OpenCV takes single precision.
-    matrix = cv2.getPerspectiveTransform(pixels, (corners - corners[0]).astype(np.float32))
-    shift = np.array([[1, 0, corners[0, 0]], [0, 1, corners[0, 1]], [0, 0, 1]])
-    return np.asarray(shift @ matrix, np.float64)
+        return four_point_homography(corner_pixels(width, height), frame.xy(*self.corners.T))
 
 
 def _possible(corners: Float64Array, slack: float = 1.0) -> bool:

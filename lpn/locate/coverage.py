@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.homography import apply_homography, corner_pixels, middle_pixel
 from lpn.flights import footprint
 from lpn.locate.pipeline import LocatedFrame
 
@@ -60,13 +61,9 @@ def corners_of(homography: Float64Array, width: int, height: int) -> Float64Arra
         homography: from pixels (column, row; whole numbers are the centres of pixels) to metres, (3, 3).
         width, height: of the picture in pixels.
     """
-    right, bottom = width - 0.5, height - 0.5
-    pixels = np.array([(-0.5, -0.5, 1.0), (right, -0.5, 1.0), (right, bottom, 1.0), (-0.5, bottom, 1.0)])
-    found = pixels @ homography.T
-    middle = homography[2] @ ((width - 1) / 2, (height - 1) / 2, 1.0)
-    if (found[:, 2] * middle <= 1e-9 * middle**2).any():
-        return None
-    return np.asarray(found[:, :2] / found[:, 2:], np.float64)
+    pixels = corner_pixels(width, height)
+    depths = np.array([*pixels, middle_pixel(width, height)]) @ homography[2, :2] + homography[2, 2]
+    return None if (depths[:4] * depths[4] <= 1e-9 * depths[4] ** 2).any() else apply_homography(homography, pixels)
 
 
 def seen_by(outlines: Sequence[Outline | None], x: float, y: float) -> list[int]:

@@ -19,6 +19,7 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import cache_folder
+from lpn.core.homography import middle_pixel
 from lpn.flights import Flight, Frame, ground_width
 from lpn.flights.cameras import rotation
 from lpn.locate import continuity, measures
@@ -686,7 +687,7 @@ def _camera_place(frame: Frame, size: tuple[int, int], found: Registration) -> t
     down = float(rotation(0.0, frame.pitch or 0.0, frame.roll or 0.0)[2, 2])
     if down < math.cos(math.radians(_MAX_TILT)):
         return None
-    middle = (np.array(size) - 1.0) / 2
+    middle = middle_pixel(*size)
     moved = np.array(nadir) - middle
     if found.turned:  # the file was turned after it was taken
         moved = -moved

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
+from lpn.core.homography import apply_homography, translation
 from lpn.locate.matchers import Features, Matcher
 
 Complex = npt.NDArray[np.complex128]
@@ -139,13 +140,7 @@ class Registration:
     def to_metres(self, pixels: npt.ArrayLike) -> Float64Array:
         """Map pixels of the photo (N, 2) to metres east and north (N, 2)."""
         assert self.homography is not None
-        return apply_homography(self.homography, np.asarray(pixels, np.float64))
-
-
-def apply_homography(homography: Float64Array, points: Float64Array) -> Float64Array:
-    """Map points (N, 2) by a homography (3, 3)."""
-    mapped = points @ homography[:, :2].T + homography[:, 2]
-    return mapped[:, :2] / mapped[:, 2:]
+        return apply_homography(self.homography, pixels)
 
 
 def describe_ground(
@@ -452,11 +447,10 @@ def _homography(best: _Candidate, inliers: BoolArray, aspect: float) -> tuple[Fl
         return similarity, "similarity", inliers
     if magsac is None or not _plausible(found := np.asarray(magsac, np.float64), abs(a), aspect):
         return similarity, "similarity", inliers
-    shift = np.array([[1, 0, b.real], [0, 1, b.imag], [0, 0, 1.0]])
     residuals = np.linalg.norm(apply_homography(found, source) - target, axis=1)
     if (residuals < radius).sum() < 1.25 * (best.residuals < radius).sum() + 4:
         return similarity, "similarity", inliers
-    return shift @ found, "homography", residuals < best.radius
+    return translation((b.real, b.imag)) @ found, "homography", residuals < best.radius
 
 
 def _plausible(homography: Float64Array, width: float, aspect: float) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
+from lpn.core.homography import corner_pixels
 from lpn.maps import window as windows
 from lpn.maps.frame import LocalFrame
 from lpn.maps.sheet import Bounds, Sheet
@@ -231,8 +232,7 @@ class Map:
         self, window: Window, pixels: int, block: tuple[int, int, int, int], picture: UInt8Array, valid: BoolArray
     ) -> None:
         """Write a block of a window's picture, (rows, columns, 3), and of its mask, from the finest sheet to the coarsest."""
-        left, top, right, bottom = block[0] - 0.5, block[1] - 0.5, block[0] + block[2] - 0.5, block[1] + block[3] - 0.5
-        corners = window.to_ground([(left, top), (right, top), (right, bottom), (left, bottom)], pixels)
+        corners = window.to_ground(corner_pixels(*block[2:]) + block[:2], pixels)
         low, high = corners.min(0), corners.max(0)
         near = (self._boxes[:, :2] <= high).all(1) & (self._boxes[:, 2:] >= low).all(1)
         for number in np.flatnonzero(near).tolist():

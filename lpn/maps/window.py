@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
+from lpn.core.homography import corner_pixels
 
 _MAX_WINDOWS = 10**8
 # No further row of windows is laid for so small a share of a step: sheets lie askew in the frame by some pixels.
@@ -42,7 +43,7 @@ class Window:
     @property
     def corners(self) -> Float64Array:
         """Its corners on the ground, (4, 2) metres: top left, top right, bottom right, bottom left of the cut picture."""
-        return self.to_ground([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)], 1)
+        return self.to_ground(corner_pixels(1, 1), 1)
 
     def to_ground(self, points: npt.ArrayLike, pixels: int) -> Float64Array:
         """Return metres east and north, (N, 2), of points in the picture of `pixels` a side.

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import cv2
 import numpy as np
@@ -17,6 +17,13 @@ import numpy.typing as npt
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.homography import (
+    apply_homography,
+    corner_pixels,
+    four_point_homography,
+    middle_pixel,
+    translation,
+)
 from lpn.core.views import View
 from lpn.flights import Frame, footprint
 from lpn.flights.cut import CUT, cut_square
@@ -153,12 +160,9 @@ class SimulatedPhoto:
         frame = self.frame
         seen = footprint(frame)
         assert seen is not None
-        right, bottom = frame.width - 0.5, frame.height - 0.5
-        found = _homography([(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)], seen)
-        middle = _apply(found, [((frame.width - 1) / 2, (frame.height - 1) / 2)])[0]
-        moved = np.eye(3)
-        moved[:2, 2] = self.centre - middle
-        return np.asarray(moved @ found, np.float64)
+        found = four_point_homography(corner_pixels(frame.width, frame.height), seen)
+        middle = apply_homography(found, middle_pixel(frame.width, frame.height))
+        return translation(self.centre - middle) @ found
 
 
 def draw_photo(window: Window, recipe: Recipe, rng: np.random.Generator) -> SimulatedPhoto:
@@ -199,8 +203,8 @@ class GroundPyramid:
 
     def tile(self, window: Window, pixels: int) -> UInt8Array:
         """Cut a window's picture as `Map.read` does, (pixels, pixels, 3): black where the map has no data."""
-        corners = [(-0.5, -0.5), (pixels - 0.5, -0.5), (pixels - 0.5, pixels - 0.5), (-0.5, pixels - 0.5)]
-        level, matrix = self._from_view(_homography(corners, window.corners), pixels, pixels)
+        to_ground = four_point_homography(corner_pixels(pixels, pixels), window.corners)
+        level, matrix = self._from_view(to_ground, pixels, pixels)
         picture, valid = self.levels[level]
         cut = _warp(picture, matrix, pixels, pixels)
         shown = cv2.warpPerspective(valid, matrix, (pixels, pixels), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
@@ -219,8 +223,8 @@ class GroundPyramid:
         origin, along = self.window.to_pixels([(0.0, 0.0), (1.0, 1.0)], self.pixels)
         to_pixels = np.array([[along[0] - origin[0], 0, origin[0]], [0, along[1] - origin[1], origin[1]], [0, 0, 1]])
         matrix = to_pixels @ to_ground
-        middle = np.array([(width - 1) / 2, (height - 1) / 2])
-        a, b, c = _apply(matrix, np.array([(0, 0), (1, 0), (0, 1)]) + middle)
+        middle = middle_pixel(width, height)
+        a, b, c = apply_homography(matrix, np.array([(0, 0), (1, 0), (0, 1)]) + middle)
         scale = math.sqrt(abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])))
         level = min(max(round(math.log2(max(scale, 1e-9))), 0), len(self.levels) - 1)
         half = 0.5**level
@@ -323,23 +327,3 @@ def _warp(picture: UInt8Array, matrix: Float64Array, width: int, height: int) ->
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     view = cv2.warpPerspective(picture, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REFLECT_101)
     return cast(UInt8Array, view)
-
-
-def _homography(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
-    """Return the homography that maps four points, (4, 2), to four others, (3, 3)."""
-    (u, v), (x, y) = np.asarray(source, np.float64).T, np.asarray(target, np.float64).T
-    zero, one = np.zeros(4), np.ones(4)
-    rows: Any = np.concatenate(
-        [
-            np.stack([u, v, one, zero, zero, zero, -u * x, -v * x], axis=1),
-            np.stack([zero, zero, zero, u, v, one, -u * y, -v * y], axis=1),
-        ]
-    )
-    return np.append(np.linalg.solve(rows, np.concatenate([x, y])), 1.0).reshape(3, 3)
-
-
-def _apply(homography: Float64Array, points: npt.ArrayLike) -> Float64Array:
-    """Map points, (N, 2), by a homography."""
-    uv = np.asarray(points, np.float64)
-    mapped = np.column_stack([uv, np.ones(len(uv))]) @ homography.T
-    return np.asarray(mapped[:, :2] / mapped[:, 2:], np.float64)

@@ -7,17 +7,12 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import DataError, InputError
-from lpn.locate.corrections import NAME, Correction, homography, read_corrections, set_correction
+from lpn.locate.corrections import NAME, Correction, read_corrections, set_correction
 from lpn.locate.coverage import corners_of
 from lpn.maps import LocalFrame
 
 FRAME = LocalFrame(48.0, 9.0)
 CORNERS = np.array([(100.0, 60.0), (180.0, 70.0), (170.0, 0.0), (95.0, 5.0)])
-
-
-def test_a_homography_maps_the_pictures_corners_to_the_ground() -> None:
-    far = CORNERS + 40_000.0
-    np.testing.assert_allclose(corners_of(homography(far, 4000, 3000), 4000, 3000), far, atol=1e-3)
 
 
 def test_the_middle_is_where_the_diagonals_cross() -> None:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import InputError
+from lpn.core.homography import apply_homography
 from lpn.locate.matchers import Features, SiftMatcher, open_matcher
-from lpn.locate.registration import Expectation, Ground, apply_homography, describe_ground, register
+from lpn.locate.registration import Expectation, Ground, describe_ground, register
 from tests.lpn.locate.scenery import BOUNDS, CORNER, RESOLUTION, ground_to_photo, land, photo_of
 
 SIZE = (400, 300)
