@@ -29,7 +29,7 @@ def four_point_homography(source: npt.ArrayLike, target: npt.ArrayLike) -> Float
     along = np.stack([u, v, one, zero, zero, zero, -u * x, -v * x], axis=1)
     across = np.stack([zero, zero, zero, u, v, one, -u * y, -v * y], axis=1)
     solution = np.linalg.solve(np.concatenate([along, across]), np.concatenate([x, y]))
-    return translation(given[0]) @ np.append(solution, 1.0).reshape(3, 3)
+    return np.asarray(translation(given[0]) @ np.append(solution, 1.0).reshape(3, 3))
 
 
 def apply_homography(homography: Float64Array, points: npt.ArrayLike) -> Float64Array:
