@@ -137,7 +137,7 @@ def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> 
         gallery_labels=saved.gallery_labels,
         query_descriptors=saved.query,
         gallery_descriptors=saved.gallery,
-        geometry=gallery_geometry(data, queries, gallery),
+        geometry=gallery_geometry(dataset, queries, gallery),
     )
     rankings = [_begin_ranking(task)]
     workspace = Workspace(task.model_name, task.data_name, rankings, spec, map_sizes, None, _city(task), dataset.root)

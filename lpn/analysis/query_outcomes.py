@@ -26,8 +26,9 @@ from lpn.retrieval import metrics, scoring
 from lpn.retrieval.metrics import Retrieval
 
 _CHUNK_BYTES = 64_000_000
-# Columns of every table besides `margin_1` .. `margin_n`. A task without positions has no `distance`.
-OUTCOME_COLUMNS = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance")
+# Columns of every table besides `margin_1` .. `margin_n`. A task without positions has no `distance`, and one without measured
+# footprints no `overlap`.
+OUTCOME_COLUMNS = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance", "overlap")
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +184,14 @@ def table(
     ]
     paths = metadata.relative(root, queries)
     return Table(paths, columns).with_columns(metadata.columns(root, paths, [column.name for column in columns]))
+
+
+def overlaps(outcomes: Outcomes, truth: Sequence[Truth] | None) -> list[Column]:
+    """The column `overlap` of the answers with the queries' footprints, 0 .. 1; empty where no overlap is known."""
+    if truth is None or all(lists.overlaps is None for lists in truth):
+        return []
+    found = [lists.overlap(answer) for lists, answer in zip(truth, outcomes.answer.tolist(), strict=True)]
+    return [number_column("overlap", found)]
 
 
 def picture_columns(table: Table) -> list[Column]:

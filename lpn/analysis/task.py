@@ -19,7 +19,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Column, Table
 from lpn.core.views import View, views_of
-from lpn.datasets import Dataset, Picture, Truth, geo
+from lpn.datasets import Dataset, Picture, Truth
 from lpn.explain import counterfactual
 from lpn.models.base import Model
 from lpn.models.spec import ModelSpec
@@ -118,9 +118,8 @@ class Task:
 
     def tabulate(self, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
         """One row per query, without tags and notes; see `query_outcomes.table`."""
-        return query_outcomes.table(
-            self.root, self.queries, self.gallery, outcomes, part_names, self.geometry, self.columns
-        )
+        columns = [*self.columns, *query_outcomes.overlaps(outcomes, self.truth)]
+        return query_outcomes.table(self.root, self.queries, self.gallery, outcomes, part_names, self.geometry, columns)
 
     @property
     def known(self) -> BoolArray | None:
@@ -173,7 +172,7 @@ def open_task(
         tags_and_notes = notes.read_notes(dataset.root / notes.NAME)
     views = views_of(name)
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
-    geometry = gallery_geometry(dataset.root, queries, gallery)
+    geometry = gallery_geometry(dataset, queries, gallery)
     query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
     gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
     identities = query_side.identity, gallery_side.identity
@@ -196,12 +195,15 @@ def open_task(
         identity=" ".join(identities) if all(identities) else "",
         weights=weights,
         notes=tags_and_notes,
+        columns=dataset.columns(queries),
     )
 
 
-def gallery_geometry(root: Path, queries: Sequence[Picture], gallery: Sequence[Picture]) -> GalleryGeometry | None:
-    """The geometry of a task from the data set's `geo.csv`; None without that file."""
-    positions = geo.positions(root)
+def gallery_geometry(
+    dataset: Dataset, queries: Sequence[Picture], gallery: Sequence[Picture]
+) -> GalleryGeometry | None:
+    """The geometry of a task from the data set's positions; None without any."""
+    positions = dataset.positions()
     return None if positions is None else GalleryGeometry.of(positions.of(queries), positions.of(gallery))
 
 

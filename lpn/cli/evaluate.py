@@ -155,19 +155,44 @@ def _print_result(title: str, result: Result) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from lpn.retrieval.evaluate import WITHOUT
+
+    rows = [("all", result.galleries), *result.groups.items()]
     table = Table(title=title)
-    figures = {**{f"recall@{k}": value for k, value in result.recall.items()}, "ap": result.ap}
-    facts = {"task": result.task, "queries": str(result.queries), "gallery": str(result.gallery)}
-    for name in (*facts, *figures):
+    names = [f"recall@{k}" for k in result.recall]
+    for name in ("task", *([result.group_name] if result.groups else []), "queries", "gallery", *names, "ap"):
         table.add_column(name, justify="right")
-    table.add_row(*facts.values(), *(f"{value:.2f}" for value in figures.values()))
+    for group, galleries in rows:
+        for figures in galleries:
+            facts = (result.task, *([group] if result.groups else []), str(figures.queries), figures.name)
+            table.add_row(*facts, *(f"{value:.2f}" for value in (*figures.recall.values(), figures.ap)))
     console = Console(width=max(120, Console().width))
     console.print(table)
     console.print(result.sentence)
+    if any(figures.gallery_name == WITHOUT for figures in result.galleries):
+        console.print(
+            f"The rows {WITHOUT} drop the gallery pictures of places that no query shows, as Sample4Geo, DAC, and CAMP do; LPN, "
+            "FSRA, MCCG, and SDPL rank the full gallery. Figures of the two do not compare."
+        )
+    if result.measures:
+        units = {"dis": " m", "ma": " %", "hit rate": " %"}
+        named = (
+            f"{_title(key)} {value:.4g}{units.get(key.split('@')[0], '')}" for key, value in result.measures.items()
+        )
+        console.print(f"Metrics of the field: {', '.join(named)}.")
     if near := result.distances():
         shares = ", ".join(f"{value:.1f} % {key}" for key, value in near.items() if key.startswith("within"))
         median = f"{near['median error m']:.1f} m"
-        console.print(f"By geo.csv, the median error of the top match is {median}; the shares of queries are {shares}.")
+        console.print(
+            f"By the positions, the median error of the top match is {median}; the shares of queries are {shares}."
+        )
+
+
+def _title(key: str) -> str:
+    """Return a metric's name from its key, such as "SDM@3 (DenseUAV)" from "sdm_denseuav@3"."""
+    name, _, depth = key.partition("@")
+    titles = {"sdm_denseuav": "SDM@{} (DenseUAV)", "sdm_gta_uav": "SDM@{} (GTA-UAV)", "dis": "Dis@{}", "ma": "MA@{} m"}
+    return titles.get(name, name).format(depth)
 
 
 def _without_nan(value: object) -> object:

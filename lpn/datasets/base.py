@@ -7,15 +7,20 @@ import logging
 import os
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+from typing import Literal
 
-from lpn.core.arrays import Int64Array, UInt8Array
+import numpy as np
+
+from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.images import SUFFIXES, crop, load_picture
+from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import views_of
+from lpn.datasets import geo
 
 log = logging.getLogger(__name__)
 
@@ -29,6 +34,8 @@ TASKS = (
     "street-to-drone",
 )
 _SAFE_PATH = re.compile(r"\w[\w-]*(\.\w+)?(/\w[\w-]*(\.\w+)?)*")
+# The published evaluations that measure distances: of DenseUAV, of GTA-UAV, and of UAV-VisLoc in Game4Loc's form.
+PositionProtocol = Literal["DenseUAV", "GTA-UAV", "UAV-VisLoc"]
 # The largest list of pictures (.csv, .txt) that is read, in bytes.
 MAX_LIST_BYTES = 100_000_000
 
@@ -45,6 +52,7 @@ class Picture:
             the file is added ("0005/01" for 0005/image-01.jpeg).
         box: the query region (left, top, right, bottom) in pixels, in Oxford5k and Paris6k; else None.
         panorama: True if it shows the full circle with north in the middle column.
+        group: what tables of results tell apart, such as the height of its camera in metres; see `Dataset.group_name`.
         note: a remark to display beside the name.
         cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
     """
@@ -54,6 +62,7 @@ class Picture:
     name: str
     box: tuple[float, float, float, float] | None = None
     panorama: bool = False
+    group: str = ""
     note: str = field(default="", compare=False)
     cut: Callable[[], UInt8Array] | None = field(default=None, compare=False, repr=False)
 
@@ -66,6 +75,10 @@ class Picture:
         return crop(self.load(), self.box, self.name)
 
 
+def _no_tiles() -> Int64Array:
+    return np.zeros(0, np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class Truth:
     """The ground truth of one query, as sorted positions in the gallery, int64.
@@ -76,12 +89,24 @@ class Truth:
         known: False if nobody knows the query's place. It is ranked, but counts neither as found nor as missed.
         trapezoid: True if AP integrates the precision-recall points by the trapezoid rule; False if it is the mean precision at
             the true matches, as GTA-UAV has it.
+        semi: half-true matches, which count as false (VIGOR's and GTA-UAV's semi-positives), (S,).
+        overlaps: intersection over union of the query's footprint with each of `good`, then each of `semi`, 0 .. 1, (M + S,);
+            None where nobody measured it.
     """
 
     good: Int64Array
     junk: Int64Array
     known: bool = True
     trapezoid: bool = True
+    semi: Int64Array = field(default_factory=_no_tiles)
+    overlaps: Float64Array | None = None
+
+    def overlap(self, tile: int) -> float:
+        """Return the overlap of a tile with the query's footprint, 0 for one that is not listed; NaN without overlaps."""
+        if self.overlaps is None:
+            return float("nan")
+        listed = np.concatenate([self.good, self.semi]) == tile
+        return float(self.overlaps[listed].max(initial=0.0))
 
 
 @dataclass(frozen=True)
@@ -114,12 +139,19 @@ class Dataset(ABC):
         root: the folder.
         kind: the recognised layout, such as "University-1652".
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
+        group_name: what the groups of its pictures are, such as "height" in metres or "city"; empty without groups. Results of
+            a group rank its queries, and those of no group, against the gallery pictures of that group and of none.
+        trained_distractors: True if the test gallery holds the places to train on, as published.
+        measured_by: the published evaluation that measures distances on it; None if its results are recall and AP alone.
         published_sizes: the size of each of `lists` in the complete data set, if known.
         left_out: files that cannot be used; logged once, when the data set is opened.
     """
 
     kind: str
     panoramas: bool = False
+    group_name: str = ""
+    trained_distractors: bool = False
+    measured_by: PositionProtocol | None = None
 
     def __init__(self, root: Path) -> None:
         self.root = root
@@ -158,6 +190,34 @@ class Dataset(ABC):
         """Return the ground truth of each query; None if pictures of equal label are the true matches."""
         del task
         return None
+
+    def positions(self) -> geo.Positions | None:
+        """Return the positions of the test pictures on the Earth, by default those of its `geo.csv`; None without any.
+
+        Raises:
+            DataError: if the file that holds them cannot be read.
+        """
+        return geo.positions(self.root)
+
+    def coordinates(self, pictures: Sequence[Picture]) -> Float64Array:
+        """Return the positions that `measured_by` compares: latitude and longitude in degrees, or metres for GTA-UAV, (N, 2).
+
+        Raises:
+            DataError: if a picture has none.
+        """
+        known = self.positions()
+        if known is None:
+            raise DataError(f"{self.root.name} has no positions of its pictures; give those of {geo.NAME}.")
+        return np.array([(place.latitude, place.longitude) for place in known.of(pictures)], np.float64).reshape(-1, 2)
+
+    def columns(self, queries: Sequence[Picture]) -> list[Column]:
+        """Return further columns of a table about queries: their groups, if they have any."""
+        groups = [picture.group for picture in queries]
+        if not any(groups):
+            return []
+        if all(group.isdecimal() for group in groups):
+            return [number_column(self.group_name, [float(group) for group in groups], "m")]
+        return [text_column(self.group_name, groups)]
 
 
 class ListedDataset(Dataset):

@@ -21,14 +21,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.datasets import Picture
+
+if TYPE_CHECKING:
+    from lpn.datasets.base import Picture
 
 NAME = "geo.csv"
 # The mean radius of the Earth in metres.
@@ -77,14 +79,17 @@ class Positions:
 
     Args:
         root: the data set's folder.
+        by_path: the positions by paths relative to it; by default those of its `geo.csv`.
+        source: the file that holds them, for messages.
 
     Raises:
         DataError: if `geo.csv` is missing or malformed; the message names the line.
     """
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, by_path: Mapping[str, Position] | None = None, source: str = NAME) -> None:
         self._root = root
-        self._by_path = _read(root / NAME)
+        self.source = source
+        self._by_path = _read(root / NAME) if by_path is None else by_path
 
     @property
     def paths(self) -> list[str]:
@@ -101,11 +106,11 @@ class Positions:
 
     def match(self, names: Sequence[str]) -> list[Position | None]:
         """Return positions by names below a described folder; see the function `match`."""
-        return match(self._by_path, names, f"{NAME} in {self._root}")
+        return match(self._by_path, names, f"{self.source} in {self._root}")
 
     def below(self, names: Sequence[str]) -> list[Position]:
         """Return positions by paths below the data set's folder; raises DataError as `of` does."""
-        return find_positions(self._by_path, names)
+        return find_positions(self._by_path, names, self.source)
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:

@@ -145,7 +145,7 @@ def check_dataset(
         left_out=tuple(dataset.left_out),
         lacking=(*_partial_places(lists), *_unanswered(dataset)),
         duplicates=tuple(_duplicates(dataset.root, lists, found)),
-        shared=tuple(_shared(lists)),
+        shared=tuple(_shared(dataset, lists)),
         positions=positions,
         gap=gap,
         runs=tuple(_runs(dataset, lists)),
@@ -190,12 +190,16 @@ def _unanswered(dataset: Dataset) -> list[MissingCounterparts]:
     return found
 
 
-def _shared(lists: dict[str, list[Picture]]) -> list[int]:
+def _shared(dataset: Dataset, lists: dict[str, list[Picture]]) -> list[int]:
+    """Find places to train on that are in the test split, too; where truth is listed, labels are no places."""
+    if any(dataset.truth(task) is not None for task in dataset.tasks()):
+        return []
+    test = "test/query" if dataset.trained_distractors else "test/"
     places = {
         split: {picture.label for name, pictures in lists.items() if name.startswith(split) for picture in pictures}
-        for split in ("train/", "test/")
+        for split in ("train/", test)
     }
-    return sorted(places["train/"] & places["test/"])
+    return sorted(places["train/"] & places[test])
 
 
 def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
@@ -222,7 +226,7 @@ def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     """Return what `geo.csv` covers, and what is wrong with it."""
     try:
-        known = geo.positions(dataset.root)
+        known = dataset.positions()
         if known is None:
             return None, None
         tasks = [views_of(task) for task in dataset.tasks()]
@@ -232,7 +236,7 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
         known.of(pictures)
     except DataError as error:
         return geo.NAME, str(error)
-    return f"{geo.NAME} has a position for each of the {len(pictures)} test pictures.", None
+    return f"{known.source} has a position for each of the {len(pictures)} test pictures.", None
 
 
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:

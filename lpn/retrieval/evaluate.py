@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,11 @@ from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, geo
+from lpn.datasets.base import PositionProtocol
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.retrieval import metrics
+from lpn.retrieval import field_metrics, metrics
 from lpn.retrieval.protocol import Protocol, averaged, sentence
 from lpn.retrieval.published_results import PublishedResult
 
@@ -28,14 +29,51 @@ log = logging.getLogger(__name__)
 WITHIN = (25, 50, 100)
 
 
+FULL = "full gallery"
+WITHOUT = "without distractors"
+
+
 @dataclass(frozen=True, eq=False)
-class Result:
-    """The metrics of one task in percent, and how they were measured.
+class Figures:
+    """Recall and AP of some queries on one gallery.
 
     Attributes:
-        recall: Recall@K for "1", "5", "10", and "1%".
-        ap: mean average precision.
-        queries, gallery: numbers of queries (places, if queries are averaged) and of gallery pictures.
+        gallery_name: "full gallery", or "without distractors", where the places that no query shows are dropped.
+        recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery.
+        ap: mean average precision in percent.
+        queries: number of queries (places, if queries are averaged).
+        gallery: number of ranked gallery pictures; of a full gallery all that there are, junk included.
+    """
+
+    gallery_name: str
+    recall: dict[str, float]
+    ap: float
+    queries: int
+    gallery: int
+
+    @property
+    def name(self) -> str:
+        """The gallery's name with its size, such as "full gallery, 951"."""
+        return f"{self.gallery_name}, {self.gallery:,}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as JSON values."""
+        recall = {f"recall@{k}": value for k, value in self.recall.items()}
+        return {
+            "gallery_name": self.gallery_name,
+            **recall,
+            "ap": self.ap,
+            "queries": self.queries,
+            "gallery": self.gallery,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The metrics of one task, and how they were measured.
+
+    Attributes:
+        galleries: the figures on the full gallery, and, where it has distractors, those without them.
         task: such as "drone-to-satellite".
         parts: the parts used, 1-based.
         cropped: True if queries were cropped to their boxes.
@@ -44,12 +82,12 @@ class Result:
         seconds: wall-clock time, including the description of pictures that were not cached.
         errors: metres from each query's place to the centre of its top match, (Q,); None without positions, and for averaged
             queries.
+        groups: the same figures for each group of the data set's pictures, such as each height; see `Dataset.group_name`.
+        group_name: what the groups are; empty without groups.
+        measures: the field's further metrics by their keys, see `field_figures`; empty where the data set has none.
     """
 
-    recall: dict[str, float]
-    ap: float
-    queries: int
-    gallery: int
+    galleries: tuple[Figures, ...]
     task: str
     protocol: Protocol
     parts: tuple[int, ...]
@@ -58,6 +96,29 @@ class Result:
     sentence: str
     seconds: float
     errors: Float64Array | None = None
+    groups: Mapping[str, tuple[Figures, ...]] = field(default_factory=dict)
+    group_name: str = ""
+    measures: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def recall(self) -> dict[str, float]:
+        """Recall@K in percent on the full gallery for "1", "5", "10", and "1%"."""
+        return self.galleries[0].recall
+
+    @property
+    def ap(self) -> float:
+        """Mean average precision in percent on the full gallery."""
+        return self.galleries[0].ap
+
+    @property
+    def queries(self) -> int:
+        """Number of queries (places, if queries are averaged)."""
+        return self.galleries[0].queries
+
+    @property
+    def gallery(self) -> int:
+        """Number of pictures of the full gallery."""
+        return self.galleries[0].gallery
 
     def distances(self) -> dict[str, float]:
         """The error shares, see `error_shares`; empty without positions."""
@@ -70,8 +131,11 @@ class Result:
             **{f"recall@{k}": value for k, value in self.recall.items()},
             "ap": self.ap,
             **self.distances(),
+            **self.measures,
             "queries": self.queries,
             "gallery": self.gallery,
+            "galleries": [figures.to_dict() for figures in self.galleries],
+            "groups": {name: [figures.to_dict() for figures in found] for name, found in self.groups.items()},
             "task": self.task,
             "rotate": change.rotate,
             "shift": change.shift,
@@ -134,8 +198,10 @@ def evaluate(
             "so leave --average-queries out."
         )
     # Read positions before the descriptors, so that a missing position is reported at once.
-    known = None if protocol.average else geo.positions(dataset.root)
+    known = None if protocol.average else dataset.positions()
     positions = None if known is None else (known.of(queries), known.of(gallery))
+    measured_by = None if protocol.average else dataset.measured_by
+    where = None if measured_by is None else (dataset.coordinates(queries), dataset.coordinates(gallery))
     change = protocol.change.for_picture(queries[0])
     query = read(model, queries, query_branch, change)
     tiles = read(model, gallery, gallery_branch, UNCHANGED)
@@ -147,7 +213,87 @@ def evaluate(
     if positions is not None:
         metres = geo.metres(positions[0], [positions[1][index] for index in retrieval.best])
         errors = np.where(retrieval.best < 0, np.inf, metres)
-    return replace(result, cropped=cropped, seconds=time.perf_counter() - started, errors=errors)
+    found = {} if truth is None or protocol.average else _hit_rate(query, tiles, truth, protocol)
+    if measured_by is not None and where is not None:
+        sides = protocol.select(query), protocol.select(tiles)
+        found |= field_figures(measured_by, *sides, *where)
+    groups = {
+        name: _measure(query[ofq], labels[0][ofq], tiles[oft], labels[1][oft], chosen, task, protocol, clauses)[
+            0
+        ].galleries
+        for name, ofq, oft, chosen in _groups(queries, gallery, truth)
+    }
+    return replace(
+        result,
+        cropped=cropped,
+        seconds=time.perf_counter() - started,
+        errors=errors,
+        groups=groups,
+        group_name=dataset.group_name,
+        measures=found,
+    )
+
+
+def field_figures(
+    measured_by: PositionProtocol,
+    query: Float32Array,
+    gallery: Float32Array,
+    query_places: Float64Array,
+    places: Float64Array,
+) -> dict[str, float]:
+    """Return the metrics that a published evaluation takes from positions, as means over the queries.
+
+    Keys: for DenseUAV `sdm_denseuav@K` (0 .. 1) for K = 1, 3, 5, 10 and `ma@m` in percent for m = 5, 10, 20, 50, 100 metres; for
+    GTA-UAV and UAV-VisLoc `sdm_gta_uav@K` (0 .. 1) and `dis@K` in metres for K = 1, 3, 5. K above the size of the gallery is left
+    out. See `lpn.retrieval.field_metrics`.
+
+    Args:
+        query, gallery: descriptors, (Q, n, D) and (G, n, D).
+        query_places, places: see `Dataset.coordinates`, (Q, 2) and (G, 2).
+    """
+    order = field_metrics.nearest(query, gallery, 10)
+    starts, ends = query_places[:, None], places[order]
+    if measured_by == "DenseUAV":
+        degrees = field_metrics.degree_distances(starts, ends)
+        top = field_metrics.great_circle(query_places, ends[:, 0])
+        depths = [k for k in (1, 3, 5, 10) if k <= order.shape[1]]
+        found = {f"sdm_denseuav@{k}": float(field_metrics.sdm_denseuav(degrees, k).mean()) for k in depths}
+        return found | {f"ma@{metres}": field_metrics.accuracy_within(top, metres) for metres in (5, 10, 20, 50, 100)}
+    metres = (
+        field_metrics.geodesic(starts, ends) if measured_by == "UAV-VisLoc" else np.linalg.norm(starts - ends, axis=2)
+    )
+    depths = [k for k in (1, 3, 5) if k <= order.shape[1]]
+    found = {f"sdm_gta_uav@{k}": float(field_metrics.sdm_gta_uav(metres, k).mean()) for k in depths}
+    return found | {f"dis@{k}": float(field_metrics.distance_at(metres, k).mean()) for k in depths}
+
+
+def _hit_rate(query: Float32Array, tiles: Float32Array, truth: Sequence[Truth], protocol: Protocol) -> dict[str, float]:
+    """Return VIGOR's hit rate, Recall@1 with each query's half-true matches left out of its ranking; empty without any."""
+    if not any(len(lists.semi) for lists in truth):
+        return {}
+    without = [replace(lists, junk=np.concatenate([lists.junk, lists.semi])) for lists in truth]
+    return {"hit rate": metrics.retrieve(protocol.select(query), None, protocol.select(tiles), None, without).recall(1)}
+
+
+def _groups(
+    queries: Sequence[Picture], gallery: Sequence[Picture], truth: Sequence[Truth] | None
+) -> Iterator[tuple[str, Int64Array, Int64Array, list[Truth] | None]]:
+    """Yield each group with the rows of its queries and of its gallery pictures, and the truth of these queries."""
+    names = dict.fromkeys(picture.group for pictures in (queries, gallery) for picture in pictures)
+    names.pop("", None)
+    if len(names) < 2:
+        return
+    for name in sorted(names, key=lambda name: (len(name), name)):
+        rows = [
+            np.array([i for i, picture in enumerate(pictures) if picture.group in ("", name)], np.int64)
+            for pictures in (queries, gallery)
+        ]
+        if truth is not None and len(rows[1]) < len(gallery):
+            raise InputError(
+                f"The gallery of {name} is a part of that in which true matches are listed; leave its group out."
+            )
+        if len(rows[0]) and len(rows[1]):
+            yield name, rows[0], rows[1], None if truth is None else [truth[i] for i in rows[0]]
 
 
 def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
@@ -166,7 +312,7 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     lists = lists_of(dataset, tasks)
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
-    positions = geo.positions(dataset.root)
+    positions = dataset.positions()
     if positions is not None:
         for pictures in lists.values():
             positions.of(pictures)
@@ -216,22 +362,38 @@ def _measure(
     chosen = protocol.chosen(n)
     if protocol.average:
         query, query_labels = averaged(query, query_labels)
-    retrieval = metrics.retrieve(protocol.select(query), query_labels, protocol.select(gallery), gallery_labels, truth)
-    values = retrieval.metrics()
+    query, gallery = protocol.select(query), protocol.select(gallery)
+    retrieval = metrics.retrieve(query, query_labels, gallery, gallery_labels, truth)
+    galleries = [_figures(FULL, retrieval, len(gallery))]
+    if truth is None:
+        kept = metrics.without_distractors(gallery_labels, query_labels)
+        ranked = int(np.count_nonzero(kept != metrics.JUNK))
+        if 0 < ranked < np.count_nonzero(gallery_labels != metrics.JUNK):
+            galleries.append(_figures(WITHOUT, metrics.retrieve(query, query_labels, gallery, kept), ranked))
     result = Result(
-        recall={key.removeprefix("recall@"): value for key, value in values.items() if key.startswith("recall@")},
-        ap=values["ap"],
-        queries=len(query),
-        gallery=len(gallery),
+        galleries=tuple(galleries),
         task=task,
         protocol=protocol,
         parts=chosen,
         cropped=False,
         listed=truth is not None,
-        sentence=sentence(clauses, chosen, n, pictures if protocol.average else None, truth is not None),
+        sentence=sentence(
+            clauses,
+            chosen,
+            n,
+            pictures if protocol.average else None,
+            truth is not None,
+            truth is None or all(lists.trapezoid for lists in truth),
+        ),
         seconds=0.0,
     )
     return result, retrieval
+
+
+def _figures(name: str, retrieval: metrics.Retrieval, ranked: int) -> Figures:
+    values = retrieval.metrics()
+    recall = {key.removeprefix("recall@"): value for key, value in values.items() if key.startswith("recall@")}
+    return Figures(name, recall, values["ap"], len(retrieval.first), ranked)
 
 
 def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:

@@ -69,6 +69,7 @@ def sentence(
     n_parts: int,
     averaged_from: int | None = None,
     listed: bool = False,
+    trapezoid: bool = True,
 ) -> str:
     """The protocol in words.
 
@@ -77,6 +78,7 @@ def sentence(
         parts: the parts used, 1-based.
         averaged_from: number of pictures behind the averaged queries; None for queries that are not averaged.
         listed: True if true matches and junk come from lists rather than from labels.
+        trapezoid: True if AP is integrated by the trapezoid rule; False if it is the mean precision at the true matches.
     """
     clauses = [*clauses]
     if parts != tuple(range(1, n_parts + 1)):
@@ -90,5 +92,5 @@ def sentence(
         else "true matches by label, gallery pictures labelled -1 taken out of the ranking"
     )
     clauses.append("a query without a true match counts as missed")
-    clauses.append("AP by the trapezoid rule")
+    clauses.append("AP by the trapezoid rule" if trapezoid else "AP as the mean precision at the true matches")
     return f"Protocol: {'; '.join(clauses)}."

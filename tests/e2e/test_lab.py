@@ -56,7 +56,7 @@ def truth(lab_app: RunningApp) -> tuple[Outcomes, Table]:
     outcomes = query_outcomes.build(*described, query_outcomes.labels_of(queries), query_outcomes.labels_of(gallery))
     names = model.spec.partition("drone").names()
     return outcomes, query_outcomes.table(
-        dataset.root, queries, gallery, outcomes, names, gallery_geometry(dataset.root, queries, gallery)
+        dataset.root, queries, gallery, outcomes, names, gallery_geometry(dataset, queries, gallery)
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import lpn
 from lpn import descriptors
+from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
@@ -164,3 +165,27 @@ def test_landmarks_are_cropped_and_ranked_by_lists(data: Path, model_file: Path)
         evaluate(model, dataset, "street-to-street")
     with pytest.raises(InputError, match="averaged"):
         evaluate(model, dataset, "street-to-street", Protocol(branch="drone", average=True))
+
+
+def test_distractors_make_a_second_gallery_that_is_named(
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = small_worlds.make_dataset(tmp_path / "places", train=1, test=9)
+    for label in (3, 6, 8):
+        (root / "test" / "query_drone" / f"{label:04d}" / "image-01.png").unlink()
+    model, dataset = lpn.load(model_file), open_dataset(root)
+    found = evaluate(model, dataset, "drone-to-satellite")
+    assert [figures.name for figures in found.galleries] == ["full gallery, 9", "without distractors, 6"]
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    asked = labels(queries)
+    kept = [label if label in asked else -1 for label in labels(gallery)]
+    query, tiles = described(model, queries, "drone"), described(model, gallery, "satellite")
+    for figures, expected_labels in zip(found.galleries, (labels(gallery), kept), strict=True):
+        expected = metrics.evaluate(query, asked, tiles, expected_labels)
+        assert [figures.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    assert found.galleries[1].ap > found.ap
+    assert main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 0
+    said = capsys.readouterr().out
+    assert "full gallery, 9" in said
+    assert "without distractors, 6" in said
+    assert "Figures of the two do not compare." in said.replace("\n", " ")
