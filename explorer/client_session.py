@@ -96,7 +96,7 @@ class ClientSession:
         self._sequence = 0
         task = next(iter(workspace.tasks))
         state = SessionState(
-            task, workspace.spec.n_parts, query=workspace.first_query, page=workspace.first_query // PAGE_SIZE
+            task, workspace.contract.n_parts, query=workspace.first_query, page=workspace.first_query // PAGE_SIZE
         )
         self._state = workspace.supported_state(state)
         self._requests = RequestContext(workspace.inference)

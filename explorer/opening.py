@@ -74,7 +74,7 @@ def open_model(
         printable(model.name),
         data_name,
         rankings,
-        opened.spec,
+        opened.contract,
         map_sizes,
         opened,
         _city(rankings[0].task),
@@ -122,14 +122,15 @@ def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> 
     views, queries, gallery = saved.pictures(dataset)
     layout: Layout = "cvusa" if dataset.panoramas else "university"
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
-    map_sizes = dict.fromkeys(spec.views, SAVED_MAP)
+    contract = spec.contract()
+    map_sizes = dict.fromkeys(contract.views, SAVED_MAP)
     task = Task(
         name="-to-".join(views),
         model=None,
         model_name=saved.name,
         data_name=printable(data.resolve().name),
         root=dataset.root,
-        spec=spec,
+        contract=contract,
         map_sizes=map_sizes,
         queries=queries,
         gallery=gallery,
@@ -140,7 +141,9 @@ def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> 
         geometry=gallery_geometry(dataset, queries, gallery),
     )
     rankings = [_begin_ranking(task)]
-    workspace = Workspace(task.model_name, task.data_name, rankings, spec, map_sizes, None, _city(task), dataset.root)
+    workspace = Workspace(
+        task.model_name, task.data_name, rankings, contract, map_sizes, None, _city(task), dataset.root
+    )
     workspace.choose_first_query(query)
     return workspace
 
@@ -218,7 +221,7 @@ def _open_located(
         task.model_name,
         task.data_name,
         [_begin_ranking(task)],
-        task.spec,
+        task.contract,
         dict(task.map_sizes),
         task.model,
         None,

@@ -43,7 +43,7 @@ class UrlState:
             for name, task in workspace.tasks.items()
             for side, entries in (("query", task.queries), ("gallery", task.gallery))
         }
-        reach = workspace.spec.input_size[1] // 2, workspace.spec.input_size[0] // 2
+        reach = workspace.contract.input_size[1] // 2, workspace.contract.input_size[0] // 2
         self._parameters = (
             _Parameter("show", self._write_key, self._read_key),
             _Parameter("task", lambda s: s.task, self._read_task),

@@ -21,16 +21,17 @@ from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import Task
 from lpn.core import images
-from lpn.core.arrays import Int64Array, UInt8Array
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.resources import yield_cores
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
-from lpn.drawing import mosaic, overlays
+from lpn.drawing import mosaic, overlays, verdicts
+from lpn.drawing.part_areas import PartAreas
 from lpn.locate.pipeline import LocatedFlight
 from lpn.models.base import Model
-from lpn.models.spec import ModelSpec
+from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
 
 # Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
@@ -49,7 +50,7 @@ class Workspace:
     Args:
         model_name, data_name: display names.
         rankings: the ranking of each task, at least one.
-        spec: the model's architecture, with the partition of each view.
+        contract: the model's, with the partition of each view that has one.
         map_sizes: (h, w) of the feature map of each view.
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
@@ -62,7 +63,7 @@ class Workspace:
         model_name: str,
         data_name: str,
         rankings: list[RankingJob],
-        spec: ModelSpec,
+        contract: Contract,
         map_sizes: dict[View, tuple[int, int]],
         model: Model | None,
         city: CityModel | None,
@@ -72,11 +73,13 @@ class Workspace:
         self.model_name, self.data_name = model_name, data_name
         self.rankings = {ranking.task.name: ranking for ranking in rankings}
         self.tasks = {name: ranking.task for name, ranking in self.rankings.items()}
-        self.spec, self.map_sizes, self.city = spec, map_sizes, city
+        self.contract, self.map_sizes, self.city = contract, map_sizes, city
         self.inference = InferenceScheduler()
         own = None if model is None else QueuedModel(model, self.inference, RequestContext(self.inference))
         self.model: QueuedModel | None = own
-        self.description = f"saved descriptors, n = {spec.n_parts}, no network" if model is None else model.describe()
+        self.description = (
+            f"saved descriptors, n = {contract.n_parts}, no network" if model is None else model.describe()
+        )
         self.first_query = 0
         # Another model on the same data to compare with, if there is one.
         self.second: LazyWorkspace | None = None
@@ -90,10 +93,10 @@ class Workspace:
         self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
-        self.masks = lru_cache(maxsize=8)(self._make_masks)
+        self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
-        self.layout = layout_for(self.spec.input_size)
+        self.layout = layout_for(self.contract.input_size)
         self.load_picture = lru_cache(maxsize=64)(Picture.load)
 
     def choose_first_query(self, query: str | None) -> None:
@@ -167,9 +170,21 @@ class Workspace:
         """Return a gallery picture at the size of a card, without rings; read-only."""
         return self._card(task.name, index)
 
-    def _make_masks(self, view: View) -> Int64Array:
-        """Return for each pixel of a stage picture the number of its part."""
-        return overlays.part_masks(self.spec.partition(view), self.map_sizes[view], self.layout.pixels)
+    def areas(self, view: View, described: DescribedPicture | None = None) -> PartAreas | None:
+        """Return the areas of the parts: of the view's partition, else of the picture's cells; None without either."""
+        fixed = self._fixed_areas(view)
+        trace = None if described is None else described.trace
+        return PartAreas.of(self.contract, view, self.map_sizes[view], trace) if fixed is None else fixed
+
+    def _make_fixed_areas(self, view: View) -> PartAreas | None:
+        return PartAreas.of(self.contract, view, self.map_sizes[view], None)
+
+    @property
+    def without_cells(self) -> str:
+        """One sentence that says why there is neither evidence nor a heatmap; empty if there are both."""
+        if self.model is None:
+            return "Evidence and heatmaps need the network: open the data set with a model."
+        return "" if self.contract.has_cells else verdicts.no_cells(self.contract)
 
     def mosaic(self, task: Task) -> UInt8Array:
         """Return one cached picture of all tiles at their positions; the task must have a geometry."""
@@ -185,7 +200,7 @@ class Workspace:
 
     def _part_names(self) -> list[str]:
         """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
-        names = [self.spec.partition(view).names() for view in self.spec.views]
+        names = [self.contract.names(view) for view in self.contract.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 
     def _make_card(self, name: str, index: int) -> UInt8Array:

@@ -13,7 +13,8 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.core.views import View
-from lpn.models.base import ForwardPass, Model
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass
 
 if TYPE_CHECKING:
     from explorer.compute.request_context import RequestContext
@@ -97,8 +98,8 @@ def concatenate(results: list[ForwardPass]) -> ForwardPass:
     """Join the results of consecutive batches."""
     if len(results) == 1:
         return results[0]
-    parts, features, attention = (
+    joined = [
         None if column[0] is None else np.concatenate(cast("list[Float32Array]", column))
         for column in zip(*results, strict=True)
-    )
-    return ForwardPass(cast(Float32Array, parts), cast(Float32Array, features), attention)
+    ]
+    return ForwardPass(cast(Float32Array, joined[0]), *joined[1:])

@@ -23,7 +23,8 @@ from explorer.compute.cache import SingleFlightCache
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import LPNError
 from lpn.core.views import View
-from lpn.models.base import ForwardPass, Heads, Model
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass, Heads
 
 if TYPE_CHECKING:
     from explorer.compute.request_context import RequestContext

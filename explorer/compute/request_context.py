@@ -9,7 +9,8 @@ from explorer.compute.batching import SupersededError, concatenate
 from explorer.compute.inference_scheduler import InferenceScheduler
 from lpn.core.arrays import Float32Array
 from lpn.core.views import View
-from lpn.models.base import ForwardPass, Heads, Model
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass, Heads
 
 T = TypeVar("T")
 
@@ -92,13 +93,13 @@ class QueuedModel(Model):
     ) -> None:
         self.model, self._scheduler, self._context = model, scheduler, context
         self._background, self._cancellable = background, cancellable
-        self.spec, self.fingerprint, self.precision, self.batch = (
-            model.spec,
-            model.fingerprint,
+        self.contract, self.spec, self.fingerprint = model.contract, model.spec, model.fingerprint
+        self.precision, self.batch, self.means, self.branches = (
             model.precision,
             model.batch,
+            model.means,
+            model.branches,
         )
-        self.means = model.means
 
     def cancellable(self) -> QueuedModel:
         """Return a copy of this model whose requests a newer state may supersede.
@@ -106,6 +107,13 @@ class QueuedModel(Model):
         A superseded request raises SupersededError.
         """
         return QueuedModel(self.model, self._scheduler, self._context, self._background, cancellable=True)
+
+    def for_task(self, query: View, gallery: View) -> QueuedModel:
+        """Return the model for the queries and the gallery of one task, see `Model.for_task`."""
+        if self.contract.roles == "view":
+            return self
+        bound = self.model.for_task(query, gallery)
+        return QueuedModel(bound, self._scheduler, self._context, self._background, self._cancellable)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Compute pictures (B, 3, H, W), in several batches if necessary.
@@ -126,7 +134,7 @@ class QueuedModel(Model):
         )
 
     def heads(self, view: View) -> Heads:
-        """Return the model's affine heads and cell weights, see `Model.heads`."""
+        """Return what is the same for all pictures of a view, see `Model.heads`."""
         return self._scheduler.heads(self.model, view)
 
     def map_size(self, view: View) -> tuple[int, int]:

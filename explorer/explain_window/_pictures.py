@@ -7,11 +7,12 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.views import View
 from lpn.drawing import overlays
+from lpn.retrieval import DescribedPicture
 
 
 def draw_parts(
     workspace: Workspace,
-    picture: UInt8Array,
+    described: DescribedPicture,
     view: View,
     size: tuple[int, int],
     cells: Float64Array | None = None,
@@ -26,20 +27,20 @@ def draw_parts(
     across, down = workspace.layout.picture
     height, max_width = size
     drawn = images.resize(
-        workspace.as_partitioned(picture, view), height, min(round(height * across / down), max_width)
+        workspace.as_partitioned(described.picture, view), height, min(round(height * across / down), max_width)
     )
     if cells is not None:
         drawn = overlays.with_evidence(drawn, cells, limit)
-    return overlays.with_rings(drawn, workspace.spec.partition(view), workspace.map_sizes[view])
+    return overlays.with_parts(drawn, workspace.areas(view, described))
 
 
 def with_parts(
     workspace: Workspace,
-    picture: UInt8Array,
+    described: DescribedPicture,
     view: View,
     size: tuple[int, int],
     cells: Float64Array | None = None,
     limit: float = 1.0,
 ) -> str:
     """Return `draw_parts` as a data URI."""
-    return overlays.data_uri(draw_parts(workspace, picture, view, size, cells, limit), 88)
+    return overlays.data_uri(draw_parts(workspace, described, view, size, cells, limit), 88)

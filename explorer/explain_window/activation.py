@@ -19,14 +19,14 @@ _SIZE = 300, 900
 
 
 def page(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Render the tab; without a network it says that there is no activation."""
+    """Render the tab; without cells it says why there is no activation."""
     pictures = []
     for name, described, view in zip(
         ("query", "tile"), (analysis.query, analysis.tile), analysis.task.views, strict=True
     ):
         if described.trace is not None:
-            maps = part_activation(described.trace.features[0], workspace.spec.partition(view))
-            pictures.append(PictureActivation(name, maps, draw_parts(workspace, described.picture, view, _SIZE)))
+            maps = part_activation(described.trace)
+            pictures.append(PictureActivation(name, maps, draw_parts(workspace, described, view, _SIZE)))
     same_scale = analysis.state.same_scale
     return render(
         "explain/activation",
@@ -34,7 +34,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         same_scale=same_scale,
         note=heatmaps.NOTE,
         hint=HINT,
-        safa=workspace.spec.pooling == "safa",
+        without_cells=workspace.without_cells,
     )
 
 

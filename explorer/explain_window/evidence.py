@@ -33,10 +33,10 @@ class _Map:
 
 
 def page(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Render the tab; without a network it says that there is no evidence."""
+    """Render the tab; without cells it says why there is no evidence."""
     pair = analysis.pair_evidence
     if pair is None or pair.correspondences is None:
-        return render("explain/evidence", evidence=None)
+        return render("explain/evidence", evidence=None, without_cells=workspace.without_cells)
     evidence, part = pair.evidence, analysis.state.heat_part
     views = (analysis.task.query_view, analysis.task.gallery_view)
     cells = evidence.cell_maps(part)
@@ -56,7 +56,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         limit=limit,
         scale=overlays.data_uri(overlays.evidence_scale(200, 12), 95),
         evidence_colours=charts.EVIDENCE_COLOURS,
-        held_weights=workspace.spec.pooling == "safa",
+        claim=workspace.contract.claim,
     )
 
 
@@ -77,7 +77,7 @@ def _map(
         _rounded(cells),
         correspondences.cells.tolist(),
         _rounded(correspondences.shares),
-        with_parts(workspace, described.picture, view, _SIZE, cells, limit),
+        with_parts(workspace, described, view, _SIZE, cells, limit),
     )
 
 

@@ -72,7 +72,14 @@ class ModelComparison:
 def _state(state: SessionState, other: Workspace) -> SessionState:
     """Return the state for a model with other parts: everything about parts and cells is reset."""
     return replace(
-        state, n_parts=other.spec.n_parts, weights=(), enabled=(), heat_part=None, region=(), selected=None, why=True
+        state,
+        n_parts=other.contract.n_parts,
+        weights=(),
+        enabled=(),
+        heat_part=None,
+        region=(),
+        selected=None,
+        why=True,
     )
 
 
@@ -92,7 +99,7 @@ def _column(analysis: StateAnalysis, workspace: Workspace) -> _Column:
         return column
     cells, _ = maps = analysis.pair_evidence.evidence.cell_maps()
     limit = overlays.evidence_limit(*maps)
-    picture = with_parts(workspace, analysis.query.picture, task.query_view, _SIZE, cells, limit)
+    picture = with_parts(workspace, analysis.query, task.query_view, _SIZE, cells, limit)
     return replace(column, map=picture, limit=limit, compared=task.gallery[analysis.chosen.index].name)
 
 

@@ -18,6 +18,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         rows=rows,
         columns=columns,
         painted=[cell for cell in analysis.state.region if cell < rows * columns],
-        picture=with_parts(workspace, analysis.query.picture, view, _SIZE),
+        picture=with_parts(workspace, analysis.query, view, _SIZE),
+        without_cells=workspace.without_cells,
         stacked=workspace.layout.stacked,
     )

@@ -35,7 +35,7 @@ class SweepRequest:
         The last progress is marked as ended, unless an exception ends the sweep.
         """
         analysis, task, state = self.analysis, self.analysis.task, self.analysis.state
-        height, width = workspace.spec.input_size
+        height, width = workspace.contract.input_size
         changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
         changes = [change.for_picture(self.query) for change in sweeps.apply_to_base(self.over, state.change, changes)]
         known = None if state.upload else state.query

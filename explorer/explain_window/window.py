@@ -371,7 +371,7 @@ class ExplainWindow:
             )
 
     def _choose_part(self, value: Any) -> None:
-        part = session_state.integer(value, 0, self._workspace.spec.n_parts - 1)
+        part = session_state.integer(value, 0, self._workspace.contract.n_parts - 1)
         if part is not None or value is None:
             self._change(lambda state: replace(state, heat_part=part))
 
@@ -409,7 +409,7 @@ class ExplainWindow:
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
     def _apply_sweep_point(self, value: Any) -> None:
-        self._change(lambda state: session_state.apply_point(state, value, self._workspace.spec.input_size))
+        self._change(lambda state: session_state.apply_point(state, value, self._workspace.contract.input_size))
 
     def _search_region(self, value: Any) -> None:
         content = self._content

@@ -140,7 +140,7 @@ class FlightWindow:
         match messages.decode(kind, value):
             case messages.ChooseFrame(frame):
                 self._change(lambda state: self._choose_query(state, frame))
-            case messages.PaintScores(part) if isinstance(part, str) or part < self._workspace.spec.n_parts:
+            case messages.PaintScores(part) if isinstance(part, str) or part < self._workspace.contract.n_parts:
                 self._choose(painted=part)
             case messages.ShowSpot(spot):
                 self._choose(spot=spot)

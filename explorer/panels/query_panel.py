@@ -44,7 +44,7 @@ class QueryPanel:
     ) -> None:
         self._workspace = workspace
         has_model = workspace.model is not None
-        height, width = workspace.spec.input_size
+        height, width = workspace.contract.input_size
         moves: dict[str, StateChange] = {
             "‹ Previous": navigation.previous,
             "Next ›": navigation.next,

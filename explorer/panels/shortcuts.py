@@ -123,7 +123,7 @@ def _zoom(factor: float) -> StateChange:
 
 
 def _shift(workspace: Workspace, right: int, down: int) -> StateChange:
-    max_down, max_right = (side // 2 for side in workspace.spec.input_size)
+    max_down, max_right = (side // 2 for side in workspace.contract.input_size)
 
     def shift(state: SessionState) -> SessionState:
         return replace(

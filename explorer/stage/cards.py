@@ -105,8 +105,8 @@ class Cards:
         task, workspace = analysis.task, self._workspace
         picture = workspace.card(task, match.index)
         if analysis.state.rings:
-            partition, cells = workspace.spec.partition(task.gallery_view), workspace.map_sizes[task.gallery_view]
-            picture = overlays.with_rings(picture, partition, cells, 1)
+            # Areas that differ from picture to picture would need a forward pass for each card.
+            picture = overlays.with_parts(picture, workspace.areas(task.gallery_view), 1)
         return overlays.framed(picture, theme.verdict_colour(match.true), 7)
 
     def _label(self, analysis: StateAnalysis, match: Match, full: float) -> UInt8Array:

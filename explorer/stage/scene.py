@@ -21,6 +21,7 @@ from lpn.core import images
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.views import View
 from lpn.drawing import captions, overlays, theme
+from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import Palette
 from lpn.explain import Evidence
 from lpn.retrieval import DescribedPicture, Match
@@ -45,12 +46,13 @@ class StagePicture:
     def __init__(
         self, client: viser.ClientHandle, workspace: Workspace, name: str, centre: Point, caption: Point, n_parts: int
     ) -> None:
-        self._workspace, self._n, self._centre, self._layout = workspace, n_parts, centre, workspace.layout
+        self._n, self._centre, self._layout = n_parts, centre, workspace.layout
         scene = client.scene
         size = self._layout.picture
         self._group = scene.add_frame(f"/{name}", show_axes=False, position=(*centre, 0.0))
         self._flat = Plane(scene, f"/{name}/flat", *size, (0.0, 0.0, 0.0))
         self._caption = Plane(scene, f"/{name}_caption", *CAPTION, (*caption, 0.0))
+        self._areas: PartAreas | None = None
         self._layers: list[viser.ImageHandle] = []
         self._layer_pictures: list[UInt8Array | None] = [None] * n_parts
         for part in range(n_parts):
@@ -66,8 +68,11 @@ class StagePicture:
             )
             self._layers.append(layer)
 
-    def show(self, picture: UInt8Array, caption: UInt8Array, view: View, exploded: bool, towards: float) -> None:
+    def show(
+        self, picture: UInt8Array, caption: UInt8Array, areas: PartAreas | None, exploded: bool, towards: float
+    ) -> None:
         """Draw the picture; `towards` is the direction of the other picture, -1 (left) or 1 (right)."""
+        self._areas = areas
         self._caption.show(caption)
         self._flat.handle.visible = not exploded
         # An exploded picture turns towards the other one; a panorama leans back.
@@ -77,20 +82,20 @@ class StagePicture:
         self._group.position = (self._centre[0] + inward, self._centre[1], 0.0)
         if not exploded:
             self._flat.show(picture)
-        masks = self._workspace.masks(view)
         for part, layer in enumerate(self._layers):
             shown = self._layer_pictures[part]
             if exploded and (shown is None or not np.array_equal(shown, picture)):
-                layer.image = overlays.ring_layer(picture, masks, part)
-                layer.position = (0.0, 0.0, self.depth(part, exploded, view))
+                inside = np.ones(picture.shape[:2], bool) if areas is None else areas.mask(part, picture.shape[:2])
+                layer.image = overlays.part_layer(picture, inside)
+                layer.position = (0.0, 0.0, self.depth(part, exploded))
                 self._layer_pictures[part] = picture
             layer.visible = exploded
 
-    def depth(self, part: int, exploded: bool, view: View) -> float:
+    def depth(self, part: int, exploded: bool) -> float:
         """Return the distance of a part from the picture's plane; the centre is closest to the camera."""
         if not exploded:
             return 0.0
-        order = part if self._workspace.spec.partition(view).outside_in else self._n - 1 - part
+        order = part if self._areas is not None and self._areas.outside_in else self._n - 1 - part
         return (order - (self._n - 1) / 2) * (_STEP if self._layout.stacked else _LIFT)
 
     @property
@@ -98,15 +103,15 @@ class StagePicture:
         """Rotation of the exploded picture in degrees."""
         return 32.0 if self._layout.stacked else 38.0
 
-    def anchor(self, part: int, along: float, side: float, exploded: bool, view: View) -> tuple[float, float, float]:
+    def anchor(self, part: int, along: float, side: float, exploded: bool) -> tuple[float, float, float]:
         """Return the point, in stage coordinates, where the line from a part's border begins.
 
         For pictures side by side, `side` is the left (-1) or right (1) border and `along` the height of the point. For stacked
         pictures, `side` is the lower (-1) or upper (1) border, and the point is its middle.
         """
-        left, top, right, bottom = self._workspace.spec.partition(view).boxes(*self._workspace.map_sizes[view])[part]
+        left, top, right, bottom = (0.0, 0.0, 1.0, 1.0) if self._areas is None else self._areas.boxes[part]
         width, height = self._layout.picture
-        z = self.depth(part, exploded, view) + 0.01
+        z = self.depth(part, exploded) + 0.01
         angle = math.radians(self._angle) if exploded else 0.0
         if self._layout.stacked:
             x, y = ((left + right) / 2 - 0.5) * width, side * height / 2
@@ -133,7 +138,7 @@ class Stage:
         on_select: Callable[[SessionState, int], None],
     ) -> None:
         self._client, self._workspace = client, workspace
-        self._n = workspace.spec.n_parts
+        self._n = workspace.contract.n_parts
         scene = client.scene
         scene.configure_default_lights(cast_shadow=False)
         self._layout = layout = workspace.layout
@@ -198,19 +203,25 @@ class Stage:
                 self._point_camera()
         if viewpoint is not None:
             return
-        left = self._with_overlays(analysis, 0, analysis.query, task.query_view)
-        right = self._with_overlays(analysis, 1, analysis.tile, task.gallery_view)
+        areas = [
+            self._workspace.areas(view, described)
+            for view, described in zip(task.views, (analysis.query, analysis.tile), strict=True)
+        ]
+        left = self._with_overlays(analysis, 0, analysis.query, task.query_view, areas[0])
+        right = self._with_overlays(analysis, 1, analysis.tile, task.gallery_view, areas[1])
         right = overlays.framed(right, theme.verdict_colour(analysis.chosen.true), 6)
         with self._client.atomic():
-            self._query.show(left, self._query_caption(analysis), task.query_view, state.exploded, 1.0)
-            self._tile.show(right, self._tile_caption(analysis), task.gallery_view, state.exploded, -1.0)
+            self._query.show(left, self._query_caption(analysis), areas[0], state.exploded, 1.0)
+            self._tile.show(right, self._tile_caption(analysis), areas[1], state.exploded, -1.0)
             draw = self._gutter_row if self._layout.stacked else self._gutter_picture
             self._gutter.show(draw(analysis.chosen, state.palette))
             self._links.points = self._link_points(analysis)
             self._links.colors = _link_colours(analysis.ranking.weights, state.palette)
             self._cards.show(analysis)
 
-    def _with_overlays(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
+    def _with_overlays(
+        self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View, areas: PartAreas | None
+    ) -> UInt8Array:
         """Return a large picture with heatmap and rings, redrawn only if one of them has changed."""
         state = analysis.state
         evidence = (
@@ -221,24 +232,25 @@ class Stage:
         look = (state.heat, state.heat_kind, state.heat_part, state.opacity, state.rings)
         before = self._drawn[side]
         if before is None or before[0] is not described or before[1] is not evidence or before[2:4] != (view, look):
-            before = self._drawn[side] = (described, evidence, view, look, self._draw(analysis, side, described, view))
+            picture = self._draw(analysis, side, described, view, areas)
+            before = self._drawn[side] = (described, evidence, view, look, picture)
         return before[4]
 
-    def _draw(self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View) -> UInt8Array:
+    def _draw(
+        self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View, areas: PartAreas | None
+    ) -> UInt8Array:
         state = analysis.state
         picture = images.resize(self._workspace.as_partitioned(described.picture, view), *self._layout.pixels)
         if state.heat and state.heat_kind == "evidence" and analysis.pair_evidence is not None:
             maps = analysis.pair_evidence.evidence.cell_maps(state.heat_part)
             picture = overlays.with_evidence(picture, maps[side], overlays.evidence_limit(*maps), state.opacity)
         elif state.heat and described.activation is not None:
-            picture = overlays.with_heat(
-                picture, described.activation, self._workspace.masks(view), state.heat_part, state.opacity
-            )
-        if state.rings:
-            picture = overlays.with_rings(
-                picture, self._workspace.spec.partition(view), self._workspace.map_sizes[view], 3
-            )
-        return picture
+            part = state.heat_part
+            inside = None if part is None or areas is None else areas.mask(part, picture.shape[:2])
+            # A part without a cell has no place to show.
+            inside = None if inside is None or not inside.any() else inside
+            picture = overlays.with_heat(picture, described.activation, inside, state.opacity)
+        return overlays.with_parts(picture, areas, 3) if state.rings else picture
 
     def _query_caption(self, analysis: StateAnalysis) -> UInt8Array:
         own = analysis.state.upload is not None
@@ -305,7 +317,7 @@ class Stage:
 
     def _link_points(self, analysis: StateAnalysis) -> Float32Array:
         """Return two segments per part, from the query's ring to its bar and on to the tile's ring: (2n, 2, 3)."""
-        state, task = analysis.state, analysis.task
+        state = analysis.state
         points = np.zeros((2 * self._n, 2, 3), np.float32)
         (x, y), (width, height) = self._layout.gutter
         for part, along in enumerate(_row_heights(self._layout, self._n)):
@@ -314,9 +326,9 @@ class Stage:
                 ends = (-1.0, (across, y + height / 2, 0.03), (across, y - height / 2, 0.03), 1.0)
             else:
                 ends = (1.0, (-0.6, y + along - 0.025, 0.03), (0.6, y + along - 0.025, 0.03), -1.0)
-            points[2 * part, 0] = self._query.anchor(part, along, ends[0], state.exploded, task.query_view)
+            points[2 * part, 0] = self._query.anchor(part, along, ends[0], state.exploded)
             points[2 * part, 1], points[2 * part + 1, 0] = ends[1], ends[2]
-            points[2 * part + 1, 1] = self._tile.anchor(part, along, ends[3], state.exploded, task.gallery_view)
+            points[2 * part + 1, 1] = self._tile.anchor(part, along, ends[3], state.exploded)
         return points
 
 

@@ -120,7 +120,7 @@ class QueryAnalyser:
     """Analyses queries, and reuses intermediate results of the last request; for one thread at a time.
 
     Args:
-        model: describes queries; None if only stored descriptors are available.
+        model: describes queries, as the task's `Model.for_task`; None if only stored descriptors are available.
         describe_tile: describes a tile of a task by its gallery position, see the function `describe_tile`; may use a cache.
         load: reads a picture without regard to its box; may use a cache.
     """
@@ -157,7 +157,7 @@ class QueryAnalyser:
         source = self._source.get(source_key, lambda: own.picture if own else self._load_cropped(picture))
         query_key = source_key, task.name, index, request.change
         query = self._query.get(query_key, lambda: self._describe(task, index, source, request.change))
-        weights = scoring.part_weights(task.spec.n_parts, request.weights)
+        weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
         cosines_key = query_key, request.region, request.weights if request.region else None
         cosines, lengths = self._cosines.get(cosines_key, lambda: _compare(task, query, request.region, weights))
@@ -188,7 +188,7 @@ class QueryAnalyser:
     def _describe(self, task: Task, index: int | None, source: UInt8Array, change: Change) -> DescribedPicture:
         if self._model is not None:
             change = change.for_picture(task.queries[index or 0])
-            return retrieval.describe_picture(self._model, source, task.query_view, change)
+            return retrieval.describe_picture(self._model.for_task(*task.views), source, task.query_view, change)
         if index is None:
             raise InputError(
                 f"{task.model_name} has descriptors but no network to describe other pictures; choose a query of the data set."
@@ -212,7 +212,7 @@ def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPictu
     picture = task.gallery[index].load_cropped()
     if model is None:
         return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
-    return retrieval.describe_picture(model, picture, task.gallery_view)
+    return retrieval.describe_picture(model.for_task(*task.views), picture, task.gallery_view)
 
 
 def _compare(

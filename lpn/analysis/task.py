@@ -22,7 +22,7 @@ from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.explain import counterfactual
 from lpn.models.base import Model
-from lpn.models.spec import ModelSpec
+from lpn.models.contract import Contract
 from lpn.retrieval import Ranking, metrics, scoring
 
 
@@ -35,7 +35,7 @@ class Task:
         model: None where another program computed the descriptors, so that no picture can be described again.
         model_name, data_name: names to display.
         root: the data set's folder.
-        spec: how parts divide a picture.
+        contract: the model's, or that by which another program's parts are drawn.
         map_sizes: (h, w) of the feature map of each view.
         queries, gallery: the pictures.
         query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
@@ -53,7 +53,7 @@ class Task:
     model_name: str
     data_name: str
     root: Path
-    spec: ModelSpec
+    contract: Contract
     map_sizes: Mapping[View, tuple[int, int]]
     queries: Sequence[Picture]
     gallery: Sequence[Picture]
@@ -91,12 +91,12 @@ class Task:
     @property
     def part_names(self) -> list[str]:
         """The parts' names in the queries' view."""
-        return self.spec.partition(self.query_view).names()
+        return self.contract.names(self.query_view)
 
     @cached_property
     def part_weights(self) -> Float32Array:
         """The part weights, summing to one, (n,)."""
-        return scoring.part_weights(self.spec.n_parts, self.weights)
+        return scoring.part_weights(self.contract.n_parts, self.weights)
 
     @cached_property
     def outcomes(self) -> Outcomes:
@@ -171,6 +171,7 @@ def open_task(
     if tags_and_notes is None:
         tags_and_notes = notes.read_notes(dataset.root / notes.NAME)
     views = views_of(name)
+    model = model.for_task(*views)
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
     geometry = gallery_geometry(dataset, queries, gallery)
     query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
@@ -182,7 +183,7 @@ def open_task(
         model_name=printable(model_name),
         data_name=printable(dataset.root.resolve().name),
         root=dataset.root,
-        spec=model.spec,
+        contract=model.contract,
         map_sizes={view: model.map_size(view) for view in views},
         queries=queries,
         gallery=gallery,

@@ -54,36 +54,45 @@ class ExplainCommand:
         from lpn.core import images
         from lpn.core.files import check_writable, write_atomic
         from lpn.drawing import pair_figure, verdicts
+        from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
         from lpn.retrieval import scoring
 
         for file in (self.json, self.png):
             if file is not None:
                 check_writable(file)
-        model = lpn.load(self.model)
+        model = lpn.load(self.model).for_task(self.view_query, self.view_match)
         views = (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         query = retrieval.describe_picture(model, images.load_picture(self.query), self.view_query, self.rotate)
         tile = retrieval.describe_picture(model, images.load_picture(self.match), self.view_match)
-        assert query.trace is not None
-        assert tile.trace is not None
+        if query.trace is None or tile.trace is None:
+            raise InputError(verdicts.no_cells(model.contract))
         found = explain.evidence(query.trace, tile.trace, weights)
-        names = model.spec.partition(self.view_query).names()
+        names = model.contract.names(self.view_query)
         console = Console(width=max(100, Console().width))
         losses = _losses(model, query, self.view_query, tile, console) if self.covering else None
         of: dict[str, Any] = {"model": model.fingerprint, "query": str(self.query), "match": str(self.match)}
         of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
-        values = of | (found.to_dict(names) if losses is None else occlusion.to_dict(found, losses, names))
-        _show(console, found, names)
+        values = of | (
+            found.to_dict(names, model.contract.claim) if losses is None else occlusion.to_dict(found, losses, names)
+        )
+        _show(console, found, names, model.contract.claim)
         console.print(verdicts.describe_evidence(found, names, *views), markup=False)
         if self.json is not None:
             write_atomic(self.json, (json.dumps(values, indent=1) + "\n").encode())
         if self.png is not None:
             cut = [model.as_partitioned(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
             titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
-            shown = pair_figure.draw(found, (cut[0], cut[1]), titles, views, model.spec, losses)
+            areas = [
+                PartAreas.of(model.contract, view, trace.size, trace)
+                for view, trace in zip(views, (query.trace, tile.trace), strict=True)
+            ]
+            shown = pair_figure.draw(
+                found, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses
+            )
             write_atomic(self.png, pair_figure.encode(shown))
 
 
@@ -112,10 +121,10 @@ def _losses(
     return found[1]
 
 
-def _show(console: Console, found: Evidence, names: Sequence[str]) -> None:
+def _show(console: Console, found: Evidence, names: Sequence[str], claim: str) -> None:
     from rich.table import Table
 
-    table = Table(title=f"score {found.score:.4f}, squared distance {found.distance2:.4f}")
+    table = Table(title=f"score {found.score:.4f}, squared distance {found.distance2:.4f} ({claim})")
     for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant"):
         table.add_column(name, justify="left" if name == "part" else "right")
     for part, name in enumerate(names):

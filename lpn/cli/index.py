@@ -130,7 +130,7 @@ class SearchCommand:
             wanted = self.top + (index.most is None or self.top < index.most)
             found = index.search(query, weights, wanted, self.box)
         matches = _matches(found, query, weights, self.top, model, self.view)
-        _show(matches, model.spec.partition(self.view).names())
+        _show(matches, model.contract.names(self.view))
         if self.json is not None:
             request: dict[str, Any] = {
                 "index": _shown(self.index),
@@ -152,7 +152,7 @@ def _matches(
 
     cosines = scoring.part_cosines(query, found.vectors)
     shares = scoring.contributions(cosines, weights)
-    names = model.spec.partition(view).names()
+    names = model.contract.names(view)
     matches = []
     for i, name in enumerate(found.ids[:top]):
         score = float(found.scores[i])

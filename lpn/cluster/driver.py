@@ -124,8 +124,8 @@ def describe_shards(
     engine.check_view(view)
     source, target = Storage(pictures), Storage(out)
     items = _items(source, positions, boxes or {})
-    wanted = Plan(engine.fingerprint, view, engine.n_parts, engine.spec.embedding, precision, 1, shard=shard)
-    files = {path.name: path.read_bytes() for path in graph_files(model, engine.spec.groups())}
+    wanted = Plan(engine.fingerprint, view, engine.n_parts, engine.embedding, precision, 1, shard=shard)
+    files = {path.name: path.read_bytes() for path in graph_files(model, list(engine.contract.groups))}
     del engine
     if target.folder is None:
         return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)

@@ -30,11 +30,11 @@ MAX_PIXELS = 64_000_000
 PNG = b"\x89PNG\r\n\x1a\n"
 
 _HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
-_MEAN = np.array([0.485, 0.456, 0.406], dtype=np.float32)
-_STD = np.array([0.229, 0.224, 0.225], dtype=np.float32)
-# ImageNet normalisation of a value 0 .. 255 of each channel: value * SCALE + OFFSET.
-SCALE = (1.0 / (255.0 * _STD)).astype(np.float32)
-OFFSET = (-_MEAN / _STD).astype(np.float32)
+# A number for red, green, and blue.
+Triple = tuple[float, float, float]
+# ImageNet's mean and standard deviation of values 0 .. 1.
+MEAN: Triple = (0.485, 0.456, 0.406)
+STD: Triple = (0.229, 0.224, 0.225)
 
 
 def load_picture(path: str | Path) -> UInt8Array:
@@ -205,6 +205,13 @@ def resize(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC))
 
 
+def resize_linear(picture: UInt8Array, height: int, width: int) -> UInt8Array:
+    """Bilinear resize without anti-aliasing to (height, width, 3): OpenCV's INTER_LINEAR_EXACT, equal on every machine."""
+    if picture.shape[:2] == (height, width):
+        return picture
+    return cast(UInt8Array, cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR_EXACT))
+
+
 def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     """Unroll a north-up square tile around its centre, as SAFA does, into a panorama's shape: (height, width, 3).
 
@@ -237,13 +244,20 @@ def shrink(picture: UInt8Array, side: int) -> UInt8Array:
     return picture if factor >= 1 else resize(picture, max(round(height * factor), 1), max(round(width * factor), 1))
 
 
-def normalise(picture: UInt8Array) -> Float32Array:
-    """ImageNet normalisation: (H, W, 3) uint8 to (3, H, W) float32."""
+def normalise(picture: UInt8Array, mean: Triple = MEAN, std: Triple = STD) -> Float32Array:
+    """Normalise by mean and standard deviation of values 0 .. 1, ImageNet's by default: (H, W, 3) uint8 to (3, H, W) float32."""
     planes = np.empty((3, *picture.shape[:2]), np.float32)
+    scales, offsets = scale_and_offset(mean, std)
     for channel, plane in enumerate(planes):
-        np.multiply(picture[..., channel], SCALE[channel], out=plane, dtype=np.float32)
-        plane += OFFSET[channel]
+        np.multiply(picture[..., channel], scales[channel], out=plane, dtype=np.float32)
+        plane += offsets[channel]
     return planes
+
+
+def scale_and_offset(mean: Triple = MEAN, std: Triple = STD) -> tuple[Float32Array, Float32Array]:
+    """Return the scale and offset, (3,) each, that normalise a value 0 .. 255 of each channel: value * scale + offset."""
+    means, stds = np.array(mean, np.float32), np.array(std, np.float32)
+    return (1.0 / (255.0 * stds)).astype(np.float32), (-means / stds).astype(np.float32)
 
 
 def prepare(picture: UInt8Array, size: tuple[int, int]) -> Float32Array:

@@ -73,7 +73,7 @@ def describe_each(
             except PictureError as error:
                 broken.append((i, error))
         if not inputs:
-            return DescribedRow([], np.zeros((0, model.n_parts, model.spec.embedding), np.float32), broken)
+            return DescribedRow([], np.zeros((0, model.n_parts, model.embedding), np.float32), broken)
         stacked = np.stack(inputs)
         with lock:
             return DescribedRow(described, model.descriptors(stacked, view), broken)

@@ -90,7 +90,7 @@ class Manifest:
     ) -> Manifest:
         """Return the manifest of files that a model describes."""
         transform = (change.shift, change.scale, change.down, change.around)
-        n, embedding = model.n_parts, model.spec.embedding
+        n, embedding = model.n_parts, model.embedding
         return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform)
 
     @property

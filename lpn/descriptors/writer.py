@@ -137,7 +137,7 @@ def progress_bar() -> Progress:
 def prepare_row(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:
     """Convert a picture (H, W, 3) to the model's input (3, H, W): crop, rotate and zoom, resize, shift, normalise."""
     cropped = images.crop(picture, row.box, printable(row.file))
-    return images.normalise(change.move(model.to_input_size(change.apply(cropped), view)))
+    return model.normalise(change.move(model.to_input_size(change.apply(cropped), view)))
 
 
 def pictures_below(folder: str | Path) -> list[Path]:

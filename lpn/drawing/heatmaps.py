@@ -67,7 +67,7 @@ def draw(
     shared: bool = False,
     attributes: Callable[[PictureActivation, int], Markup] | None = None,
 ) -> Markup:
-    """Draw the pictures of a pair, and the heatmap of each of their n parts with its colour bar.
+    """Draw the pictures of a pair, and the heatmap of each of their n parts that has cells, with its colour bar.
 
     Args:
         names: of the parts.
@@ -77,6 +77,8 @@ def draw(
     ranges = value_ranges([picture.maps for picture in pictures], shared)
     columns = [("", "", [_Panel(picture.name, overlays.data_uri(picture.shown, 75)) for picture in pictures])]
     for part, name in enumerate(names):
+        if all(np.isnan(picture.maps[part]).all() for picture in pictures):
+            continue
         panels = [
             _Panel(
                 picture.name,

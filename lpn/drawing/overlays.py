@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 
 from lpn.core import images
-from lpn.core.arrays import Float32Array, FloatingArray, Int64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, Int64Array, UInt8Array
+from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import AGAINST, FOR, Colour, part_colour
-from lpn.models.partition import Partition
 
 
 def square(picture: UInt8Array, size: int) -> UInt8Array:
@@ -19,24 +19,16 @@ def square(picture: UInt8Array, size: int) -> UInt8Array:
     return images.resize(picture, size, size)
 
 
-def part_masks(partition: Partition, map_size: tuple[int, int], size: tuple[int, int]) -> Int64Array:
-    """Return the part of each pixel, (height, width), of a picture of that size, from the cells of the model's feature map."""
-    return cast(Int64Array, images.enlarge(partition.labels(*map_size), *size))
-
-
-def with_heat(
-    picture: UInt8Array, activation: Float32Array, masks: Int64Array, part: int | None, opacity: float
-) -> UInt8Array:
+def with_heat(picture: UInt8Array, activation: Float32Array, inside: BoolArray | None, opacity: float) -> UInt8Array:
     """Lay a heatmap over a picture; weak cells are transparent, so that the picture stays readable.
 
     Args:
         activation: (h, w), 0 to 1.
-        part: scale the heatmap to this part alone, and darken the rest of the picture.
+        inside: the pixels of one part, (H, W), with at least one; the heatmap is scaled to it, and the rest is darkened.
     """
     height, width = picture.shape[:2]
     heat = np.clip(cv2.resize(activation, (width, height), interpolation=cv2.INTER_CUBIC), 0.0, 1.0)
-    if part is not None:
-        inside = masks == part
+    if inside is not None:
         low, high = float(heat[inside].min()), float(heat[inside].max())
         heat = np.where(inside, np.clip((heat - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
     colours = cv2.cvtColor(
@@ -44,8 +36,8 @@ def with_heat(
     )
     alpha = (opacity * heat * np.sqrt(heat)).astype(np.float32)
     blended = cv2.blendLinear(picture, colours, 1 - alpha, alpha)
-    if part is not None:
-        shade = np.where(masks == part, 1.0, 1.0 - 0.55 * opacity).astype(np.float32)
+    if inside is not None:
+        shade = np.where(inside, 1.0, 1.0 - 0.55 * opacity).astype(np.float32)
         blended = cv2.blendLinear(blended, np.zeros_like(blended), shade, 1 - shade)
     return cast(UInt8Array, blended)
 
@@ -88,11 +80,19 @@ def heat_cells(values: FloatingArray, low: float, high: float) -> UInt8Array:
     return np.dstack([colours, np.where(np.isnan(values), 0, 255).astype(np.uint8)])
 
 
-def with_rings(picture: UInt8Array, partition: Partition, map_size: tuple[int, int], thickness: int = 2) -> UInt8Array:
-    """Draw the boundary of each part in its colour, with a dark outline that is visible on bright ground."""
-    height, width = picture.shape[:2]
+def with_parts(picture: UInt8Array, areas: PartAreas | None, thickness: int = 2) -> UInt8Array:
+    """Draw the border of each part in its colour, with a dark outline that is visible on bright ground.
+
+    Args:
+        areas: of the parts; nothing is drawn without them, and for a part that no cell belongs to most.
+    """
     drawn = np.ascontiguousarray(picture).copy()
-    for part, (left, top, right, bottom) in enumerate(partition.boxes(*map_size)):
+    if areas is None:
+        return drawn
+    if not areas.straight:
+        return _with_outlines(drawn, areas.labels, thickness)
+    height, width = picture.shape[:2]
+    for part, (left, top, right, bottom) in enumerate(areas.boxes):
         inset = thickness // 2 + 1
         first = (round(left * width) + inset, round(top * height) + inset)
         second = (round(right * width) - 1 - inset, round(bottom * height) - 1 - inset)
@@ -101,9 +101,27 @@ def with_rings(picture: UInt8Array, partition: Partition, map_size: tuple[int, i
     return drawn
 
 
-def ring_layer(picture: UInt8Array, masks: Int64Array, part: int) -> UInt8Array:
-    """Return one part of a picture, (height, width, 4) RGBA; the rest is transparent."""
-    alpha = np.where(masks == part, 255, 0).astype(np.uint8)
+def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int) -> UInt8Array:
+    """Draw the outline of each label's cells, just inside of them."""
+    spread = images.enlarge(labels, *drawn.shape[:2])
+    for part in range(int(labels.max()) + 1):
+        inside = (spread == part).astype(np.uint8)
+        # A border of zeros makes the picture's own border an outline, too.
+        outer, inner = (
+            cv2.erode(
+                inside, np.ones((3, 3), np.uint8), iterations=steps, borderType=cv2.BORDER_CONSTANT, borderValue=0
+            )
+            for steps in (1, 1 + thickness)
+        )
+        innermost = cv2.erode(inner, np.ones((3, 3), np.uint8))
+        drawn[(inside > outer) | (inner > innermost)] = 0
+        drawn[outer > inner] = part_colour(part)
+    return drawn
+
+
+def part_layer(picture: UInt8Array, inside: BoolArray) -> UInt8Array:
+    """Return the pixels of one part of a picture, (height, width, 4) RGBA; the rest is transparent."""
+    alpha = np.where(inside, 255, 0).astype(np.uint8)
     return np.dstack([picture, alpha])
 
 

@@ -11,13 +11,14 @@ from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.views import View
 from lpn.drawing import charts, overlays, theme, verdicts
 from lpn.drawing.captions import fitted, font
+from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import AGAINST, BACKGROUND, DIM, FOR, TEXT
 from lpn.explain import Evidence
-from lpn.models.spec import ModelSpec
+from lpn.models.contract import Contract
 
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
 _COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": DIM}
-EXACT_NOTE = "Exact: it accounts for the score; it does not say what the score would be were a cell not there."
+_ACCOUNT = ": it accounts for the score; it does not say what the score would be were a cell not there."
 OCCLUSION_NOTE = (
     "Approximate: what the score loses where a square of the query is blurred, measured; the bars are exact."
 )
@@ -28,7 +29,8 @@ def draw(
     pictures: tuple[UInt8Array, UInt8Array],
     titles: tuple[str, str],
     views: tuple[View, View],
-    spec: ModelSpec,
+    contract: Contract,
+    areas: tuple[PartAreas | None, PartAreas | None],
     losses: Float32Array | None = None,
 ) -> UInt8Array:
     """Draw the whole figure, (H, 1200, 3) uint8.
@@ -37,11 +39,12 @@ def draw(
         pictures: query and tile as the model partitions them.
         titles: captions of query and tile.
         views: the branches that described query and tile.
+        areas: of the parts of query and tile.
         losses: of `lpn.explain.occlusion.occlude`; they are drawn on the query in place of the evidence, and the tile has none.
     """
     width = (_WIDTH - 3 * _MARGIN) // 2
-    height = round(width * spec.input_size[0] / spec.input_size[1])
-    names = spec.partition(views[0]).names()
+    height = round(width * contract.input_size[0] / contract.input_size[1])
+    names = contract.names(views[0])
     bars_top = 96 + height + 40
     image = Image.new("RGB", (_WIDTH, bars_top + _ROW * len(names) + 96), BACKGROUND)
     pen = ImageDraw.Draw(image)
@@ -55,11 +58,11 @@ def draw(
         left = _MARGIN + column * (width + _MARGIN)
         pen.text((left, 76), fitted(pen, titles[column], 20, width), DIM, font(20), anchor="lm")
         drawn = overlays.with_evidence(images.resize(pictures[column], height, width), cells, limit)
-        drawn = overlays.with_rings(drawn, spec.partition(views[column]), evidence.query.cells.shape[1:])
+        drawn = overlays.with_parts(drawn, areas[column])
         image.paste(Image.fromarray(drawn), (left, 96))
     _draw_bars(pen, evidence, names, bars_top)
     _draw_legend(image, pen, limit, bars_top + _ROW * len(names) + 30)
-    note = EXACT_NOTE if losses is None else OCCLUSION_NOTE
+    note = f"{contract.claim[0].upper()}{contract.claim[1:]}{_ACCOUNT}" if losses is None else OCCLUSION_NOTE
     pen.text((_MARGIN, image.height - 18), note, DIM, font(16), anchor="lm")
     return np.asarray(image)
 

@@ -11,6 +11,7 @@ from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
 from lpn.explain.sweeps import SweepResult, signed_value
+from lpn.models.contract import Contract
 from lpn.retrieval import Match
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
@@ -64,6 +65,15 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     if contributions[worst] < 0:
         text += f" Part {names[worst]} speaks against the pair ({contributions[worst]:+.3f})."
     return text
+
+
+def no_cells(contract: Contract) -> str:
+    """Say why a model without cells has no evidence."""
+    given = "one vector" if contract.level == "one vector" else f"{contract.n_parts} parts"
+    return (
+        f"{contract.method} gives {given} for a picture and no cells ({contract.claim}), so its score cannot be split into "
+        "places of the picture."
+    )
 
 
 def verdict(

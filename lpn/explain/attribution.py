@@ -4,19 +4,19 @@ With parts q_i, g_i of norm 1/sqrt(n) and part weights w_i that sum to one, cos_
 
     score = sum_i w_i cos_i,        distance^2 = 2 - 2 score = sum_i 2 w_i (1 - cos_i).
 
-A test-time head is affine. The raw embedding of part i is therefore a sum over passes p and cells x, plus a constant:
+By the model's contract (`lpn.models.contract`), the raw embedding of part i is a sum over passes p and cells x, plus a
+constant:
 
-    e_i = sum_p sum_x a_pi(x) A_i F_p(x) + c_i.
+    e_i = sum_p sum_x a_pi(x) A_i F_pi(x) + c_i.
 
-One pass is of the picture; LPN adds a second one, of its mirror. F_p is the feature map of a pass; the mirror's is
-flipped back. If u_i is the tile's part i, scaled to norm one, then
+One pass is of the picture; LPN adds a second one, of its mirror. F_pi is the map of a pass, or of a part in it; the mirror's
+is flipped back. If u_i is the tile's part i, scaled to norm one, then
 
-    cos_i = sum_x <sum_p a_pi(x) A_i F_p(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
+    cos_i = sum_x <sum_p a_pi(x) A_i F_pi(x), u_i> / |e_i|  +  <c_i, u_i> / |e_i|,
 
-which is a signed map and one constant. The tile's side is analogous. The slopes of a final ReLU or LeakyReLU, the length
-of a subtracted mean descriptor (`Model.centring`, which joins c_i), and SAFA's cell weights are held fixed at their values
-for this picture. Evidence accounts for the score as it is. `lpn.explain.occlusion` measures how the score changes without a
-cell.
+which is a signed map and one constant. The tile's side is analogous. What the contract says is held, and
+the length of a subtracted mean descriptor (`Model.centring`, which joins c_i), are fixed at their values for this picture.
+Evidence accounts for the score as it is. `lpn.explain.occlusion` measures how the score changes without a cell.
 """
 
 from __future__ import annotations
@@ -97,8 +97,12 @@ class Evidence:
         weight = float(self.weights[part])
         return weight * self.query.cells[part], weight * self.tile.cells[part]
 
-    def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
+    def to_dict(self, names: Sequence[str], level: str = "exact") -> dict[str, Any]:
         """The evidence as JSON values, as `lpn explain` writes them.
+
+        Args:
+            names: of the parts.
+            level: how far the numbers are exact, see `Contract.claim`.
 
         A part's `contribution` is its weight times its cosine; contributions add up to the score. `cells` (a list of
         rows) and `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and add up
@@ -116,7 +120,7 @@ class Evidence:
             }
             for part, name in enumerate(names)
         ]
-        return {"exact": True, "score": self.score, "distance2": self.distance2, "parts": parts}
+        return {"level": level, "score": self.score, "distance2": self.distance2, "parts": parts}
 
 
 def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
@@ -210,4 +214,4 @@ def _take_best(found: Correspondences, shares: Float32Array, rows: BoolArray, co
 
 def _part_cells(trace: Trace, part: int) -> BoolArray:
     """True for the cells of a part, (h w,)."""
-    return cast(BoolArray, (trace.cells[:, part] != 0).any(axis=(0, 1)).reshape(-1))
+    return cast(BoolArray, (trace.cells[:, part] != 0).any(axis=0).reshape(-1))

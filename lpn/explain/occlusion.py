@@ -12,7 +12,6 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.core.views import View
 from lpn.explain import Evidence
@@ -67,7 +66,7 @@ def to_dict(found: Evidence, losses: Float32Array, names: Sequence[str]) -> dict
         }
         for part, name in enumerate(names)
     ]
-    return {"exact": False, "score": found.score, "distance2": found.distance2, "parts": parts}
+    return {"level": "measured by occlusion", "score": found.score, "distance2": found.distance2, "parts": parts}
 
 
 def curve(
@@ -123,5 +122,5 @@ def mixed(picture: UInt8Array, blurred: UInt8Array, covered: BoolArray) -> UInt8
 
 def _cosines(model: Model, pictures: Sequence[UInt8Array], view: View, other: Float32Array) -> Float32Array:
     """Each part's cosine of each picture, (B, n)."""
-    batch = np.stack([images.normalise(picture) for picture in pictures])
+    batch = np.stack([model.normalise(picture) for picture in pictures])
     return scoring.part_cosines(other, model.descriptors(batch, view))

@@ -249,7 +249,7 @@ def _described(
     """Return descriptors (N, n, D) of items and the errors of broken ones, chunk by chunk from the cache or from the model."""
     digest = hashlib.sha256(json.dumps([_FORMAT, key]).encode()).hexdigest()[:24]
     folder = cache_folder() / "locate" / "descriptors" / digest
-    shape = (len(items), model.n_parts, model.spec.embedding)
+    shape = (len(items), model.n_parts, model.embedding)
     found = np.zeros(shape, np.float32)
     broken: dict[int, str] = {}
     for start in range(0, len(items), _CHUNK):

@@ -90,7 +90,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
         model_name=printable(model_name),
         data_name=printable(f"{located.flight.name} over {located.town.name}"),
         root=root,
-        spec=model.spec,
+        contract=model.contract,
         map_sizes={view: model.map_size(view) for view in model.views},
         queries=[
             _query(found, i, located.frames[i].frame, found.headings[i][turn], root) for i, turn in enumerate(turns)

@@ -3,9 +3,10 @@
 It imports `core` and `datasets`. This face needs no torch; `network`, `checkpoints`, and `export` do.
 """
 
-from lpn.models.base import ForwardPass, Heads, Model
+from lpn.models.base import Model
+from lpn.models.contract import Contract, ForwardPass, Heads
 from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
 from lpn.models.trace import Trace
 
-__all__ = ["ForwardPass", "Heads", "Model", "ModelSpec", "Partition", "Trace"]
+__all__ = ["Contract", "ForwardPass", "Heads", "Model", "ModelSpec", "Partition", "Trace"]

@@ -1,4 +1,4 @@
-"""The contract of a loaded model, in PyTorch or on ONNX Runtime."""
+"""A loaded model that describes pictures, in PyTorch, on ONNX Runtime, or in any other program; see `lpn.models.contract`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import copy
 import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -16,112 +16,143 @@ from lpn.core import images as pictures
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.views import View
+from lpn.models.contract import Contract, ForwardPass, Heads, Role, check_parts
 from lpn.models.spec import ModelSpec
 
 _CHUNK = 16
 
 
-@dataclass(frozen=True)
-class Heads:
-    """The affine test-time heads: the embedding of part i is `A[i] @ sum_cells(cells[i] * map) + c[i]`.
-
-    Attributes:
-        weight: A, (n, D, C) float32.
-        bias: c, (n, D) float32.
-        cells: the partition's cell weights, (n, h, w) float32.
-    """
-
-    weight: Float32Array
-    bias: Float32Array
-    cells: Float32Array
-
-
-class ForwardPass(NamedTuple):
-    """The result of one forward pass.
-
-    Attributes:
-        parts: raw head outputs, (B, n, D).
-        features: the last feature map, (B, C, h, w).
-        attention: SAFA's cell weights of each picture, (B, n, M, h, w); None with fixed cell weights.
-    """
-
-    parts: Float32Array
-    features: Float32Array
-    attention: Float32Array | None
-
-
 class Model(ABC):
-    """A trained LPN, ready to describe pictures.
+    """A trained part-based model, ready to describe pictures.
 
-    Images are (B, 3, H, W) float32, RGB, ImageNet-normalised (see `lpn.core.images`), as NumPy array or torch tensor.
+    A model of one's own sets `contract` and defines `run`, and `heads` where it has static ones. Images are (B, 3, H, W)
+    float32, RGB, normalised as the contract says, as NumPy array or torch tensor.
 
     Attributes:
-        spec: the architecture.
-        fingerprint: hexadecimal digest of the model file; only descriptors with the same fingerprint are comparable.
+        contract: what the model says of itself.
+        spec: the architecture of an LPN, for training and export; None for other models.
         precision: the precision of its convolutions, "float32" or "int8".
         device: what it computes on, "cpu", "cuda", or "tensorrt".
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
         means: the mean descriptor of a view, (n, D), that is subtracted from each of its descriptors; see `centred`.
+        branches: the role of each view in the task of `for_task`; empty before.
     """
 
-    spec: ModelSpec
-    fingerprint: str
+    contract: Contract
+    spec: ModelSpec | None = None
     precision: str = "float32"
     device: str = "cpu"
     parallel: bool = False
     batch: int = 4
     means: Mapping[View, Float32Array] = MappingProxyType({})
+    branches: Mapping[View, Role] = MappingProxyType({})
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """A hexadecimal digest; only descriptors with the same fingerprint are comparable.
+
+        A model of a file sets that of the file. Otherwise it is the digest of the contract and of what the model answers to
+        one picture of noise in each view.
+        """
+        digest = hashlib.sha256(repr(self.contract).encode())
+        noise = np.random.default_rng(0).standard_normal((1, 3, *self.input_size)).astype(np.float32)
+        for view in self.views:
+            digest.update(np.ascontiguousarray(self.run(noise, view).parts, np.float32).tobytes())
+        return digest.hexdigest()
 
     def describe(self) -> str:
-        """Return one line for a header or a log: the architecture, a precision other than float32, and the GPU."""
+        """Return one line for a header or a log: the model, a precision other than float32, and the GPU."""
         precision = "" if self.precision == "float32" else f", {self.precision}"
-        return self.spec.describe() + precision + ("" if self.device == "cpu" else f", on {self.device}")
+        return self.contract.title + precision + ("" if self.device == "cpu" else f", on {self.device}")
 
     @property
     def n_parts(self) -> int:
         """The number of parts n of a descriptor."""
-        return self.spec.n_parts
+        return self.contract.n_parts
+
+    @property
+    def embedding(self) -> int:
+        """The numbers D of a part."""
+        return self.contract.embedding
 
     @property
     def input_size(self) -> tuple[int, int]:
         """(height, width) of the network input in pixels."""
-        return self.spec.input_size
+        return self.contract.input_size
 
     @property
     def views(self) -> tuple[View, ...]:
-        """The views that have a branch, in the order satellite, street, drone."""
-        return self.spec.views
+        """The views that it describes, in the order satellite, street, drone."""
+        return self.contract.views
 
     @abstractmethod
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W)."""
 
-    @abstractmethod
     def heads(self, view: View) -> Heads:
-        """Return the affine heads and cell weights, for exact explanation.
+        """Return what is the same for all pictures of a view; nothing by default.
 
         Raises:
-            InputError: if the model lacks the view, or has no heads (SAFA).
+            InputError: if the model lacks the view.
         """
+        self.check_view(view)
+        return Heads()
 
-    @abstractmethod
     def map_size(self, view: View) -> tuple[int, int]:
-        """Return (h, w) of the feature map of an image of the model's input size."""
+        """Return (h, w) of the feature map of an image of the model's input size; 1 x 1 without cells."""
+        self.check_view(view)
+        features = self.run(np.zeros((1, 3, *self.input_size), np.float32), view).features
+        return (1, 1) if features is None else (features.shape[-2], features.shape[-1])
+
+    def for_task(self, query: View, gallery: View) -> Self:
+        """Return this model for the queries and the gallery of one task.
+
+        Only where branches have roles is it another model: its `role` of each view is that of the task.
+
+        Raises:
+            InputError: if branches have roles, and queries and gallery are of one view.
+        """
+        if self.contract.roles == "view":
+            return self
+        if query == gallery:
+            raise InputError(
+                f"{self.contract.method} has one branch for queries and one for the gallery, and this task has both of one "
+                f"view, {query}; choose a task of two views."
+            )
+        bound = copy.copy(self)
+        bound.branches = {query: "query", gallery: "gallery"}
+        if any(bound.role(view) != self.role(view) for view in (query, gallery)):
+            bound.fingerprint = hashlib.sha256(f"{self.fingerprint} {query} {gallery}".encode()).hexdigest()
+        return bound
+
+    def role(self, view: View) -> Role:
+        """Return the role of a view where branches have roles; outside of a task, the satellite is the gallery."""
+        return self.branches.get(view, "gallery" if view == "satellite" else "query")
 
     def to_input_size(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Resize a picture to the input size, (height, width, 3) uint8; a polar model's tiles are unrolled into panoramas."""
-        if self.spec.unrolled(view):
+        if self.contract.unrolled(view):
             return pictures.polar(picture, *self.input_size)
-        return pictures.resize(picture, *self.input_size)
+        resize = pictures.resize if self.contract.resize == "bicubic" else pictures.resize_linear
+        return resize(picture, *self.input_size)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Return the picture on which parts are drawn: the unrolled tile of a polar model, else the picture itself."""
-        return self.to_input_size(picture, view) if self.spec.unrolled(view) else picture
+        return self.to_input_size(picture, view) if self.contract.unrolled(view) else picture
+
+    def normalise(self, picture: UInt8Array) -> Float32Array:
+        """Normalise a picture of the input size as the contract says: (H, W, 3) uint8 to (3, H, W) float32."""
+        return pictures.normalise(picture, self.contract.mean, self.contract.std)
 
     def prepare(self, picture: UInt8Array, view: View) -> Float32Array:
         """Convert a picture to the model's input: (3, height, width) float32."""
-        return pictures.normalise(self.to_input_size(picture, view))
+        return self.normalise(self.to_input_size(picture, view))
+
+    def with_mirror(self, prepared: Float32Array) -> Float32Array:
+        """Return the batch that describes one prepared picture: itself, and its mirror if the contract sums both."""
+        both = [prepared, prepared[..., ::-1]] if self.contract.mirror == "sum" else [prepared]
+        return np.stack(both)
 
     def part_embeddings(self, images: Any, view: View) -> Float32Array:
         """Return the raw head outputs, (B, n, D) float32; the parts are in the order of the checkpoint's classifiers.
@@ -132,20 +163,19 @@ class Model(ABC):
         batch = self._batch(images, view)
         size = max(_CHUNK, self.batch)
         chunks = [self._parts(batch[i : i + size], view) for i in range(0, len(batch), size)]
-        return np.concatenate(chunks) if chunks else np.zeros((0, self.n_parts, self.spec.embedding), np.float32)
+        return np.concatenate(chunks) if chunks else np.zeros((0, self.n_parts, self.embedding), np.float32)
 
     def descriptors(self, images: Any, view: View, mirror: bool = True) -> Float32Array:
         """Return descriptors for retrieval, (B, n, D) float32, each part of norm 1/sqrt(n).
 
-        With `mirror`, the head outputs of the picture and of its horizontal mirror are added first, as published for LPN;
-        SAFA, which distinguishes left from right, ignores it.
+        With `mirror`, the raw parts of the picture and of its horizontal mirror are added first, if the contract sums both.
 
         Raises:
             InputError: as for `part_embeddings`.
             ModelFileError: if the network's output is not finite.
         """
         raw = self.part_embeddings(images, view)
-        if mirror and self.spec.mirrored:
+        if mirror and self.contract.mirror == "sum":
             raw = raw + self.part_embeddings(np.ascontiguousarray(self._batch(images, view)[..., ::-1]), view)
         return normalise(raw + self.centring(raw, view))
 
@@ -185,23 +215,18 @@ class Model(ABC):
         if view not in self.views:
             raise InputError(f"This model has no {view!r} view; it has {', '.join(self.views)}.")
 
-    def check_heads(self) -> None:
-        """Raise InputError unless the model has affine heads."""
-        if self.spec.pooling == "safa":
-            raise InputError(
-                "This is a SAFA model, which has no affine heads: its cell weights differ from picture to picture."
-            )
-
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         """Return the part embeddings of one chunk; overridden by models that can skip the feature map."""
-        return self.run(images, view).parts
+        outputs = self.run(images, view)
+        check_parts(self.contract, outputs.parts, len(images))
+        return outputs.parts
 
     def _batch(self, images: Any, view: View) -> Float32Array:
         self.check_view(view)
         batch = as_array(images)
         if batch.ndim != 4 or batch.shape[1] != 3 or not np.issubdtype(batch.dtype, np.floating):
             raise InputError(
-                f"The images are {batch.dtype} of shape {batch.shape}; expected float32 (B, 3, H, W), ImageNet-normalised."
+                f"The images are {batch.dtype} of shape {batch.shape}; expected float32 (B, 3, H, W), normalised."
             )
         return cast(Float32Array, np.ascontiguousarray(batch, dtype=np.float32))
 

@@ -24,7 +24,8 @@ from lpn.core.files import fingerprint, write_atomic
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
-from lpn.models.base import ForwardPass, Heads, Model
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass, Heads
 from lpn.models.network import LPN, map_size
 from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
 from lpn.models.spec import ModelSpec
@@ -39,7 +40,7 @@ _AGAIN = "copy it again from where it came, or make it again"
 
 
 class TorchModel(Model):
-    """A model that runs in PyTorch, on the CPU or the GPU the network was put on.
+    """An LPN that runs in PyTorch, on the CPU or the GPU the network was put on.
 
     Args:
         compiled: run the backbones by torch.compile, which compiles for seconds to minutes at the first batch of a size.
@@ -48,9 +49,12 @@ class TorchModel(Model):
         InputError: if `compiled`, and torch finds no compiler.
     """
 
+    spec: ModelSpec
+
     def __init__(self, network: LPN, fingerprint: str = "", compiled: bool = False) -> None:
         self.network = network.eval()
         self.spec = network.spec
+        self.contract = network.spec.contract()
         self.fingerprint = fingerprint
         self._device = next(network.parameters()).device
         self.device = self._device.type
@@ -62,7 +66,7 @@ class TorchModel(Model):
         """Run one forward pass of images (B, 3, H, W)."""
         outputs = self._forward(images, view)
         parts, features, attention = (None if tensor is None else tensor.cpu().numpy() for tensor in outputs)
-        return ForwardPass(cast(Float32Array, parts), cast(Float32Array, features), attention)
+        return self.spec.forward_pass(cast(Float32Array, parts), cast(Float32Array, features), attention)
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         return cast(Float32Array, self._forward(images, view)[0].cpu().numpy())
@@ -78,9 +82,10 @@ class TorchModel(Model):
         return map_size(self.network.branch(view).model, self.input_size)
 
     def heads(self, view: View) -> Heads:
-        """Return the affine heads and cell weights, for exact explanation; InputError with SAFA, which has none."""
+        """Return the affine heads and cell weights; SAFA has none."""
         self.check_view(view)
-        self.check_heads()
+        if not self.network.heads:
+            return Heads()
         with torch.inference_mode():
             pairs = [head.affine() for head in self.network.heads]
             weight, bias = (torch.stack([pair[i] for pair in pairs]).cpu().numpy() for i in (0, 1))

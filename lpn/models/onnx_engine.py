@@ -22,7 +22,8 @@ from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider, usable_cores
 from lpn.core.views import View
 from lpn.models import providers
-from lpn.models.base import ForwardPass, Heads, Model
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass, Heads
 from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec
 
@@ -57,6 +58,8 @@ class Engine(Model):
         OutputError: if the cache of TensorRT's engines cannot be written.
     """
 
+    spec: ModelSpec
+
     def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:
         path = self._path = Path(path)
         options = ort.SessionOptions()
@@ -69,6 +72,7 @@ class Engine(Model):
         session = _open(path, options)
         metadata = _metadata(session, path)
         self.spec = ModelSpec.from_json(metadata["spec"])
+        self.contract = self.spec.contract()
         self.precision = metadata.get(COMPUTE, "float32")
         groups = self.spec.groups()
         files = graph_files(path, groups)
@@ -106,7 +110,7 @@ class Engine(Model):
         self._check_size(images, view)
         names = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
         outputs = self._outputs(names, images, view)
-        return ForwardPass(outputs[0], outputs[1], outputs[2] if len(outputs) > 2 else None)
+        return self.spec.forward_pass(*outputs)
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         self._check_size(images, view)
@@ -132,9 +136,10 @@ class Engine(Model):
         return int(shape[2]), int(shape[3])
 
     def heads(self, view: View) -> Heads:
-        """Return the affine heads and cell weights, for exact explanation; InputError with SAFA, which has none."""
+        """Return the affine heads and cell weights; SAFA has none."""
         self.check_view(view)
-        self.check_heads()
+        if self.spec.pooling == "safa":
+            return Heads()
         if view not in self._heads:
             blank = np.zeros((1, 3, *self.input_size), np.float32)
             self._heads[view] = Heads(*self._outputs(list(HEAD_OUTPUTS), blank, view))

@@ -66,7 +66,7 @@ def quantize(
         raise InputError(f"{pictures} calibration pictures were asked for; give at least one, such as {PICTURES}.")
     check_writable(out)
     engine = Engine(model, provider=provider)
-    groups = engine.spec.groups()
+    groups = list(engine.contract.groups)
     chosen = [calibration_pictures(dataset, group, pictures) for group in groups]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")
     sources, targets = graph_files(model, groups), graph_files(out, groups)
@@ -111,9 +111,7 @@ def _pictures(dataset: Dataset, view: View) -> list[Picture]:
 
 def _inputs(engine: Engine, view: View, picture: Picture) -> Float32Array:
     """Return the network input of a picture: (1, 3, H, W), or with its mirror (2, 3, H, W)."""
-    prepared = engine.prepare(picture.load_cropped(), view)
-    batch = [prepared, prepared[..., ::-1]] if engine.spec.mirrored else [prepared]
-    return np.stack(batch)
+    return engine.with_mirror(engine.prepare(picture.load_cropped(), view))
 
 
 class _CalibrationReader(CalibrationDataReader):  # type: ignore[misc]

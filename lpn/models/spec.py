@@ -7,11 +7,14 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.formats import UPGRADE
 from lpn.core.views import VIEWS, View
+from lpn.models.contract import Contract, ForwardPass
 from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
 Activation = Literal["none", "relu", "leaky_relu"]
@@ -143,13 +146,51 @@ class ModelSpec:
         return [tuple(view for view in self.views if keys[view] == key) for key in ordered]
 
     @property
-    def mirrored(self) -> bool:
-        """True if a descriptor adds the mirrored picture's, as published for LPN; SAFA distinguishes left from right."""
-        return self.pooling == "average"
+    def method(self) -> str:
+        """The method's name: "LPN", "Baseline", "SAFA", or "SAFA + LPN"."""
+        if self.pooling == "safa":
+            return "SAFA" if self.n_parts == 1 else "SAFA + LPN"
+        return "Baseline" if self.n_parts == 1 else "LPN"
 
-    def unrolled(self, view: View) -> bool:
-        """Return whether pictures of `view` are unrolled around their centre first."""
-        return self.polar and view == "satellite"
+    def contract(self) -> Contract:
+        """Return what a model of this architecture says of itself."""
+        held = "the slopes of the activation" if self.activation != "none" else ""
+        held = "the weights of each picture's cells" if self.pooling == "safa" else held
+        return Contract(
+            method=self.method,
+            title=self.describe(),
+            views=self.views,
+            input_size=self.input_size,
+            n_parts=self.n_parts,
+            embedding=self.embedding,
+            level="exact, with held" if held else "exact",
+            held=held,
+            groups=tuple(self.groups()),
+            # SAFA distinguishes left from right.
+            mirror="none" if self.pooling == "safa" else "sum",
+            partitions={view: self.partition(view) for view in self.views},
+            polar=("satellite",) if self.polar else (),
+        )
+
+    def forward_pass(
+        self, parts: Float32Array, features: Float32Array, attention: Float32Array | None = None
+    ) -> ForwardPass:
+        """Return a network's outputs in the terms of the contract.
+
+        Args:
+            parts: (B, n, D).
+            features: the last feature map, (B, C, h, w).
+            attention: SAFA's cell weights, (B, n, M, h, w). Each part is then the sum over the cells of a map of its own, with
+                the channels of its M weighted maps.
+        """
+        if attention is not None:
+            weighted = attention[:, :, :, None] * features[:, None, None]
+            by_part = weighted.reshape(*attention.shape[:2], -1, *features.shape[2:])
+            return ForwardPass(parts, by_part, (attention != 0).any(axis=2).astype(np.float32))
+        if self.activation == "none":
+            return ForwardPass(parts, features)
+        below = np.float32(SLOPES[self.activation])
+        return ForwardPass(parts, features, slopes=np.where(parts > 0, np.float32(1), below))
 
     def to_json(self) -> str:
         """Return one line of JSON for `from_json`."""
@@ -178,10 +219,7 @@ class ModelSpec:
     def describe(self) -> str:
         """Return one line for a header or a log: "LPN resnet18/layer3, n = 4, 256 x 256"."""
         backbone = self.backbone if self.last_layer == "layer4" else f"{self.backbone}/{self.last_layer}"
-        name = "Baseline" if self.n_parts == 1 else "LPN"
-        if self.pooling == "safa":
-            name = "SAFA" if self.n_parts == 1 else "SAFA + LPN"
-        return f"{name} {backbone}, n = {self.n_parts}, {self.input_size[0]} x {self.input_size[1]}"
+        return f"{self.method} {backbone}, n = {self.n_parts}, {self.input_size[0]} x {self.input_size[1]}"
 
 
 def _check_count(name: str, value: Any, most: int) -> None:

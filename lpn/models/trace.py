@@ -8,72 +8,102 @@ from typing import cast
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, ModelFileError
 from lpn.core.views import View
-from lpn.models.base import ForwardPass, Heads, Model
-from lpn.models.spec import SLOPES
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass, check_pass
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """The intermediate results from which exact evidence is computed.
+    """The intermediate results from which exact evidence is computed, in the terms of `lpn.models.contract`.
 
     Attributes:
-        embedding: part embeddings, the mirror's and `centring` added, (n, D).
-        features: the feature map of each of P passes, the mirror's flipped back, (P, C, h, w).
-        cells: the weight of each cell in each part of each pass, (P, n, M, h, w); M is 1, or SAFA's number of maps.
-        heads: the affine heads; None with SAFA, whose parts are the weighted sums.
+        embedding: part embeddings, the mirror's and `Model.centring` added, (n, D).
+        features: the map of each of P passes, (P, C, h, w), or of each part of each pass, (P, n, C, h, w); the mirror's flipped
+            back.
+        cells: the weight of each cell in each part of each pass, (P, n, h, w).
+        weight: the heads, (n, D, C); None for the identity.
         slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
-        centring: the term that subtracts the view's mean descriptor, (n, D), see `Model.centring`; part of the constants.
+        constants: what the sum over cells lacks, all passes and the subtracted mean of the view together, (n, D) float64.
     """
 
     embedding: Float32Array
     features: Float32Array
     cells: Float32Array
-    heads: Heads | None
+    weight: Float32Array | None
     slopes: Float32Array | None
-    centring: Float32Array
+    constants: Float64Array
 
     @classmethod
     def from_pass(cls, model: Model, outputs: ForwardPass, view: View) -> Trace:
-        """Return the trace of a forward pass of a picture, or of a picture and its mirror as a batch of two."""
-        attention = outputs.attention
-        heads = None if attention is not None else model.heads(view)
-        if heads is None:
-            cells = cast(Float32Array, attention)
-        else:
-            # A model in PyTorch accepts images of other sizes, whose cells differ.
-            size = outputs.features.shape[2:]
-            weights = heads.cells if heads.cells.shape[1:] == size else model.spec.partition(view).weights(*size)
-            cells = np.broadcast_to(weights[None, :, None], (len(outputs.parts), len(weights), 1, *size))
-        bent = heads is not None and model.spec.activation != "none"
-        below = np.float32(SLOPES[model.spec.activation])
-        slopes = np.where(outputs.parts > 0, np.float32(1), below) if bent else None
+        """Return the trace of a forward pass of a picture, or of a picture and its mirror as a batch of two.
+
+        Raises:
+            InputError: if the model's contract says that it gives no cells.
+            ModelFileError: if the shapes contradict the contract.
+        """
+        contract, heads, passes = model.contract, model.heads(view), len(outputs.parts)
+        if not contract.has_cells:
+            raise InputError(f"{contract.method} has no cells ({contract.claim}), so there is no evidence to compute.")
+        check_pass(contract, outputs, heads)
+        features = cast(Float32Array, outputs.features)
+        cells = outputs.cells
+        if cells is None:
+            fixed, partition, size = heads.cells, contract.partition(view), features.shape[-2:]
+            if (fixed is None or fixed.shape[1:] != size) and partition is not None:
+                # A model in PyTorch accepts images of other sizes, whose cells differ.
+                fixed = partition.weights(*size)
+            if fixed is None or fixed.shape != (contract.n_parts, *size):
+                raise ModelFileError(
+                    f"{contract.method} returns a map of {size[0]} x {size[1]} cells, and not which part each belongs to; "
+                    "return cells with each picture, or in the heads."
+                )
+            cells = np.broadcast_to(fixed, (passes, *fixed.shape))
         embedding = cast(Float32Array, outputs.parts.sum(axis=0))
-        centring = np.broadcast_to(model.centring(embedding, view), embedding.shape)
-        return cls(embedding + centring, _upright(outputs.features), _upright(cells), heads, slopes, centring)
+        constants = np.broadcast_to(model.centring(embedding, view), embedding.shape)
+        added = heads.bias if outputs.constants is None else outputs.constants
+        each = np.zeros(outputs.parts.shape) if added is None else np.broadcast_to(added, outputs.parts.shape)
+        each = each if outputs.slopes is None else outputs.slopes * each
+        return cls(
+            (embedding + constants).astype(np.float32),
+            _upright(features),
+            _upright(cells),
+            heads.weight,
+            outputs.slopes,
+            constants + each.sum(axis=0, dtype=np.float64),
+        )
 
     @property
     def size(self) -> tuple[int, int]:
         """(h, w) of the feature map."""
-        return self.features.shape[2], self.features.shape[3]
+        return self.features.shape[-2], self.features.shape[-1]
+
+    @property
+    def activation(self) -> Float32Array:
+        """The channel sum of the picture's map, (h, w); of a map for each part, the sum over the parts that hold the cell."""
+        total = self.part_totals
+        return total[0] if len(total) == 1 else cast(Float32Array, (total * (self.cells[0] != 0)).sum(axis=0))
+
+    @property
+    def part_totals(self) -> Float32Array:
+        """The channel sum of the picture's map, (1, h, w), or of that of each part, (n, h, w)."""
+        total = cast(Float32Array, self.features[0].sum(axis=-3))
+        return total[None] if total.ndim == 2 else total
 
     def along(self, direction: FloatingArray) -> tuple[Float64Array, Float64Array]:
         """Split the inner product of the embedding with a direction (n, D) into cells (n, h, w) and constants (n,)."""
-        passes, channels = self.features.shape[:2]
-        parts, maps = self.cells.shape[1:3]
         direction = direction.astype(np.float32)
-        constants = np.einsum("nd,nd->n", direction, self.centring, dtype=np.float64)
-        if self.heads is None:
-            pulled = np.broadcast_to(direction.reshape(1, parts * maps, channels), (passes, parts * maps, channels))
-        else:
-            turned = np.broadcast_to(direction, (passes, *direction.shape))
-            turned = turned if self.slopes is None else turned * self.slopes
-            pulled = np.matmul(turned.transpose(1, 0, 2), self.heads.weight).transpose(1, 0, 2)
-            constants = constants + np.einsum("pnd,nd->n", turned, self.heads.bias, dtype=np.float64)
-        responses = np.matmul(pulled, self.features.reshape(passes, channels, -1))
+        constants = np.einsum("nd,nd->n", direction, self.constants, dtype=np.float64)
+        turned = np.broadcast_to(direction, (len(self.cells), *direction.shape))
+        turned = turned if self.slopes is None else turned * self.slopes
+        pulled = turned
+        if self.weight is not None:
+            pulled = np.matmul(turned.transpose(1, 0, 2), self.weight).transpose(1, 0, 2)
+        flat = self.features.reshape(*self.features.shape[:-2], -1)
+        responses = np.matmul(pulled, flat) if flat.ndim == 3 else np.matmul(pulled[:, :, None], flat)
         shares = responses.reshape(self.cells.shape) * self.cells
-        return shares.sum(axis=(0, 2), dtype=np.float64), constants
+        return shares.sum(axis=0, dtype=np.float64), constants
 
     def vectors(self, part: int, only: BoolArray | None = None) -> Float32Array:
         """Return each cell's term of a part's embedding, (h * w, D); their sum plus the constant is the embedding.
@@ -81,22 +111,23 @@ class Trace:
         Args:
             only: cells (h, w) to sum over; the result is then (D,).
         """
-        flat = self.features.reshape(*self.features.shape[:2], -1)
         total: Float32Array | None = None
-        for number, (features, cells) in enumerate(zip(flat, self.cells[:, part], strict=True)):
-            weights = cells.reshape(len(cells), -1)
-            if only is None:
-                pooled = features * weights[:, None]
-            else:
-                pooled = np.matmul(features, (weights * only.reshape(-1)).T).T[..., None]
-            if self.heads is None:
-                added = pooled.reshape(-1, pooled.shape[-1])
-            else:
-                added = self.heads.weight[part] @ pooled[0]
-                added = added if self.slopes is None else added * self.slopes[number, part][:, None]
+        for number, cells in enumerate(self.cells[:, part]):
+            features = self.features[number] if self.features.ndim == 4 else self.features[number, part]
+            flat, weights = features.reshape(len(features), -1), cells.reshape(-1)
+            added = flat * weights if only is None else (flat @ (weights * only.reshape(-1)))[:, None]
+            added = added if self.weight is None else self.weight[part] @ added
+            added = added if self.slopes is None else added * self.slopes[number, part][:, None]
             total = added if total is None else total + added
         assert total is not None
         return total.T if only is None else total[:, 0]
+
+    def closure(self) -> float:
+        """Return the largest error of cells plus constants as the embedding, as a share of its largest value."""
+        everywhere = np.ones(self.size, bool)
+        sums = np.stack([self.vectors(part, everywhere) for part in range(len(self.embedding))])
+        error = np.abs(sums + self.constants - self.embedding).max()
+        return float(error / max(float(np.abs(self.embedding).max()), 1e-30))
 
     def region(self, cells: BoolArray, weights: Float32Array) -> Float32Array:
         """Return the query of a region, (n, D), which ranks a gallery by the region's contribution to the scores.

@@ -13,6 +13,7 @@ from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.drawing.part_areas import PartAreas
 from lpn.explain import Evidence, counterfactual, sweeps
 from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweighting
 from lpn.explain.part_activation import part_activation
@@ -53,12 +54,14 @@ class Pair:
     Attributes:
         match: the tile's entry in the ranking.
         picture: the tile's picture on which parts are drawn, see `Model.as_partitioned`.
-        evidence: the evidence for the score; None without a network.
-        activation: of each part of the query and of the tile, (n, h, w) each, see `part_activation`; None without a network.
+        areas: of its parts; None if neither a partition nor its cells are known.
+        evidence: the evidence for the score; None without cells.
+        activation: of each part of the query and of the tile, (n, h, w) each, see `part_activation`; None without cells.
     """
 
     match: Match
     picture: UInt8Array
+    areas: PartAreas | None
     evidence: Evidence | None
     activation: tuple[Float32Array, Float32Array] | None
 
@@ -71,6 +74,7 @@ class Case:
         known: True if the query's place is known, even if the gallery has no tile of it.
         facts: names and values of the query's metadata.
         picture: the query's picture on which parts are drawn, see `Model.as_partitioned`.
+        areas: of its parts; None if neither a partition nor its cells are known.
         matches: the nearest tiles, then the nearest positive if it is not among them.
         errors_m: error of each of `matches` in metres; None if positions are unknown.
         positive: the nearest positive; None if none is known.
@@ -88,6 +92,7 @@ class Case:
     known: bool
     facts: list[tuple[str, str]]
     picture: UInt8Array
+    areas: PartAreas | None
     ranking: Ranking
     matches: list[Match]
     errors_m: list[float] | None
@@ -148,6 +153,7 @@ class Cases:
             known=ranking.relevant is not None,
             facts=self._facts(index),
             picture=self._partitioned(analysis.query.picture, 0),
+            areas=self._areas(analysis.query, 0),
             ranking=ranking,
             matches=matches,
             errors_m=None if errors_m is None else [float(errors_m[match.index]) for match in matches],
@@ -172,13 +178,13 @@ class Cases:
         evidence = pair_evidence(query, tile, self._task.part_weights)
         activation = None
         if query.trace is not None and tile.trace is not None:
-            of_query, of_tile = (self._task.spec.partition(view) for view in self._task.views)
-            activation = (
-                part_activation(query.trace.features[0], of_query),
-                part_activation(tile.trace.features[0], of_tile),
-            )
-        picture = self._partitioned(tile.picture, 1)
-        return Pair(match, picture, None if evidence is None else evidence.evidence, activation)
+            activation = part_activation(query.trace), part_activation(tile.trace)
+        found = None if evidence is None else evidence.evidence
+        return Pair(match, self._partitioned(tile.picture, 1), self._areas(tile, 1), found, activation)
+
+    def _areas(self, described: DescribedPicture, side: int) -> PartAreas | None:
+        view = self._task.views[side]
+        return PartAreas.of(self._task.contract, view, self._task.map_sizes[view], described.trace)
 
     def _facts(self, index: int | None) -> list[tuple[str, str]]:
         if index is None:

@@ -110,11 +110,11 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
     """List what the report is about as names and values."""
-    mirrored = "descriptors of picture and mirror added, " if task.spec.mirrored else ""
+    mirrored = "descriptors of picture and mirror added, " if task.contract.mirror == "sum" else ""
     clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}each part normalised"]
     if task.weights is not None:
         clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
-    parts = tuple(range(1, task.spec.n_parts + 1))
+    parts = tuple(range(1, task.contract.n_parts + 1))
     rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None)
     facts = [
         ("Model", task.model_name),

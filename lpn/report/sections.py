@@ -12,6 +12,7 @@ from lpn.core import images
 from lpn.core.arrays import FloatingArray, UInt8Array
 from lpn.drawing import charts, heatmaps, overlays, verdicts
 from lpn.drawing.heatmaps import PictureActivation
+from lpn.drawing.part_areas import PartAreas
 from lpn.explain import Evidence
 from lpn.report._rendering import render, thumbnail
 from lpn.report.cases import Case
@@ -46,8 +47,10 @@ def section(case: Case, task: Task, number: int) -> Markup:
         headline=headline,
         sentences=[reason, *_sentences(case, task)],
         wide=_is_panorama(task),
-        picture=_with_parts(case.picture, task, 0),
-        tiles=[(pair.match, _role(case, pair.match), _with_parts(pair.picture, task, 1)) for pair in case.pairs],
+        picture=_with_parts(case.picture, case.areas, task),
+        tiles=[
+            (pair.match, _role(case, pair.match), _with_parts(pair.picture, pair.areas, task)) for pair in case.pairs
+        ],
         matches=_matches(case, task),
         evidence=_evidence(case, task),
         limit=_limit(case),
@@ -122,8 +125,8 @@ def _evidence(case: Case, task: Task) -> list[_PairEvidence]:
         if pair.evidence is not None:
             query_cells, tile_cells = pair.evidence.cell_maps()
             maps = (
-                _with_evidence(case.picture, query_cells, limit, task, 0),
-                _with_evidence(pair.picture, tile_cells, limit, task, 1),
+                _with_evidence(case.picture, case.areas, query_cells, limit, task),
+                _with_evidence(pair.picture, pair.areas, tile_cells, limit, task),
             )
             sentence = verdicts.describe_evidence(pair.evidence, task.part_names, *task.views)
             drawn.append(_PairEvidence(pair.evidence, sentence, maps, charts.evidence_bars(pair.evidence, span)))
@@ -135,37 +138,34 @@ def _heatmaps(case: Case, task: Task) -> Markup | None:
     pair = case.pairs[0]
     if pair.activation is None:
         return None
+    drawn = _draw_parts(case.picture, case.areas, task), _draw_parts(pair.picture, pair.areas, task)
     pictures = [
-        PictureActivation(name, maps, _draw_parts(picture, task, side))
-        for side, (name, maps, picture) in enumerate(
-            zip(("query", "tile"), pair.activation, (case.picture, pair.picture), strict=True)
-        )
+        PictureActivation(name, maps, shown)
+        for name, maps, shown in zip(("query", "tile"), pair.activation, drawn, strict=True)
     ]
     return heatmaps.draw(pictures, task.part_names)
 
 
-def _with_parts(picture: UInt8Array, task: Task, side: int) -> str:
-    return overlays.data_uri(_draw_parts(picture, task, side), 70)
+def _with_parts(picture: UInt8Array, areas: PartAreas | None, task: Task) -> str:
+    return overlays.data_uri(_draw_parts(picture, areas, task), 70)
 
 
-def _draw_parts(picture: UInt8Array, task: Task, side: int) -> UInt8Array:
-    view = task.views[side]
-    shown = images.resize(picture, *_size(task, _LARGE))
-    return overlays.with_rings(shown, task.spec.partition(view), task.map_sizes[view])
+def _draw_parts(picture: UInt8Array, areas: PartAreas | None, task: Task) -> UInt8Array:
+    return overlays.with_parts(images.resize(picture, *_size(task, _LARGE)), areas)
 
 
-def _with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, task: Task, side: int) -> str:
+def _with_evidence(picture: UInt8Array, areas: PartAreas | None, cells: FloatingArray, limit: float, task: Task) -> str:
     shown = overlays.with_evidence(images.resize(picture, *_size(task, _MAP)), cells, limit)
-    return overlays.data_uri(overlays.with_rings(shown, task.spec.partition(task.views[side]), cells.shape), 66)
+    return overlays.data_uri(overlays.with_parts(shown, areas), 66)
 
 
 def _size(task: Task, width: int) -> tuple[int, int]:
     """Return the height and width at which a picture is shown."""
-    height, across = task.spec.input_size
+    height, across = task.contract.input_size
     width = 2 * width if _is_panorama(task) else width
     return max(1, round(width * height / across)), width
 
 
 def _is_panorama(task: Task) -> bool:
-    height, width = task.spec.input_size
+    height, width = task.contract.input_size
     return width >= _PANORAMA * height

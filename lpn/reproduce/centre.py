@@ -52,4 +52,6 @@ def _shares(model: Model, pictures: Sequence[Picture], view: View) -> Iterator[f
     for start in range(0, len(pictures), _BATCH):
         batch = pictures[start : start + _BATCH]
         prepared = [model.prepare(images.load_picture(picture.path), view) for picture in batch]
-        yield from centre_share(model.run(np.stack(prepared), view).features)
+        features = model.run(np.stack(prepared), view).features
+        assert features is not None
+        yield from centre_share(features)

@@ -52,6 +52,8 @@ def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> Non
     """Raise InputError if a given network is not of the kind that it stands for; backbone and weights are free."""
     use.check_views(model.views, file.name)
     spec, name = model.spec, use.training.name
+    if spec is None:
+        raise InputError(f"{file.name} is {model.contract.method}, and {name} needs an LPN; give one, or leave it out.")
     compared = {
         "n_parts": (spec.n_parts, recipe.n_parts),
         "input size": tuple(" x ".join(map(str, size)) for size in (spec.input_size, recipe.input_size)),

@@ -181,6 +181,7 @@ def evaluate(
         )
     protocol.chosen(model.n_parts)
     query_view, gallery_view = views_of(task)
+    model = model if protocol.branch else model.for_task(query_view, gallery_view)
     query_branch, gallery_branch = (protocol.branch or view for view in (query_view, gallery_view))
     for branch in (query_branch, gallery_branch):
         _check_branch(model, branch, protocol)
@@ -407,7 +408,7 @@ def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:
 
 def _clauses(model: Model, protocol: Protocol, cropped: bool, change: Change) -> list[str]:
     """The clauses about the descriptors in the protocol's sentence."""
-    mirrored = "descriptors of picture and mirror added, " if model.spec.mirrored else ""
+    mirrored = "descriptors of picture and mirror added, " if model.contract.mirror == "sum" else ""
     clauses = [f"{mirrored}each part normalised"]
     clauses += ["queries cropped to the part that is meant"] if cropped else []
     clauses += [f"queries {change.describe()}"] if change else []

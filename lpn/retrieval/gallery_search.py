@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
-from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model, normalise
+from lpn.models.contract import check_parts
 from lpn.models.trace import Trace
 from lpn.retrieval import scoring
 from lpn.retrieval.metrics import JUNK
@@ -25,8 +26,8 @@ class DescribedPicture:
         picture: the changed picture at its own resolution, (H, W, 3) uint8. In an unrolled view (SAFA), the network's input is
             shifted after unrolling, which this picture does not show.
         descriptor: parts of norm 1/sqrt(n), (n, D).
-        activation: channel sum of the last feature map, (h, w), 0 .. 1; None without a network.
-        trace: explains the descriptor cell by cell; None without a network.
+        activation: channel sum of the last feature map, (h, w), 0 .. 1; None without cells.
+        trace: explains the descriptor cell by cell; None without a network, or if the network gives no cells.
     """
 
     picture: UInt8Array
@@ -136,11 +137,15 @@ def describe_picture(
     """
     change = change if isinstance(change, Change) else Change(rotate=change)
     turned = change.apply(picture)
-    prepared = images.normalise(change.move(model.to_input_size(turned, view)))
-    batch = [prepared, prepared[..., ::-1]] if model.spec.mirrored else [prepared]
-    trace = Trace.from_pass(model, model.run(np.stack(batch), view), view)
-    shown = turned if model.spec.unrolled(view) else change.show(turned, model.input_size)
-    return DescribedPicture(shown, normalise(trace.embedding), scoring.activation(trace.features[0]), trace)
+    prepared = model.normalise(change.move(model.to_input_size(turned, view)))
+    outputs = model.run(model.with_mirror(prepared), view)
+    shown = turned if model.contract.unrolled(view) else change.show(turned, model.input_size)
+    if not model.contract.has_cells:
+        check_parts(model.contract, outputs.parts, len(outputs.parts))
+        raw = cast(Float32Array, outputs.parts.sum(axis=0))
+        return DescribedPicture(shown, normalise(raw + model.centring(raw, view)), None, None)
+    trace = Trace.from_pass(model, outputs, view)
+    return DescribedPicture(shown, normalise(trace.embedding), scoring.activation(trace.activation), trace)
 
 
 def rank(

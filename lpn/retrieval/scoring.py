@@ -46,8 +46,7 @@ def contributions(cosines: Float32Array, weights: Float32Array, lengths: Float32
     return cast(Float32Array, weights * (1.0 + query_lengths - 2.0 * cosines))
 
 
-def activation(features: Float32Array) -> Float32Array:
-    """The channel sum of a feature map (C, h, w), scaled to 0 .. 1 (Figure 7); it depends on one picture, not on a pair."""
-    total = features.sum(axis=0)
+def activation(total: Float32Array) -> Float32Array:
+    """Scale the channel sum of a map (h, w) to 0 .. 1 (Figure 7); it depends on one picture, not on a pair."""
     low, high = float(total.min()), float(total.max())
     return cast(Float32Array, ((total - low) / max(high - low, 1e-12)).astype(np.float32))

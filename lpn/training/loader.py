@@ -102,7 +102,7 @@ class Loader:
         rows = len(range(recipe.batch)[share])
         self._prefetch = max(_PREFETCH, -(-2 * self.workers // rows))
         self._scale, self._offset = (
-            torch.from_numpy(values).to(device)[:, None, None] for values in (images.SCALE, images.OFFSET)
+            torch.from_numpy(values).to(device)[:, None, None] for values in images.scale_and_offset()
         )
 
     @property

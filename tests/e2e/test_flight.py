@@ -71,7 +71,9 @@ def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> It
         task = flight_task(model, "a.onnx", located, folder)
         ranking = RankingJob(task)
         ranking.start()
-        workspace = Workspace("a.onnx", "monday", [ranking], task.spec, dict(task.map_sizes), task.model, None, folder)
+        workspace = Workspace(
+            "a.onnx", "monday", [ranking], task.contract, dict(task.map_sizes), task.model, None, folder
+        )
         workspace.flight = located
         app = App(workspace, "127.0.0.1", free_port())
         origin = town.frame.latitude, town.frame.longitude

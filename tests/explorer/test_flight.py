@@ -51,7 +51,7 @@ def workspace(files: tuple[Path, Path], model_file: Path) -> Workspace:
 
 
 def _state(workspace: Workspace, query: int) -> SessionState:
-    return SessionState(TASK, workspace.spec.n_parts, query=query)
+    return SessionState(TASK, workspace.contract.n_parts, query=query)
 
 
 def _register(
@@ -174,7 +174,7 @@ def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace
     unknown = replace(task, truth=[replace(one, good=one.good[:0], known=False) for one in task.truth])
     shown: list[str] = []
     blind = Workspace(
-        "m", "d", [opening._begin_ranking(unknown)], workspace.spec, workspace.map_sizes, None, None, files[1]
+        "m", "d", [opening._begin_ranking(unknown)], workspace.contract, workspace.map_sizes, None, None, files[1]
     )
     assert "nothing is graded" in pages.header(blind, unknown)
     navigation = Navigation(blind, lambda title, _: shown.append(title))

@@ -36,7 +36,7 @@ def test_an_offered_model_is_opened_once_and_on_request(workspace: Workspace) ->
     assert second.open() is job
     assert job.wait(PATIENCE)
     assert second.workspace is not None
-    assert second.workspace.spec.n_parts == 1
+    assert second.workspace.contract.n_parts == 1
     assert list(second.workspace.tasks) == list(workspace.tasks)
     assert second.open().value is second.workspace
 
@@ -64,7 +64,7 @@ def test_a_model_given_at_the_start_is_open(data: Path, model_file: Path, one_pa
     assert second is not None
     wait_until(lambda: second.workspace is not None)
     assert second.workspace is not None
-    assert second.workspace.spec.n_parts == 1
+    assert second.workspace.contract.n_parts == 1
     assert second.label == "model.onnx"
     assert open_model(data, model_file).second is None
 

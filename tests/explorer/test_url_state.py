@@ -84,7 +84,7 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(wor
     names = ["own", "twin", "twin", "~2", "a&b=c#d%20e", "häuser", "bad\udcff"]
     queries = [replace(task.queries[0], name=name) for name in names]
     ranking = RankingJob(replace(task, queries=queries))
-    fake = Workspace("m", "d", [ranking], workspace.spec, workspace.map_sizes, None, None, workspace.root)
+    fake = Workspace("m", "d", [ranking], workspace.contract, workspace.map_sizes, None, None, workspace.root)
     own = UrlState(fake)
     state = SessionState(task.name, 4)
     for query in range(len(names)):

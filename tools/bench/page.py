@@ -230,7 +230,7 @@ def forward_ms(model: Path, data: Path) -> float:
     view = opened.views[-1]
     picture = images.load_picture(datasets.open_dataset(data).queries(view)[0].path)
     prepared = opened.prepare(picture, view)[None]
-    batch = prepared if not opened.spec.mirrored else prepared.repeat(2, 0)
+    batch = prepared if opened.contract.mirror == "none" else prepared.repeat(2, 0)
     return medians({"pass": lambda: opened.run(batch, view)})["pass"]
 
 

@@ -218,7 +218,7 @@ def onnx(folder: Path) -> list[FuzzCase]:
         for view in model.views:
             images = blank if model.input_size == SPEC.input_size else np.ones((1, 3, *model.input_size), np.float32)
             found = model.descriptors(images, view)
-            assert found.shape == (1, model.n_parts, model.spec.embedding)
+            assert found.shape == (1, model.n_parts, model.embedding)
             assert np.isfinite(found).all()
             model.heads(view)
             model.map_size(view)
@@ -388,7 +388,7 @@ def links(folder: Path) -> list[FuzzCase]:
     data = small_worlds.make_dataset(folder / "places", train=1, test=3)
     workspace = open_model(data, folder / "model.onnx")
     made = UrlState(workspace)
-    start = SessionState(next(iter(workspace.tasks)), workspace.spec.n_parts)
+    start = SessionState(next(iter(workspace.tasks)), workspace.contract.n_parts)
     seeds = [
         b"?task=drone-to-satellite&query=0003&with=0002&angle=-30.5&shift=3&down=-4&zoom=2&weights=1,0.5&off=1&region=0-1,3",
         b"query=~1&with=truth&why=1&lab=1&apart=1&rings=0&heat=0&shows=evidence&part=2&opacity=0.3&theme=dark&map=1&city=0",

@@ -85,9 +85,9 @@ class Reference:
             )
         if not self.sides:
             raise DataError(f"The model knows none of the views of {data}; give a data set and a model that fit.")
-        self.parts = opened.spec.n_parts
+        self.parts = opened.n_parts
         self.names = self._part_names()
-        self.reach = opened.spec.input_size[1] // 2, opened.spec.input_size[0] // 2
+        self.reach = opened.input_size[1] // 2, opened.input_size[0] // 2
         self._picture = lru_cache(maxsize=200)(images.load_picture)
         self._described: OrderedDict[object, Float32Array] = OrderedDict()
 
@@ -240,8 +240,7 @@ class Reference:
         return self._described[key]
 
     def _part_names(self) -> list[str]:
-        spec = self._model.spec
-        names = [spec.partition(view).names() for view in spec.views]
+        names = [self._model.contract.names(view) for view in self._model.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
 
 

@@ -24,7 +24,8 @@ from explorer.compute.worker import Worker
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, LPNError, ModelFileError
 from lpn.core.views import View
-from lpn.models.base import ForwardPass, Heads, Model
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass, Heads
 from lpn.models.spec import ModelSpec
 
 TIMEOUT = 120.0  # seconds for something that must happen
@@ -39,7 +40,7 @@ class ManualModel(Model):
     """
 
     def __init__(self, held: bool = True) -> None:
-        self.spec, self.fingerprint = SPEC, "network"
+        self.contract, self.fingerprint = SPEC.contract(), "network"
         self.passes: list[list[int]] = []
         self.viewed: list[View] = []
         self.read = 0
@@ -60,7 +61,7 @@ class ManualModel(Model):
         if 14 in marks:
             raise SystemExit
         parts = np.repeat(images.mean(axis=(1, 2, 3))[:, None, None], 6, axis=1).reshape(-1, 2, 3)
-        return ForwardPass(parts, images[:, :1] * 2, None)
+        return ForwardPass(parts, images[:, :1] * 2)
 
     def began(self) -> None:
         """Wait until the next forward pass has begun."""
@@ -151,6 +152,7 @@ def test_waiting_requests_share_a_batch_and_get_their_own_rows(network: ManualMo
         assert found is not None
         np.testing.assert_array_equal(found.parts, np.full((2, 2, 3), mark))
         np.testing.assert_array_equal(found.features, np.full((2, 1, 4, 4), 2 * mark))
+        assert found.features is not None
         assert found.features.base is None, "a view would keep the whole batch in memory"
     first.finished()
     assert network.passes == [[99], [1, 1, 2, 2], [3, 3]]
@@ -180,7 +182,7 @@ def test_a_large_request_is_split_into_batches(network: ManualModel) -> None:
     found = queued(network, InferenceScheduler()).run(images, "drone")
     assert [len(marks) for marks in network.passes] == [4, 4, 2]
     np.testing.assert_array_equal(found.parts[:, 0, 0], np.arange(10))
-    assert found.attention is None
+    assert found.cells is None
 
 
 def test_a_bad_request_does_not_fail_the_others_of_its_batch(network: ManualModel) -> None:

@@ -44,7 +44,8 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
 from lpn.core.views import View
-from lpn.models.base import ForwardPass, Model
+from lpn.models.base import Model
+from lpn.models.contract import ForwardPass
 from lpn.retrieval import scoring
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds

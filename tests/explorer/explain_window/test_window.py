@@ -92,7 +92,7 @@ def test_heatmaps_hold_the_channel_sum_of_each_part_s_cells(workspace: Workspace
         for part in range(4):
             cells = np.array(held[2 * part + side], float)
             inside = ~np.isnan(cells)
-            weights = workspace.spec.partition(analysis.task.views[side]).weights(4, 4)
+            weights = workspace.contract.partition(analysis.task.views[side]).weights(4, 4)
             np.testing.assert_array_equal(inside, weights[part].ravel() > 0)
             np.testing.assert_allclose(cells[inside], total[inside], rtol=1e-3)
     assert '"checkbox" checked' not in html

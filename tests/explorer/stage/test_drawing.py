@@ -14,6 +14,7 @@ from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError
 from lpn.drawing import captions, overlays, theme, verdicts
+from lpn.drawing.part_areas import PartAreas
 from lpn.models.partition import Partition
 from tools.fixtures import small_worlds
 
@@ -25,14 +26,15 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Wor
 
 
 def test_masks_are_the_model_s_own_cells() -> None:
-    masks = overlays.part_masks(Partition("rings", 4), (16, 16), (384, 384))
+    areas = PartAreas.of_partition(Partition("rings", 4), (16, 16))
     labels = Partition("rings", 4).labels(16, 16)
-    np.testing.assert_array_equal(masks[12::24, 12::24], labels)
+    for part in range(4):
+        np.testing.assert_array_equal(areas.mask(part, (384, 384))[12::24, 12::24], labels == part)
 
 
 def test_drawn_rings_lie_on_the_boundaries() -> None:
     grey = np.full((384, 384, 3), 100, np.uint8)
-    drawn = overlays.with_rings(grey, Partition("rings", 4), (16, 16), 3)
+    drawn = overlays.with_parts(grey, PartAreas.of_partition(Partition("rings", 4), (16, 16)), 3)
     changed = (drawn != grey).any(axis=2)
     assert changed[192, 144:150].any()
     assert not changed[192, 150:234].any()
@@ -40,12 +42,12 @@ def test_drawn_rings_lie_on_the_boundaries() -> None:
 
 def test_heat_of_one_part_leaves_the_others_without_colour() -> None:
     grey = np.full((64, 64, 3), 100, np.uint8)
-    masks = overlays.part_masks(Partition("rings", 4), (16, 16), (64, 64))
+    inside = PartAreas.of_partition(Partition("rings", 4), (16, 16)).mask(1, (64, 64))
     activation = np.random.default_rng(0).random((16, 16)).astype(np.float32)
-    drawn = overlays.with_heat(grey, activation, masks, 1, 0.8)
-    assert (np.ptp(drawn[masks != 1].astype(int), axis=1) == 0).all()
-    assert np.ptp(drawn[masks == 1].astype(int), axis=1).max() > 30
-    np.testing.assert_array_equal(overlays.with_heat(grey, activation, masks, None, 0.0), grey)
+    drawn = overlays.with_heat(grey, activation, inside, 0.8)
+    assert (np.ptp(drawn[~inside].astype(int), axis=1) == 0).all()
+    assert np.ptp(drawn[inside].astype(int), axis=1).max() > 30
+    np.testing.assert_array_equal(overlays.with_heat(grey, activation, None, 0.0), grey)
 
 
 def test_answers_reuse_what_did_not_change_and_are_exact(workspace: Workspace) -> None:

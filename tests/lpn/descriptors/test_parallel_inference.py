@@ -20,7 +20,7 @@ def pictures() -> Float32Array:
 
 
 def collected(model: Engine, pictures: Float32Array, count: int) -> Float32Array:
-    found = np.full((len(pictures), model.n_parts, model.spec.embedding), np.nan, np.float32)
+    found = np.full((len(pictures), model.n_parts, model.embedding), np.nan, np.float32)
     for some in describe_each(model, list(range(len(pictures))), lambda i: pictures[i], "drone", count):
         assert np.isnan(found[some.items]).all()
         found[some.items] = some.descriptors

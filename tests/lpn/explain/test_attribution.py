@@ -109,7 +109,7 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
 def test_the_mean_of_a_view_is_one_more_constant(name: str) -> None:
     plain = TorchModel(network(SPECS[name]), "fingerprint")
     rng = np.random.default_rng(5)
-    shape = (plain.n_parts, plain.spec.embedding)
+    shape = (plain.n_parts, plain.embedding)
     query_view: View = "drone" if "drone" in plain.views else "street"
     means: dict[View, Float32Array] = {
         "satellite": (0.02 * rng.standard_normal(shape)).astype(np.float32),

@@ -244,16 +244,17 @@ def test_a_saved_and_an_exported_model_answer_as_the_network(model_file: Path) -
     )
     assert original.spec == saved.spec == exported.spec
     for view in SPEC.views:
-        parts, features, _ = original.run(images, view)
+        parts, features = original.run(images, view)[:2]
         np.testing.assert_array_equal(saved.part_embeddings(images, view), parts)
-        found, found_features, _ = exported.run(images, view)
+        found, found_features = exported.run(images, view)[:2]
+        assert features is not None
+        assert found_features is not None
         assert np.abs(found - parts).max() <= 1e-4 * np.abs(parts).max()
         assert np.abs(found_features - features).max() <= 1e-4 * np.abs(features).max()
         np.testing.assert_allclose(exported.descriptors(images, view), original.descriptors(images, view), atol=1e-5)
         assert original.map_size(view) == saved.map_size(view) == exported.map_size(view) == (2, 10)
     for model in (saved, exported):
-        with pytest.raises(InputError, match="SAFA"):
-            model.heads("drone")
+        assert model.heads("drone").weight is None
 
 
 @pytest.mark.slow
@@ -266,8 +267,7 @@ def test_an_exported_vgg_keeps_the_last_row_and_column(tmp_path: Path) -> None:
     assert original.map_size("drone") == exported.map_size("drone") == (2, 5)
     images = seeded.pictures(5, 2, 48, 136)
     for view in SPEC.views:
-        (parts, features, attention), found = original.run(images, view), exported.run(images, view)
-        for ours, theirs in zip((parts, features, attention), found, strict=True):
+        for ours, theirs in zip(original.run(images, view)[:3], exported.run(images, view)[:3], strict=True):
             assert ours is not None
             assert theirs is not None
             assert np.abs(theirs - ours).max() <= 1e-4 * np.abs(ours).max()

@@ -1,0 +1,219 @@
+"""The contract of a part-based model: what it says of itself, and what one forward pass returns.
+
+For the passes p (the picture, and its mirror where the test adds it) and the part i, the raw embedding is
+
+    e_i = sum_p s_pi * [ sum_x a_pi(x) A_i F_pi(x) + c_pi ]
+
+over the cells x of a map. F_p is one map for all parts or one for each part. A_i is a static head, or the identity. a_pi are
+the weights of the cells, c_pi a constant, and s_pi the slopes of an activation after the head, 1 without one. What may
+differ from picture to picture beside the map is held at its value for this picture, and `Contract.held` names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, get_args
+
+from lpn.core.arrays import AnyArray, Float32Array
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.images import MEAN, STD, Triple
+from lpn.core.views import VIEWS, View
+from lpn.models.partition import Partition
+
+Level = Literal["exact", "exact, with held", "parts only", "one vector"]
+Resize = Literal["bicubic", "linear"]
+Mirror = Literal["sum", "none"]
+# The branch of a model whose branches have roles: the first describes queries, the second the gallery.
+Role = Literal["query", "gallery"]
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What a loaded model says of itself.
+
+    Attributes:
+        method: such as "LPN" or "FSRA".
+        title: one line for headers and logs.
+        views: the views that it describes, in the order satellite, street, drone.
+        input_size: (height, width) of the network input in pixels.
+        n_parts, embedding: n and D of a descriptor (n, D).
+        level: how far numbers of evidence are exact, see `claim`.
+        held: what is held at its value for each picture, such as "the regions of each picture"; only with "exact, with held".
+        groups: the views that share weights; by default all in one group.
+        roles: "view" if the view chooses the branch. "role" if one branch describes queries and the other the gallery, see
+            `Model.for_task`.
+        resize: "bicubic" (Pillow's, anti-aliased) or "linear" (OpenCV's INTER_LINEAR_EXACT, not anti-aliased).
+        mean, std: of red, green, and blue, for values 0 .. 1.
+        mirror: "sum" if the raw parts of the mirrored picture are added before normalisation.
+        normalisation: "parts": each part has norm 1/sqrt(n), which is plain L2 for n = 1.
+        partitions: by view, how parts divide every map; a view without one has parts that differ from picture to picture.
+        part_names: by view; by default those of its partition, else numbers.
+        polar: the views whose pictures are unrolled around their centre first, see `images.polar`.
+
+    Raises:
+        InputError: if the values contradict each other.
+    """
+
+    method: str
+    title: str
+    views: tuple[View, ...]
+    input_size: tuple[int, int]
+    n_parts: int
+    embedding: int
+    level: Level
+    held: str = ""
+    groups: tuple[tuple[View, ...], ...] = ()
+    roles: Literal["view", "role"] = "view"
+    resize: Resize = "bicubic"
+    mean: Triple = MEAN
+    std: Triple = STD
+    mirror: Mirror = "sum"
+    normalisation: Literal["parts"] = "parts"
+    partitions: Mapping[View, Partition] = field(default_factory=dict)
+    part_names: Mapping[View, Sequence[str]] = field(default_factory=dict)
+    polar: tuple[View, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.views or any(view not in VIEWS for view in self.views):
+            raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
+        object.__setattr__(self, "views", tuple(view for view in VIEWS if view in self.views))
+        object.__setattr__(self, "groups", self.groups or (self.views,))
+        if sorted(view for group in self.groups for view in group) != sorted(self.views):
+            raise InputError(f"The groups {self.groups} do not hold each of the views {', '.join(self.views)} once.")
+        choices = {"level": Level, "roles": Literal["view", "role"], "resize": Resize, "mirror": Mirror}
+        choices["normalisation"] = Literal["parts"]
+        for name, allowed in choices.items():
+            if getattr(self, name) not in get_args(allowed):
+                raise InputError(
+                    f"The contract's {name} is {getattr(self, name)!r}; expected one of {', '.join(get_args(allowed))}."
+                )
+        sides = {"height": self.input_size[0], "width": self.input_size[1]}
+        for name, value in ({"parts": self.n_parts, "numbers of a part": self.embedding} | sides).items():
+            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+                raise InputError(f"The contract's {name} is {value!r}; expected a whole number from 1.")
+        if len(self.mean) != 3 or len(self.std) != 3 or not all(value > 0 for value in self.std):
+            raise InputError(f"The mean is {self.mean} and std {self.std}; expected three numbers each, std above 0.")
+        if bool(self.held) != (self.level == "exact, with held"):
+            raise InputError(
+                f"The contract's level is {self.level!r} and held is {self.held!r}; name what is held with 'exact, with "
+                "held', and only then."
+            )
+        if (self.level == "one vector" and self.n_parts != 1) or (self.level == "parts only" and self.n_parts == 1):
+            raise InputError(f"The contract's level is {self.level!r} with {self.n_parts} parts; one of both is wrong.")
+        for view, names in self.part_names.items():
+            if len(names) != self.n_parts:
+                raise InputError(f"The {view} has {len(names)} names of parts; expected {self.n_parts}.")
+        for view, partition in self.partitions.items():
+            if partition.n != self.n_parts:
+                raise InputError(f"The {view}'s partition has {partition.n} parts; expected {self.n_parts}.")
+
+    @property
+    def has_cells(self) -> bool:
+        """True if each part is a sum over cells, so that there is evidence."""
+        return self.level in ("exact", "exact, with held")
+
+    @property
+    def claim(self) -> str:
+        """The level in words: "exact", "exact, with X held", "parts only: the model gives no cells", or "one vector"."""
+        if self.level == "exact, with held":
+            return f"exact, with {self.held} held"
+        return "parts only: the model gives no cells" if self.level == "parts only" else self.level
+
+    def partition(self, view: View) -> Partition | None:
+        """Return how parts divide every map of a view; None if they are drawn from the cells of each picture."""
+        return self.partitions.get(view)
+
+    def names(self, view: View) -> list[str]:
+        """Return a short name for each part of a view."""
+        if view in self.part_names:
+            return list(self.part_names[view])
+        partition = self.partition(view)
+        return [str(part + 1) for part in range(self.n_parts)] if partition is None else partition.names()
+
+    def unrolled(self, view: View) -> bool:
+        """Return whether pictures of `view` are unrolled around their centre first."""
+        return view in self.polar
+
+
+@dataclass(frozen=True)
+class Heads:
+    """What is the same for all pictures of a view in the account of the module.
+
+    Attributes:
+        weight: A, (n, D, C) float32; None for the identity, with D = C.
+        bias: c, (n, D) float32; None for 0.
+        cells: the weight of each cell in each part, (n, h, w) float32; None if it differs from picture to picture.
+    """
+
+    weight: Float32Array | None = None
+    bias: Float32Array | None = None
+    cells: Float32Array | None = None
+
+
+class ForwardPass(NamedTuple):
+    """The result of one forward pass of B pictures.
+
+    Attributes:
+        parts: raw parts, (B, n, D).
+        features: a map for all parts, (B, C, h, w), or one for each part, (B, n, C, h, w); None without cells.
+        cells: the weight of each cell in each part, (B, n, h, w); None for those of the heads.
+        constants: (B, n, D), in place of the heads' bias; None for the heads' bias.
+        slopes: of an activation after the head, (B, n, D); None without one.
+    """
+
+    parts: Float32Array
+    features: Float32Array | None = None
+    cells: Float32Array | None = None
+    constants: Float32Array | None = None
+    slopes: Float32Array | None = None
+
+
+def check_parts(contract: Contract, parts: Float32Array, count: int) -> None:
+    """Refuse raw parts of `count` pictures whose shape contradicts the contract.
+
+    Raises:
+        ModelFileError: with the shape that was found and the one that was expected.
+    """
+    _check_shapes(contract, [("parts", parts, (count, contract.n_parts, contract.embedding))])
+
+
+def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
+    """Refuse a forward pass of a model with cells whose shapes contradict its contract.
+
+    Raises:
+        ModelFileError: with the shapes that were found and those that were expected.
+    """
+    n, size, count = contract.n_parts, contract.embedding, len(outputs.parts)
+    if outputs.features is None:
+        raise ModelFileError(
+            f"{contract.method} returns no features, but its contract says {contract.claim!r}; return them, or say "
+            f"{'one vector' if n == 1 else 'parts only'!r}."
+        )
+    check_parts(contract, outputs.parts, count)
+    found = outputs.features.shape
+    channels = (found[-3] if len(found) > 3 else 1) if heads.weight is not None else size
+    cells = found[-2:]
+    by_part = (n,) if len(found) == 5 else ()
+    expected: list[tuple[str, AnyArray | None, tuple[int, ...]]] = [
+        ("features", outputs.features, (count, *by_part, channels, *cells)),
+        ("cells", outputs.cells, (count, n, *cells)),
+        ("constants", outputs.constants, (count, n, size)),
+        ("slopes", outputs.slopes, (count, n, size)),
+        ("the heads' weight", heads.weight, (n, size, channels)),
+        ("the heads' bias", heads.bias, (n, size)),
+    ]
+    _check_shapes(contract, expected)
+
+
+def _check_shapes(contract: Contract, expected: Sequence[tuple[str, AnyArray | None, tuple[int, ...]]]) -> None:
+    for name, array, shape in expected:
+        if array is not None and array.shape != shape:
+            raise ModelFileError(
+                f"{contract.method} gives {name} of shape {_shape(array.shape)}; by its contract of {contract.n_parts} parts of "
+                f"{contract.embedding} numbers, and its map, they are {_shape(shape)}."
+            )
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))
