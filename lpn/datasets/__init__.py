@@ -1,35 +1,47 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
-It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, Oxford5k, Paris6k, your own
-pairs with a `pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
+It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, SUES-200, DenseUAV,
+GTA-UAV, UAV-VisLoc in GTA-UAV's form, VIGOR, Oxford5k, Paris6k, your own pairs with a `pairs.csv`, and a plain folder of
+pictures; docs/data.md shows each layout.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import cvact, cvusa, landmarks, pairs
+from lpn.datasets.areas import split_area
 from lpn.datasets.base import Dataset, LeftOut, Picture, Size, Truth, files_below, hidden
 from lpn.datasets.cvact import CVACT
 from lpn.datasets.cvusa import CVUSA
+from lpn.datasets.denseuav import DenseUAV, is_denseuav
 from lpn.datasets.folder import Folder
 from lpn.datasets.landmarks import Landmarks
 from lpn.datasets.pairs import PairsCSV
 from lpn.datasets.rendered import is_rendered
+from lpn.datasets.sues import SUES200, is_sues
+from lpn.datasets.tile_pairs import TilePairs, is_tile_pairs
 from lpn.datasets.university import University
+from lpn.datasets.vigor import VIGOR, is_vigor
 
 __all__ = [
     "CVACT",
     "CVUSA",
+    "SUES200",
+    "VIGOR",
     "Dataset",
+    "DenseUAV",
     "Folder",
     "Landmarks",
     "LeftOut",
     "PairsCSV",
     "Picture",
     "Size",
+    "TilePairs",
     "Truth",
     "University",
     "files_below",
@@ -38,22 +50,33 @@ __all__ = [
 ]
 
 _LAYOUTS = (
-    "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), *_query.txt (Oxford5k, Paris6k), "
-    "pairs.csv, or pictures"
+    "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
+    "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
+    "*_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
 )
 
 
 def open_dataset(root: str | Path) -> Dataset:
     """Recognise the layout of a data set's folder and open it.
 
+    Args:
+        root: the folder; of a data set with two test splits also ROOT/same-area or ROOT/cross-area.
+
     Raises:
         DataError: if the folder does not exist, its layout is unknown, or one of its lists is damaged.
     """
-    root = Path(root)
+    root, area = split_area(Path(root))
     if not root.is_dir():
         raise DataError(f"There is no data set folder at {root}; check the path.")
     is_rendered(root)  # raises for an unfinished world
-    if marked := _marked(root):
+    marked = _marked(root)
+    if area is not None:
+        if marked not in (TilePairs, VIGOR):
+            raise DataError(
+                f"{root} has no {area}-area split, which GTA-UAV, UAV-VisLoc, and VIGOR have; give --data {root}."
+            )
+        marked = partial(marked, area=area)
+    if marked is not None:
         return marked(root)
     inner = sorted(child.name for child in root.iterdir() if child.is_dir() and not hidden(child) and _marked(child))
     if inner:
@@ -69,14 +92,22 @@ def open_dataset(root: str | Path) -> Dataset:
     raise DataError(f"{root} holds {inside}; expected {_LAYOUTS}.")
 
 
-def _marked(root: Path) -> type[PairsCSV | CVUSA | CVACT | University] | None:
-    """Recognise the layout by a file or folder directly below the root."""
+def _marked(root: Path) -> Callable[..., Dataset] | None:
+    """Recognise the layout by files or folders near the root."""
     if (root / pairs.NAME).is_file():
         return PairsCSV
     if cvusa.split_file(root, "train").is_file() or cvusa.split_file(root, "val").is_file():
         return CVUSA
     if (root / cvact.NAME).is_file():
         return CVACT
+    for recognised, layout in (
+        (is_tile_pairs, TilePairs),
+        (is_vigor, VIGOR),
+        (is_denseuav, DenseUAV),
+        (is_sues, SUES200),
+    ):
+        if recognised(root):
+            return layout
     if (root / "train").is_dir() or (root / "test").is_dir():
         return University
     return None

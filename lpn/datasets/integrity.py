@@ -120,6 +120,19 @@ def _end_valid(file: BinaryIO) -> bool:
         return _chunks_valid(file, size)
     if start.startswith(b"RIFF") and start[8:] == b"WEBP":
         return size >= int.from_bytes(start[4:8], "little") + 8
+    if start.startswith((b"II*\0", b"MM\0*")):
+        return _strips_valid(file, size)
+    return False
+
+
+def _strips_valid(file: BinaryIO, size: int) -> bool:
+    """Return whether the strips or tiles of a TIFF's first picture lie within the file."""
+    file.seek(0)
+    with Image.open(file) as picture:
+        tags = dict(getattr(picture, "tag_v2", {}))
+    for offsets, counts in ((273, 279), (324, 325)):
+        if offsets in tags and len(tags[offsets]) == len(tags.get(counts, ())):
+            return all(begin + count <= size for begin, count in zip(tags[offsets], tags[counts], strict=True))
     return False
 
 

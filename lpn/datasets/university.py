@@ -50,7 +50,7 @@ class University(Dataset):
             self.published_sizes = FULL
 
     def train(self, folder: str) -> list[Picture]:
-        return _pictures(self.root / "train" / folder)
+        return self.pictures_in(f"train/{folder}")
 
     def queries(self, view: str) -> list[Picture]:
         return self._test("query", view)
@@ -68,22 +68,31 @@ class University(Dataset):
     def lists(self) -> dict[str, list[Picture]]:
         names = [f"train/{name}" for name in _TRAIN]
         names += [f"test/{role}_{view}" for role in ("query", "gallery") for view in _VIEWS]
-        found = {name: _pictures(self.root / name) for name in names}
+        found = {name: self.pictures_in(name) for name in names}
         return {name: pictures for name, pictures in found.items() if pictures}
+
+    def pictures_in(self, folder: str) -> list[Picture]:
+        """Return the pictures of a folder below the root, such as "test/query_drone"."""
+        return place_pictures(self.root / folder)
 
     def _test(self, role: str, view: str) -> list[Picture]:
         folder = self.root / "test" / f"{role}_{view}"
-        pictures = _pictures(folder)
+        pictures = self.pictures_in(f"test/{role}_{view}")
         if not pictures:
             found = "no pictures in it" if folder.is_dir() else "no such folder"
             raise DataError(
                 f"{self.root.name} has {found} at test/{role}_{view}; expected test/{role}_{view}/<number>/*.jpg, "
-                "as in University-1652."
+                f"as in {'University-1652' if self.kind == 'world' else self.kind}."
             )
         return pictures
 
 
-def _pictures(folder: Path) -> list[Picture]:
+def place_pictures(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Picture]:
+    """Return the pictures of <folder>/<place>/*, in order of place and file name; none if there is no such folder.
+
+    Raises:
+        DataError: if a folder of a place is not a number.
+    """
     pictures: list[Picture] = []
     for name in _names(folder, folders=True) if folder.is_dir() else []:
         place = folder / name
@@ -92,7 +101,7 @@ def _pictures(folder: Path) -> list[Picture]:
                 f"The folder {name} in {folder.parent.name}/{folder.name} is not a number; expected one folder per "
                 "place, named by its number, so rename or remove it."
             )
-        label, files = int(name), [file for file in _names(place, folders=False) if file.lower().endswith(SUFFIXES)]
+        label, files = int(name), [file for file in _names(place, folders=False) if file.lower().endswith(suffixes)]
         for file in files:
             shown = name if len(files) == 1 else f"{name}/{file.rpartition('.')[0].removeprefix('image-')}"
             pictures.append(Picture(place / file, label, printable(shown)))

@@ -24,7 +24,8 @@ _RECIPES = {
     "world": ("world", "small", "paper", "released"),
     "CVUSA": ("cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
     "CVACT": ("cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
-    "pairs": ("small", "paper", "released"),
+    **dict.fromkeys(("SUES-200", "DenseUAV", "GTA-UAV", "UAV-VisLoc", "pairs"), ("small", "paper", "released")),
+    "VIGOR": ("cvusa-paper", "cvusa-released"),
 }
 _AERIAL = (("drone-to-satellite", "satellite-to-drone"), "Tables I, III, IV, V and Figure 5", "Tables IV and V")
 _GROUND = (("street-to-satellite",), "Table II", "Table II")
@@ -312,6 +313,11 @@ _KINDS = {
     "world": "a rendered world",
     "CVUSA": "in CVUSA's layout",
     "CVACT": "in CVACT's layout",
+    "SUES-200": "in SUES-200's layout",
+    "DenseUAV": "in DenseUAV's layout",
+    "GTA-UAV": "in GTA-UAV's layout",
+    "UAV-VisLoc": "UAV-VisLoc in GTA-UAV's layout",
+    "VIGOR": "in VIGOR's layout",
     "Oxford5k": "in Oxford5k's layout",
     "Paris6k": "in Paris6k's layout",
     "landmarks": "a set of landmarks with ground-truth files as in Oxford5k",

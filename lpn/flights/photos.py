@@ -6,6 +6,8 @@ heading      GimbalYawDegree; else FlightYawDegree or sensefly:Heading; else EXI
 pitch, roll  of the gimbal; of an aircraft without a gimbal, whose camera looks straight down in level flight
 fov          XMP CalibratedFocalLength; else FocalPlaneXResolution and FocalLength; else FocalLengthIn35mmFilm
 time         XMP UTCAtExposure, sensefly:UTCTime; EXIF DateTimeOriginal with OffsetTimeOriginal; GPSDateStamp and GPSTimeStamp
+
+The frames of AerialVL tell time and position by their names, @<utc>@<longitude>@<latitude>@.png, and their top is east.
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _SENSOR_WIDTHS = (1.0, 60.0)
 # Proportions and widths that differ by less are those of one picture.
 _SAME = 0.01
+_AERIALVL = re.compile(r"@([0-9.]+)@([-+]?[0-9.]+)@([-+]?[0-9.]+)@\.\w+")
 _FRACTION = re.compile(r"(\.\d{6})\d+")
 
 
@@ -105,6 +108,8 @@ def photo_of(data: bytes, file: Path) -> Photo:
     frame = _with_angles(frame, known, turns)
     frame = replace(frame, fov=_fov(known, width, height, turns))
     utc, local = _times(known)
+    if frame.latitude is None and (named := _AERIALVL.fullmatch(file.name)) is not None:
+        frame, utc = _named_frame(frame, named, known, utc)
     return Photo(frame, utc, local, turns, tuple(known.oddities))
 
 
@@ -150,6 +155,18 @@ def _position(known: _Metadata) -> tuple[float | None, float | None]:
             return latitude, longitude
         known.oddities.append("has a position outside of the Earth's degrees, which was not used")
     return None, None
+
+
+def _named_frame(frame: Frame, named: re.Match[str], known: _Metadata, utc: float | None) -> tuple[Frame, float | None]:
+    """Return a frame of AerialVL with position and heading, and its time in seconds, by its name."""
+    try:
+        time, longitude, latitude = (float(value) for value in named.groups())
+    except ValueError:
+        return frame, utc
+    if abs(latitude) > 90 or abs(longitude) > 180:
+        return frame, utc
+    known.oddities.append("has its position in its name, as in AerialVL; its top is taken for east")
+    return replace(frame, latitude=latitude, longitude=longitude, heading=90.0, heading_source="camera"), time
 
 
 def _degrees(gps: dict[int, Any], tag: int, signs: str) -> float | None:

@@ -52,6 +52,15 @@ def test_a_position_without_its_hemisphere_is_unknown(tmp_path: Path) -> None:
     assert read_photo(write_photo(tmp_path / "a.jpg", told)).frame.latitude is None
 
 
+def test_a_frame_of_aerialvl_tells_its_position_by_its_name(tmp_path: Path) -> None:
+    photo = read_photo(write_photo(tmp_path / "@1620000000.25@119.93081@30.1234@.jpg"))
+    frame = photo.frame
+    assert (frame.latitude, frame.longitude, frame.heading, photo.utc) == (30.1234, 119.93081, 90.0, 1620000000.25)
+    assert "in its name, as in AerialVL" in photo.oddities[0]
+    for name in ("@1.2.3@119.9@30.1@.jpg", "@1@119.9@95@.jpg"):
+        assert read_photo(write_photo(tmp_path / name)).frame.latitude is None
+
+
 def test_gimbal_angles_that_are_all_zero_are_unknown(tmp_path: Path) -> None:
     zero = {"GimbalYawDegree": "+0.00", "GimbalPitchDegree": "0.00", "GimbalRollDegree": "0"}
     photo = read_photo(write_photo(tmp_path / "a.jpg", xmp=dji_xmp(**zero, FlightYawDegree="-90.0")))

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import math
 import os
+import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,19 +12,20 @@ import pytest
 
 import lpn
 from lpn import descriptors
+from lpn.analysis import query_outcomes
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.datasets import Picture, Truth, University, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.models.base import Model
+from lpn.models.base import Model, normalise
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
-from lpn.retrieval import metrics
+from lpn.retrieval import field_metrics, metrics
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
-from tools.fixtures import small_worlds
+from tools.fixtures import layouts, small_worlds
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
@@ -189,3 +193,111 @@ def test_distractors_make_a_second_gallery_that_is_named(
     assert "full gallery, 9" in said
     assert "without distractors, 6" in said
     assert "Figures of the two do not compare." in said.replace("\n", " ")
+
+
+def read_drawn(model: Model, pictures: Sequence[Picture], view: str, change: Change) -> Float32Array:
+    """Descriptors drawn by the picture's path, near those of its place."""
+    del view, change
+    rows = []
+    for picture in pictures:
+        place, own = (
+            np.random.default_rng(seed)
+            for seed in (picture.label, zlib.crc32("/".join(picture.path.parts[-4:]).encode()))
+        )
+        rows.append(place.standard_normal((model.n_parts, 6)) + 1.5 * own.standard_normal((model.n_parts, 6)))
+    return normalise(np.array(rows, np.float32))
+
+
+@pytest.mark.parametrize("task", ["drone-to-satellite", "satellite-to-drone"])
+def test_sues_has_a_row_for_each_height_on_both_galleries(tmp_path: Path, model_file: Path, task: str) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(layouts.sues(tmp_path / "SUES", 2, 3, ("150", "300")))
+    found = evaluate(model, dataset, task, read=read_drawn)
+    assert found.group_name == "height"
+    assert list(found.groups) == ["150", "300"]
+    query_view, gallery_view = task.split("-to-")
+    for height, galleries in found.groups.items():
+        sides = [
+            [picture for picture in pictures if picture.group in (height, "")]
+            for pictures in (dataset.queries(query_view), dataset.gallery(gallery_view))
+        ]
+        query, tiles = (read_drawn(model, pictures, "", Change()) for pictures in sides)
+        kept = [label if label > 2 else -1 for label in labels(sides[1])]
+        assert [one.gallery for one in galleries] == ([5, 3] if gallery_view == "satellite" else [10, 6])
+        for figures, of_gallery in zip(galleries, (labels(sides[1]), kept), strict=True):
+            expected = metrics.evaluate(query, labels(sides[0]), tiles, of_gallery)
+            assert [figures.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    assert set(found.to_dict()["groups"]) == {"150", "300"}
+
+
+def test_denseuav_is_measured_in_degrees(tmp_path: Path, model_file: Path) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(layouts.denseuav(tmp_path / "DenseUAV"))
+    found = evaluate(model, dataset, "drone-to-satellite", read=read_drawn)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    query, tiles = (
+        read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
+    )
+    total, near = 0.0, 0
+    for row, picture in zip(query, queries, strict=True):
+        order = np.argsort(-(tiles.astype(float) @ row), kind="stable")
+        off = [
+            abs(float(np.float32(120.38 + 0.0002 * picture.label) - np.float32(120.38 + 0.0002 * gallery[i].label)))
+            for i in order
+        ]
+        total += sum((3 - i) * math.exp(-5000 * off[i]) for i in range(3)) / 6
+        near += off[0] * 111_320 * math.cos(math.radians(30.32)) < 50
+    assert found.measures["sdm_denseuav@3"] == pytest.approx(total / len(queries), rel=1e-6)
+    assert found.measures["ma@50"] == pytest.approx(100 * near / len(queries))
+    assert found.errors is not None
+    assert len(found.errors) == len(queries)
+    assert list(found.groups) == ["80", "90", "100"]
+
+
+@pytest.mark.parametrize("degrees", [False, True])
+def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: Path, degrees: bool) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(layouts.gta(tmp_path / "GTA", degrees=degrees))
+    found = evaluate(model, dataset, "drone-to-satellite", read=read_drawn)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    query, tiles = (
+        read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
+    )
+    starts, ends = dataset.coordinates(queries), dataset.coordinates(gallery)
+    sdm, distance, precision, hits = 0.0, 0.0, 0.0, 0
+    for row, start, lists in zip(query, starts, dataset.truth("drone-to-satellite") or (), strict=True):
+        order = np.argsort(-(tiles.astype(float) @ row), kind="stable")
+        metres = [
+            float(field_metrics.geodesic(start, ends[i])) if degrees else math.dist(start, ends[i]) for i in order
+        ]
+        sdm += sum((3 - i) * math.exp(-0.001 * metres[i]) for i in range(3)) / 6
+        distance += sum(metres[:3]) / 3
+        ranks = sorted(order.tolist().index(tile) for tile in lists.good)
+        precision += sum((i + 1) / (rank + 1) for i, rank in enumerate(ranks)) / len(ranks)
+        hits += next(tile for tile in order if tile not in lists.semi) in lists.good
+    assert found.measures["sdm_gta_uav@3"] == pytest.approx(sdm / 2)
+    assert found.measures["dis@3"] == pytest.approx(distance / 2)
+    assert found.measures["hit rate"] == pytest.approx(100 * hits / 2)
+    assert found.ap == pytest.approx(100 * precision / 2)
+    assert "AP as the mean precision at the true matches" in found.sentence
+    back = evaluate(model, dataset, "satellite-to-drone", read=read_drawn)
+    assert (back.queries, back.gallery) == (3, 2)
+    outcomes = query_outcomes.build(query[:, None], tiles[:, None], None, None, dataset.truth("drone-to-satellite"))
+    (column,) = query_outcomes.overlaps(outcomes, dataset.truth("drone-to-satellite"))
+    names = [gallery[answer].name for answer in outcomes.answer]
+    known = [{"4_0_0_0": 0.7, "5_0_1_1": 0.45, "4_0_1_0": 0.2}, {"4_0_1_1": 0.5}]
+    if not degrees:
+        assert column.values.tolist() == [of.get(name, 0.0) for of, name in zip(known, names, strict=True)]
+
+
+def test_vigor_has_a_hit_rate_and_a_row_for_each_city(tmp_path: Path, model_file: Path) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(layouts.vigor(tmp_path / "VIGOR"))
+    found = evaluate(model, dataset, "street-to-satellite", Protocol(branch="drone"), read=read_drawn)
+    assert list(found.groups) == ["Chicago", "NewYork", "Seattle", "SanFrancisco"]
+    queries, gallery = dataset.queries("street"), dataset.gallery("satellite")
+    query, tiles = (
+        read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
+    )
+    hits = 0
+    for row, lists in zip(query, dataset.truth("street-to-satellite") or (), strict=True):
+        scores = tiles.astype(float) @ row
+        scores[lists.semi] = -np.inf
+        hits += int(np.argmax(scores)) in lists.good
+    assert found.measures == {"hit rate": pytest.approx(100 * hits / 8)}

@@ -1,0 +1,115 @@
+"""DenseUAV (Dai et al. 2023): University-1652's folders, tiles of three heights and two dates, and positions in a text file.
+
+    Dense_GPS_ALL.txt                            <path> E<longitude> N<latitude> <height>, or Dense_GPS_{train,test}.txt
+    train/drone/000001/{H80,H90,H100}.JPG
+    train/satellite/000001/{H80,H90,H100}.tif and {H80,H90,H100}_old.tif
+    test/{query,gallery}_{drone,satellite}/000001/*
+
+The text file gives each place, the folder above a file, one position; a later line replaces an earlier one. The gallery holds the
+places to train on, too.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.core.images import SUFFIXES
+from lpn.datasets import geo
+from lpn.datasets.base import Picture, PositionProtocol, Size, read_lines
+from lpn.datasets.university import University, place_pictures
+
+LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
+_SUFFIXES = (*SUFFIXES, ".tif", ".tiff")
+_FULL = {
+    "train/drone": Size(6_768, 2_256),
+    "train/satellite": Size(13_536, 2_256),
+    "test/query_drone": Size(2_331, 777),
+    "test/query_satellite": Size(4_662, 777),
+    "test/gallery_drone": Size(9_099, 3_033),
+    "test/gallery_satellite": Size(18_198, 3_033),
+}
+_HEIGHT = re.compile(r"H(\d+)(_old)?\.\w+", re.IGNORECASE)
+_POINT = re.compile(r"([EW])(\d+(?:\.\d+)?)\s+([NS])(\d+(?:\.\d+)?)")
+
+
+class DenseUAV(University):
+    """A folder of DenseUAV; true matches are tiles of the same folder.
+
+    Queries are grouped by the height in their names.
+
+    Raises:
+        DataError: if the positions are missing or malformed; the message names the file and the line.
+    """
+
+    kind = "DenseUAV"
+    group_name = "height"
+    trained_distractors = True
+    measured_by: PositionProtocol | None = "DenseUAV"
+
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self.published_sizes = _FULL
+        self._source, self._places = _places(root)
+
+    def pictures_in(self, folder: str) -> list[Picture]:
+        pictures = place_pictures(self.root / folder, _SUFFIXES)
+        if not folder.startswith("test/query"):
+            return pictures
+        named = ((picture, _HEIGHT.fullmatch(picture.path.name)) for picture in pictures)
+        return [picture if name is None else replace(picture, group=name[1]) for picture, name in named]
+
+    def positions(self) -> geo.Positions:
+        found: dict[str, geo.Position] = {}
+        for name, pictures in self.lists().items():
+            if name.startswith("test/"):
+                paths = geo.names_below(self.root, pictures)
+                places = (self._places.get(picture.path.parent.name) for picture in pictures)
+                found |= {path: place for path, place in zip(paths, places, strict=True) if place is not None}
+        return geo.Positions(self.root, found, self._source)
+
+
+def is_denseuav(root: Path) -> bool:
+    """Return whether a folder is DenseUAV's: by its lists of positions, or by names such as H80.JPG."""
+    if any((root / name).is_file() for name in LISTS):
+        return True
+    for folder in ("test/query_drone", "train/drone"):
+        place = next(iter(sorted((root / folder).glob("[0-9]*"))), None)
+        if place is not None:
+            return any(_HEIGHT.fullmatch(file.name) for file in place.iterdir())
+    return False
+
+
+def _places(root: Path) -> tuple[str, dict[str, geo.Position]]:
+    """Return the names of the lists of positions, and the position of each place by its folder."""
+    names = [name for name in LISTS[:1] if (root / name).is_file()]
+    names = names or [name for name in LISTS[1:] if (root / name).is_file()]
+    if not names:
+        raise DataError(
+            f"{printable(root.name)} has DenseUAV's folders and no {LISTS[0]}; put that file, or {' and '.join(LISTS[1:])}, "
+            "beside train and test."
+        )
+    found: dict[str, geo.Position] = {}
+    for name in names:
+        for number, line in enumerate(read_lines(root / name, name), 1):
+            if line.strip():
+                place, position = _line(line, f"Line {number} of {name}")
+                found[place] = position
+    return " and ".join(names), found
+
+
+def _line(line: str, where: str) -> tuple[str, geo.Position]:
+    point = _POINT.search(line)
+    parts = line[: point.start()].strip().replace("\\", "/").split("/") if point is not None else []
+    if point is None or len(parts) < 2:
+        raise DataError(
+            f"{where} is {printable(line[:100])!r}; expected a path, E<longitude>, N<latitude>, and a height."
+        )
+    longitude = float(point[2]) * (1 if point[1] == "E" else -1)
+    latitude = float(point[4]) * (1 if point[3] == "N" else -1)
+    if abs(latitude) > 90 or abs(longitude) > 180:
+        raise DataError(f"{where} has the position {point[0]}; expected at most E180 and N90.")
+    return parts[-2], geo.Position(latitude, longitude)
