@@ -12,16 +12,19 @@ from typing import Any, Literal, NamedTuple, cast
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from lpn.core.errors import InputError, MissingPackageError
+
+Complex = npt.NDArray[np.complex128]
 
 log = logging.getLogger(__name__)
 
 MatcherName = Literal["auto", "xfeat", "sift"]
 
-# Rows of a block of descriptors that are compared at once, which bounds the memory of matching.
-_BLOCK = 2048
+# Descriptors that are compared at once: their cosines stay in the processor's cache.
+_BLOCK = 512
 # Pixels around nodata in which features are dropped: they would describe the map's edge.
 _MARGIN = 8
 
@@ -59,24 +62,29 @@ class Matcher(ABC):
         """Return mutual nearest neighbours that pass the ratio test, (M, 2) int64: indices of `photo` and of `ground`."""
         if len(photo.points) < 2 or len(ground.points) < 2:
             return np.zeros((0, 2), np.int64)
+        # Rows of the map's features in the product, because the argmax of a column is slow.
         best = np.full(len(photo.points), -2.0, np.float32)
-        second = best.copy()
-        nearest = np.zeros(len(photo.points), np.int64)
-        back = np.zeros(len(ground.points), np.int64)
+        nearest = np.empty(len(ground.points), np.int64)
+        values = np.empty(len(ground.points), np.float32)
         for start in range(0, len(ground.points), _BLOCK):
-            cosines = photo.descriptors @ ground.descriptors[start : start + _BLOCK].T
-            back[start : start + _BLOCK] = cosines.argmax(axis=0)
-            here = cosines.argmax(axis=1)
-            top = np.take_along_axis(cosines, here[:, None], 1)[:, 0]
-            np.put_along_axis(cosines, here[:, None], -2.0, 1)
-            runner_up = cosines.max(axis=1)
-            second = np.maximum(np.minimum(best, top), np.maximum(second, runner_up))
-            nearest = np.where(top > best, here + start, nearest)
-            best = np.maximum(best, top)
+            here = slice(start, start + _BLOCK)
+            cosines = ground.descriptors[here] @ photo.descriptors.T
+            nearest[here] = cosines.argmax(axis=1)
+            values[here] = np.take_along_axis(cosines, nearest[here, None], 1)[:, 0]
+            np.maximum(best, cosines.max(axis=0), out=best)
+        mutual = np.flatnonzero(values == best[nearest])
+        mine, first = np.unique(nearest[mutual], return_index=True)
+        pairs = np.stack([mine, mutual[first]], axis=1)
+        if self.ratio == 1 or not len(pairs):
+            return pairs
+        second = np.full(len(pairs), -2.0, np.float32)
+        for start in range(0, len(ground.points), _BLOCK):
+            cosines = photo.descriptors[mine] @ ground.descriptors[start : start + _BLOCK].T
+            own = np.flatnonzero(pairs[:, 1] // _BLOCK == start // _BLOCK)
+            cosines[own, pairs[own, 1] - start] = -2.0
+            np.maximum(second, cosines.max(axis=1), out=second)
         # Squared distances of unit vectors are 2 - 2 cos.
-        kept = (back[nearest] == np.arange(len(nearest))) & (1 - best <= self.ratio**2 * (1 - second))
-        chosen = np.flatnonzero(kept)
-        return np.stack([chosen, nearest[chosen]], axis=1)
+        return pairs[1 - best[mine] <= self.ratio**2 * (1 - second)]
 
 
 class SiftMatcher(Matcher):
@@ -119,6 +127,38 @@ class XFeatMatcher(Matcher):
             kept = mask[row.clip(0, mask.shape[0] - 1), column.clip(0, mask.shape[1] - 1)] > 0
             points, values = points[kept], values[kept]
         return Features(points[:limit], values[:limit])
+
+
+def mutual_within(p: Complex, q: Complex, reach: float, of_p: Float32Array, of_q: Float32Array) -> Int64Array:
+    """Return mutual nearest neighbours in descriptors, (M, 2), among the pairs of points at most `reach` apart.
+
+    Points are compared cell by cell of a grid, so that far pairs cost nothing.
+
+    Args:
+        p, q: points, (N,) and (K,).
+        of_p, of_q: their descriptors of norm 1, (N, D) and (K, D).
+    """
+    start = min(p.real.min(), q.real.min()) + 1j * min(p.imag.min(), q.imag.min()) - (1 + 1j) * reach
+    columns = int((max(p.real.max(), q.real.max()) - start.real) / reach) + 2
+    cells_p, cells_q = (
+        ((z - start).imag // reach * columns + (z - start).real // reach).astype(np.int64) for z in (p, q)
+    )
+    by_p, by_q = np.argsort(cells_p, kind="stable"), np.argsort(cells_q, kind="stable")
+    sorted_q = cells_q[by_q]
+    best, nearest = np.full(len(p), -2.0, np.float32), np.zeros(len(p), np.int64)
+    back = np.full(len(q), -2.0, np.float32)
+    for rows in np.split(by_p, np.flatnonzero(np.diff(cells_p[by_p])) + 1):
+        cell = cells_p[rows[0]]
+        ends = np.searchsorted(sorted_q, [cell + row * columns + side for row in (-1, 0, 1) for side in (-1, 2)])
+        near = np.concatenate([by_q[low:high] for low, high in ends.reshape(3, 2).tolist()])
+        if not len(near):
+            continue
+        cosines = of_p[rows] @ of_q[near].T
+        cosines[np.abs(p[rows, None] - q[near]) > reach] = -2.0
+        nearest[rows], best[rows] = near[cosines.argmax(axis=1)], cosines.max(axis=1)
+        back[near] = np.maximum(back[near], cosines.max(axis=0))
+    kept = np.flatnonzero((best > -1) & (best == back[nearest]))
+    return np.stack([kept, nearest[kept]], axis=1)
 
 
 def open_matcher(name: MatcherName = "auto") -> Matcher:

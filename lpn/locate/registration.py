@@ -17,9 +17,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.homography import apply_homography, translation
-from lpn.locate.matchers import Features, Matcher
-
-Complex = npt.NDArray[np.complex128]
+from lpn.locate.matchers import Complex, Features, Matcher, mutual_within
 
 # Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
 _RADIUS = 0.015
@@ -190,6 +188,7 @@ def register(
     if len(ground.points) < 8:
         return Registration(False, "The map has no detail where the photo may be.", matcher.name)
     seeds: list[_Seed] = []
+    known: dict[_Seed, _Candidate] = {}
     best, runner_up = None, 0.0
     for turns, heading in _turns(matcher, expected):
         # A heading that is not certain is dropped only where it places the photo nowhere.
@@ -199,8 +198,9 @@ def register(
             for turn in turns:
                 seen = _described(matcher, photo, width / ground.resolution, turn)
                 seeds += _seeds(matcher, seen, ground, width, factor, heading)
-        guided = [_guided(seed, ground) for seed in _apart(seeds)]
-        best, runner_up = _ranked(guided)
+        chosen = _apart(seeds)
+        known |= {seed: _guided(seed, ground) for seed in chosen if seed not in known}
+        best, runner_up = _ranked([known[seed] for seed in chosen])
         if best is not None and best.support >= 2 * MIN_SUPPORT and best.support >= 2 * MIN_RATIO * runner_up:
             break
     if best is None:
@@ -353,24 +353,14 @@ def _guided(seed: _Seed, ground: Ground) -> _Candidate:
     support = 0.0
     if len(places) < 4:
         return _Candidate(a, b, u, m, support)
-    cosines = seen.features.descriptors @ ground.descriptors[near].T
+    features = ground.descriptors[near]
     for reach in (_REACH, _REACH, _REACH / 2):
-        far = _squared_distances(a * seen.u, places - b) > (reach * abs(a)) ** 2
-        close = np.where(far, np.float32(-2), cosines)
-        nearest, back, mine = close.argmax(axis=1), close.argmax(axis=0), np.arange(len(close))
-        kept = np.flatnonzero((back[nearest] == mine) & (close[mine, nearest] > -1))
-        u, m = seen.u[kept], places[nearest[kept]]
+        pairs = mutual_within(a * seen.u + b, places, reach * abs(a), seen.features.descriptors, features)
+        u, m = seen.u[pairs[:, 0]], places[pairs[:, 1]]
         a, b = _fitted(a, b, u, m)
         if reach == _REACH:
             support = _counted(a, b, u, m, reach)
     return _Candidate(a, b, u, m, support)
-
-
-def _squared_distances(p: Complex, q: Complex) -> Float32Array:
-    """Return |p_i - q_j|^2, (N, M) float32."""
-    left = np.stack([p.real, p.imag, np.abs(p) ** 2, np.ones(len(p))], axis=1).astype(np.float32)
-    right = np.stack([-2 * q.real, -2 * q.imag, np.ones(len(q)), np.abs(q) ** 2]).astype(np.float32)
-    return cast(Float32Array, left @ right)
 
 
 def _fitted(a: complex, b: complex, u: Complex, m: Complex) -> tuple[complex, complex]:

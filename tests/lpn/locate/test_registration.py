@@ -7,7 +7,7 @@ import pytest
 
 from lpn.core.errors import InputError
 from lpn.core.homography import apply_homography
-from lpn.locate.matchers import Features, SiftMatcher, open_matcher
+from lpn.locate.matchers import Features, SiftMatcher, mutual_within, open_matcher
 from lpn.locate.registration import Expectation, Ground, describe_ground, register
 from tests.lpn.locate.scenery import BOUNDS, CORNER, RESOLUTION, ground_to_photo, land, photo_of
 
@@ -147,6 +147,19 @@ def test_matches_are_mutual_nearest_neighbours_that_pass_the_ratio() -> None:
             expected.add((i, int(j)))
     assert expected
     assert found == expected
+
+
+def test_matches_near_by_are_those_of_all_pairs() -> None:
+    rng = np.random.default_rng(0)
+    p, q = (rng.uniform(-50, 90, n) + 1j * rng.uniform(0, 40, n) for n in (300, 700))
+    a, b = (rng.normal(size=(n, 8)).astype(np.float32) for n in (300, 700))
+    a, b = (values / np.linalg.norm(values, axis=1, keepdims=True) for values in (a, b))
+    cosines = np.where(np.abs(p[:, None] - q) > 7.0, -2, a @ b.T)
+    nearest, back = cosines.argmax(axis=1), cosines.argmax(axis=0)
+    expected = [[i, j] for i, j in enumerate(nearest.tolist()) if back[j] == i and cosines[i, j] > -1]
+    assert len(expected) > 50
+    assert mutual_within(p, q, 7.0, a, b).tolist() == expected
+    assert not len(mutual_within(p, q + 500, 7.0, a, b))
 
 
 def test_an_unknown_matcher_is_refused() -> None:
