@@ -53,13 +53,15 @@ class EvaluateCommand:
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     flight: Path | None = None
-    """Flight, a folder of lpn flight or one of photos, to locate on --map; errors are against its own positions."""
+    """Flight, a folder of lpn flight or one of photos, to locate on --map; its tags and corrections by hand are the truth."""
     map: Path | None = None
     """Map of --flight: a folder of lpn map, or a georeferenced picture."""
     prior: float | None = None
     """Metres around each frame's own position that --flight is registered in without --model; by default the whole map."""
     register: bool = True
     """Lay each photo of --flight over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
+    corrections: bool = True
+    """Take the truth of --flight from its corrections.csv where a person corrected a frame; --no-corrections takes tags alone."""
     json: Path | None = None
     """File to write the measures to, as JSON."""
 
@@ -73,10 +75,10 @@ class EvaluateCommand:
         if self.flight is not None or self.map is not None:
             self._evaluate_flight()
             return
-        if self.prior is not None or not self.register:
+        if self.prior is not None or not self.register or not self.corrections:
             raise InputError(
-                "Priors and registration belong to a flight; give --flight and --map with --prior and --no-register, or leave "
-                "them out."
+                "Priors, registration, and corrections belong to a flight; give --flight and --map with --prior, --no-register, "
+                "and --no-corrections, or leave them out."
             )
         parts = _numbers(self.parts)
         protocol = Protocol(
@@ -106,12 +108,21 @@ class EvaluateCommand:
             raise InputError("A flight has neither data set nor task; leave --data, --saved, and --task out.")
         console = Console(width=max(120, Console().width))
         options = LocateOptions(register=self.register, prior=self.prior)
-        located = locate_files(self.map, self.flight, self.model, self.provider, options, None, console)
+        located = locate_files(
+            self.map, self.flight, self.model, self.provider, options, None, self.corrections, console
+        )
         print_summary(located, console)
         if self.json is not None:
             stages = {stage: asdict(found) for stage, found in located.summaries().items()}
             audit = None if located.audit is None else located.audit.sentence
-            result = {"stages": stages, "retrieval": located.field_measures(), "tags": audit, "notes": located.notes}
+            result = {
+                "frames": len(located.frames),
+                "corrected": sum(frame.by_hand is not None for frame in located.frames),
+                "stages": stages,
+                "retrieval": located.field_measures(),
+                "tags": audit,
+                "notes": located.notes,
+            }
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_atomic(self.json, (json.dumps(_without_nan(result), indent=1) + "\n").encode())
 

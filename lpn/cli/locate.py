@@ -47,6 +47,8 @@ class LocateCommand:
     """Metres a second that the flight moves, one standard deviation."""
     centre: bool = True
     """Subtract the mean descriptor of each view, which helps a model that has not seen the place."""
+    corrections: bool = True
+    """Take a frame's position from corrections.csv in the flight's folder where a person corrected it."""
     limit: int | None = None
     """Number of frames, the first ones of the flight; by default all."""
 
@@ -58,7 +60,10 @@ class LocateCommand:
         check_suffix(self.out)
         check_writable(self.out)
         console = Console(width=max(120, Console().width))
-        located = locate_files(self.map, self.flight, self.model, self.provider, self._options(), self.limit, console)
+        options = self._options()
+        located = locate_files(
+            self.map, self.flight, self.model, self.provider, options, self.limit, self.corrections, console
+        )
         write_track(self.out, located.flight.name, located.track())
         for frame in located.frames:
             console.print(
@@ -92,14 +97,16 @@ def locate_files(
     provider: ProviderName,
     options: LocateOptions,
     limit: int | None,
+    corrected: bool,
     console: Console,
 ) -> LocatedFlight:
-    """Open map, flight, and model, and locate the flight, with a progress bar.
+    """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
 
     Raises:
         InputError: if the limit is below 1.
     """
     from lpn.flights import open_flight
+    from lpn.locate import corrections
     from lpn.locate.pipeline import locate
     from lpn.maps import open_map
 
@@ -107,9 +114,10 @@ def locate_files(
         raise InputError(f"The limit is {limit} frames; expected 1 or more.")
     town, flight = open_map(map_path), open_flight(flight_path)
     flight = replace(flight, frames=flight.frames[:limit])
+    kept = corrections.read_corrections(flight_path / corrections.NAME) if corrected else {}
     network = None if model is None else lpn.load(model, provider)
     with _progress(console) as report:
-        return locate(town, flight, network, options, report)
+        return locate(town, flight, network, options, report, kept)
 
 
 def print_summary(located: LocatedFlight, console: Console) -> None:
@@ -146,8 +154,14 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
             f"{found.coverage_at_zero:.0f} %",
         )
     console.print(table)
+    corrected = sum(frame.by_hand is not None for frame in located.frames)
+    truth = (
+        f"corrections by hand ({corrected}), and the tags of the other frames"
+        if corrected
+        else "the tags of the flight"
+    )
     console.print(
-        "Errors are against the tags of the flight; shares are of all frames with a tag; 'no false' is the share that can be "
+        f"Errors are against {truth}; shares are of all frames with such a truth; 'no false' is the share that can be "
         "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
         "ranks windows and verifies none.",
         soft_wrap=True,

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -19,14 +19,15 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import cache_folder
-from lpn.core.homography import middle_pixel
+from lpn.core.homography import apply_homography, middle_pixel
 from lpn.flights import Flight, Frame, ground_width
 from lpn.flights.cameras import rotation
 from lpn.locate import continuity, measures
 from lpn.locate.audit import TagAudit, audit_tags
+from lpn.locate.corrections import Correction
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
-from lpn.locate.registration import Expectation, Registration, register
+from lpn.locate.registration import Expectation, Registration, pose, register, turn_between
 from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain, retrieve
 from lpn.locate.sequence import MotionModel, emissions, smooth
 from lpn.locate.tracks import State, TrackPoint
@@ -36,6 +37,8 @@ from lpn.retrieval import field_metrics
 
 FORMAT = "lpn-locate/3"
 STAGES = ("retrieval", "sequence", "registration")
+# The stage of a track that has the places of corrected frames.
+BY_HAND = "by hand"
 Progress = Callable[[str, int, int], None]
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
@@ -137,6 +140,12 @@ class StageRecord(msgspec.Struct, frozen=True):
         """True if the position may be used."""
         return self.state == "accepted"
 
+    def distance(self, place: Float64Array) -> float:
+        """Return the metres from the position, which must be known, to a place (2,)."""
+        assert self.x is not None
+        assert self.y is not None
+        return math.hypot(self.x - place[0], self.y - place[1])
+
 
 @dataclass
 class LocatedFrame:
@@ -147,24 +156,48 @@ class LocatedFrame:
         tag: its position in metres of the map's frame, (2,); None without a tag.
         stages: answers by stage.
         windows: best windows of the retrieval.
+        by_hand: where a person's correction lays the photo; None without one.
     """
 
     frame: Frame
     tag: Float64Array | None
     stages: dict[str, StageRecord] = field(default_factory=dict)
     windows: list[WindowRecord] = field(default_factory=list)
+    by_hand: StageRecord | None = None
+
+    def truth(self, camera: bool) -> Float64Array | None:
+        """Return the place of the camera, or that of the picture's middle: by the correction, else the tag; (2,) or None."""
+        if self.by_hand is None or (camera and not self.by_hand.camera):
+            return self.tag
+        if camera:
+            return np.array([self.by_hand.x, self.by_hand.y])
+        matrix = np.array(self.by_hand.homography).reshape(3, 3)
+        return apply_homography(matrix, middle_pixel(self.frame.width, self.frame.height))
 
     def error(self, stage: str) -> float | None:
-        """Return the metres from the tag to a stage's position; None without one of them."""
+        """Return the metres from the truth to a stage's position; None without one of them."""
         answer = self.stages.get(stage)
-        if answer is None or answer.x is None or answer.y is None or self.tag is None:
+        if answer is None or answer.x is None or answer.y is None or (truth := self.truth(answer.camera)) is None:
             return None
-        return math.hypot(answer.x - self.tag[0], answer.y - self.tag[1])
+        return answer.distance(truth)
 
     @property
     def sentence(self) -> str:
         """Summarise in one line what the stages found."""
-        return " ".join(f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items())
+        said = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]
+        return " ".join(said if self.by_hand is None else [*said, f"{BY_HAND.capitalize()}: {self.by_hand_sentence}"])
+
+    @property
+    def by_hand_sentence(self) -> str:
+        """Say what a correction changed; "" without one."""
+        if self.by_hand is None:
+            return ""
+        apart = None if self.tag is None else self.by_hand.distance(self.tag)
+        said = f"{self.by_hand.sentence}{_sentence('The tag lies', apart)}"
+        answer, apart = self.stages.get("registration"), self.error("registration")
+        if answer is not None and not answer.accepted:
+            return f"{said} The registration is refused."
+        return said + _sentence("The registration lies", apart)
 
 
 @dataclass
@@ -192,21 +225,24 @@ class LocatedFlight:
         return [stage for stage in STAGES if any(stage in located.stages for located in self.frames)]
 
     def track(self) -> list[TrackPoint]:
-        """Return the track's points, stage by stage."""
-        return [point for stage in self.stages for located in self.frames for point in self._points(located, stage)]
+        """Return the track's points, stage by stage; a correction takes the place of its frame's registration."""
+        return [
+            self._point(located, stage, answer)
+            for stage in (*self.stages, BY_HAND)
+            for located in self.frames
+            if (answer := located.by_hand if stage == BY_HAND else located.stages.get(stage)) is not None
+            and not (stage == "registration" and located.by_hand is not None)
+        ]
 
-    def _points(self, located: LocatedFrame, stage: str) -> Iterator[TrackPoint]:
-        answer = located.stages.get(stage)
-        if answer is None:
-            return
+    def _point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
         latitude = longitude = None
         if answer.x is not None and answer.y is not None:
             latitude, longitude = (float(value) for value in self.town.frame.degrees([(answer.x, answer.y)])[0])
-        yield TrackPoint(
+        return TrackPoint(
             located.frame.name,
             stage,
             answer.state,
-            answer.sentence,
+            located.by_hand_sentence if stage == BY_HAND else answer.sentence,
             located.frame.time,
             latitude,
             longitude,
@@ -217,15 +253,16 @@ class LocatedFlight:
         )
 
     def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
-        """Return the errors of each stage against the tags; frames without a tag are left out, refused positions do not count.
+        """Return the errors of each stage against `LocatedFrame.truth`; frames without one are left out, refused positions do
+        not count.
 
         Answers of the retrieval are ordered by their scores, those of the other stages by their radii.
         """
-        tagged = [located for located in self.frames if located.tag is not None]
+        known = [located for located in self.frames if located.truth(False) is not None]
         found = {}
         for stage in self.stages:
             errors, doubts = [], []
-            for located in tagged:
+            for located in known:
                 answer, error = located.stages.get(stage), located.error(stage)
                 refused = answer is None or answer.state == "refused"
                 errors.append(math.nan if refused or error is None else error)
@@ -237,10 +274,10 @@ class LocatedFlight:
         return found
 
     def field_measures(self) -> dict[str, float]:
-        """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against the tags.
+        """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
-        A window is a hit if it holds the tag. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
-        retrieval or tags.
+        A window is a hit if it holds that place. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
+        retrieval or such places.
         """
         if self.retrieval is None:
             return {}
@@ -248,14 +285,14 @@ class LocatedFlight:
         rows: list[Float64Array] = []
         hits: list[BoolArray] = []
         for i, located in enumerate(self.frames):
-            if located.tag is None:
+            if (truth := located.truth(False)) is None:
                 continue
             if i in self.retrieval.broken:
                 rows.append(np.full(depth, np.inf))
                 hits.append(np.zeros(depth, bool))
                 continue
             order = np.argsort(-self.retrieval.scores(i), kind="stable")[:depth]
-            off = self.retrieval.places[order] - located.tag
+            off = self.retrieval.places[order] - truth
             rows.append(np.linalg.norm(off, axis=1))
             hits.append(np.all(np.abs(off) <= self.retrieval.sizes[order, None] / 2, axis=1))
         if not rows:
@@ -276,6 +313,7 @@ def locate(
     model: Model | None = None,
     options: LocateOptions | None = None,
     on_progress: Progress | None = None,
+    corrections: Mapping[str, Correction] | None = None,
 ) -> LocatedFlight:
     """Locate the frames of a flight.
 
@@ -284,6 +322,8 @@ def locate(
     Args:
         model: for the retrieval; without one, registration searches the whole map, or around the tags with a prior.
         on_progress: called with a stage, the frames (or windows) done, and their number.
+        corrections: a person's, by the frame's name. They change no answer of a stage: they are the truth of errors and of the
+            audit, and stand in the track in place of registrations.
 
     Raises:
         InputError: if no stage is left, a prior is given beside a model, or the model lacks a view.
@@ -305,6 +345,7 @@ def locate(
         LocatedFrame(frame, None if np.isnan(tag).any() else tag)
         for frame, tag in zip(flight.frames, tags, strict=True)
     ]
+    notes += _correct(town, frames, corrections or {})
     if options.prior is not None:
         notes.append(
             f"Registration searched around the tags only (prior {options.prior:g} m), so errors against the tags say less than "
@@ -355,13 +396,59 @@ def registered(
             published = time.monotonic()
 
     said = _registered(located.town, located.flight, frames, options, model, located.retrieval, report)
-    answers = [frame.stages["registration"] for frame in frames]
+    answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
     ).reshape(-1, 2)
     tags = np.array([_UNKNOWN if frame.tag is None else frame.tag for frame in frames])
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
     return replace(located, frames=frames, audit=audit, notes=[*located.notes, *said, *_turn_notes(frames)])
+
+
+def _sentence(what: str, metres: float | None) -> str:
+    return "" if metres is None else f" {what} {metres:.1f} m from there."
+
+
+def _correct(town: Map, frames: list[LocatedFrame], corrections: Mapping[str, Correction]) -> list[str]:
+    """Enter the corrections of frames, and return sentences about them."""
+    left = dict(corrections)
+    for located in frames:
+        correction = left.get(located.frame.name)
+        if correction is None or not np.isfinite(town.frame.xy(*correction.corners.T)).all():
+            continue
+        del left[located.frame.name]
+        frame, size = located.frame, (located.frame.width, located.frame.height)
+        matrix = correction.homography(town.frame, *size)
+        centre, heading, width = pose(matrix, *size)
+        turn = turn_between(frame.heading, heading)
+        laid = Registration(
+            True, "", BY_HAND, "homography", 0, 0, 0.0, 0.0, matrix, centre, heading, width, turn, np.zeros((2, 2))
+        )
+        below = _camera_place(frame, size, laid)
+        x, y = (centre if below is None else below[0]).tolist()
+        located.by_hand = StageRecord(
+            "accepted",
+            f"A person laid the photo by hand. {laid.turn_sentence}".rstrip(),
+            x,
+            y,
+            below is not None,
+            heading=heading,
+            turn=turn,
+            width=width,
+            homography=matrix.ravel().tolist(),
+        )
+    notes = []
+    if count := sum(located.by_hand is not None for located in frames):
+        notes.append(
+            f"{count} of {len(frames)} frames are corrected by hand. Their positions are the corrections', and so is the truth "
+            "of their errors; --no-corrections leaves them out."
+        )
+    if left:
+        notes.append(
+            f"Corrections of frames that this run does not have, or beyond what the map's frame holds, are left out: "
+            f"{', '.join(sorted(left))}."
+        )
+    return notes
 
 
 def _tags(town: Map, flight: Flight) -> tuple[Float64Array, list[str]]:

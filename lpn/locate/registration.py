@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
-from lpn.core.homography import apply_homography, translation
+from lpn.core.homography import apply_homography, middle_pixel, translation
 from lpn.locate.matchers import Complex, Features, Matcher, mutual_within
 
 # Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
@@ -139,6 +139,24 @@ class Registration:
         """Map pixels of the photo (N, 2) to metres east and north (N, 2)."""
         assert self.homography is not None
         return apply_homography(self.homography, pixels)
+
+
+def pose(homography: Float64Array, width: int, height: int) -> tuple[Float64Array, float, float]:
+    """Return where a homography from pixels to metres, (3, 3), lays a picture of this size.
+
+    Returns:
+        The place of its middle, (2,); the heading of its top in degrees, 0 .. 360; and the metres of ground across its middle.
+    """
+    middle = middle_pixel(width, height)
+    right, up = np.array([width / 2, 0]), np.array([0, -0.01 * width])
+    centre, above, *ends = apply_homography(homography, [middle, middle + up, middle - right, middle + right])
+    heading = float(np.degrees(np.arctan2(*(above - centre))) % 360)
+    return centre, heading, float(np.linalg.norm(ends[1] - ends[0]))
+
+
+def turn_between(expected: float | None, heading: float) -> float | None:
+    """Return the degrees clockwise, -180 .. 180, from an expected heading to another; None if none was expected."""
+    return None if expected is None else float(_wrapped(heading - expected))
 
 
 def describe_ground(
@@ -398,11 +416,8 @@ def _concluded(
     to_unit = np.array([[1 / width, 0, -(width - 1) / 2 / width], [0, -1 / width, (height - 1) / 2 / width], [0, 0, 1]])
     full = homography @ to_unit
     full /= full[2, 2]
-    centre, up = apply_homography(homography, np.array([[0.0, 0.0], [0.0, 0.01]]))
-    heading = float(np.degrees(np.arctan2(*(up - centre))) % 360)
-    turn = None if expected.heading is None else float(_wrapped(heading - expected.heading))
-    ends = apply_homography(homography, np.array([[-0.5, 0.0], [0.5, 0.0]]))
-    ground_width = float(np.linalg.norm(ends[1] - ends[0]))
+    centre, heading, ground_width = pose(full, width, height)
+    turn = turn_between(expected.heading, heading)
     covariance = _covariance(homography, model, best, inliers, complex(*centre))
     reason = _refusal(best, runner_up, inliers, ground_width, centre, bounds)
     return Registration(

@@ -24,7 +24,7 @@ _OURS = "urn:lpn-explorer:track"
 _KML = "http://www.opengis.net/kml/2.2"
 # "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
 State = Literal["accepted", "refused", "not verified"]
-_COLOURS = {"retrieval": "ff00a5ff", "sequence": "ffff8000", "registration": "ff00c000"}
+_COLOURS = {"retrieval": "ff00a5ff", "sequence": "ffff8000", "registration": "ff00c000", "by hand": "ffff00ff"}
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class TrackPoint:
 
     Attributes:
         frame: name of the frame.
-        stage: "retrieval", "sequence", "registration".
+        stage: "retrieval", "sequence", "registration", or "by hand" for a person's correction.
         state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
         reason: a sentence: why it was refused, or what is to be known about it.
         time: seconds, UTC epoch where known; None if unknown.
@@ -41,7 +41,7 @@ class TrackPoint:
         camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
         radius: 1-sigma radius in metres; None if unknown.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
-        error: metres from the frame's tag; None without a tag.
+        error: metres from the frame's correction, else from its tag; None without them, and for the correction itself.
     """
 
     frame: str

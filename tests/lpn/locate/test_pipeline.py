@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import DataError, InputError
+from lpn.core.homography import apply_homography, corner_pixels
 from lpn.flights import Flight, Frame, footprint
 from lpn.flights.cut import cut_square
 from lpn.locate import pipeline
+from lpn.locate.corrections import Correction, set_correction
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import SiftMatcher
 from lpn.locate.pipeline import (
@@ -129,6 +131,53 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
     moved = (replace(flight.frames[0], height_above_ground=81.0), *flight.frames[1:])
     locate(town, replace(flight, frames=moved), None, SIFT)
     assert len(registered) == 6
+
+
+def _corners(place: tuple[float, float], heading: float) -> np.ndarray:
+    to_photo = ground_to_photo(place, heading, WIDTH, SIZE)
+    return apply_homography(np.linalg.inv(to_photo), corner_pixels(*SIZE))
+
+
+def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = StageRecord("accepted", "It agrees.", 3.0, 4.0, camera=True, radius=0.5, width=WIDTH)
+    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: answer)
+    # The last frame has no tilt, so a correction tells its middle only; the first was flown at 10 degrees of roll.
+    frames = (replace(flight.frames[0], roll=10.0), *flight.frames[1:3], replace(flight.frames[3], pitch=None))
+    kept = {
+        name: Correction.of(_corners(place, heading), town.frame)
+        for name, place, heading in (("0.png", (3.0, 0.0), 90.0), ("3.png", (50.0, 60.0), 88.0), ("x.png", (0, 0), 0))
+    }
+    flown = replace(flight, frames=frames)
+    found = locate(town, flown, None, SIFT, corrections=kept)
+    first, second, _, last = found.frames
+    assert first.by_hand is not None
+    assert first.by_hand.camera
+    # Looking to the left by 10 degrees with the top to the east, the camera is south of what its middle shows.
+    np.testing.assert_allclose(first.truth(True), (3.0, -HEIGHT * math.tan(math.radians(10))), atol=1e-3)
+    np.testing.assert_allclose(first.truth(False), (3.0, 0.0), atol=1e-3)
+    assert first.error("registration") == pytest.approx(4 + HEIGHT * math.tan(math.radians(10)), abs=1e-3)
+    assert second.error("registration") == pytest.approx(math.hypot(3 + 15, 4 + 28), abs=1e-3)
+    np.testing.assert_allclose(last.truth(False), (50.0, 60.0), atol=1e-3)
+    np.testing.assert_allclose(last.truth(True), PLACES[3], atol=1e-3)
+    assert {point.frame: point.stage for point in found.track()} == {
+        "1.png": "registration",
+        "2.png": "registration",
+        "0.png": "by hand",
+        "3.png": "by hand",
+    }
+    by_hand = found.track()[-2]
+    assert by_hand.error is None
+    assert by_hand.reason.startswith("A person laid the photo by hand. The tag lies ")
+    assert by_hand.reason.endswith("The registration lies 18.1 m from there.")
+    assert found.notes[0].startswith("2 of 4 frames are corrected by hand.")
+    assert "left out: x.png." in found.notes[1]
+    assert found.audit is not None
+    assert found.audit.largest > 80  # between the last frame's tag and its correction
+    plain = locate(town, flown, None, SIFT)
+    assert [point.stage for point in plain.track()] == ["registration"] * 4
+    assert plain.frames[0].stages == first.stages
 
 
 def test_a_registration_in_progress_is_told_without_changing_the_flight(
@@ -479,12 +528,23 @@ def test_the_commands_write_a_track_and_measures(
     assert [entry["properties"]["state"] for entry in features] == ["accepted"]
     assert features[0]["properties"]["camera"] is True
     assert "matches of SIFT agree" in capsys.readouterr().out
+    kept = {"0.png": Correction.of(_corners((5.0, 5.0), 90.0), town.frame)}
+    set_correction(tmp_path / "flight" / "corrections.csv", "0.png", kept["0.png"])
+    assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
+    assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["by hand"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 of 1 frames are corrected by hand." in said
+    assert "Errors are against corrections by hand (1), and the tags of the other frames" in said
+    alone = ["--no-corrections", "--out", str(track)]
+    assert main(["locate", *where, "--matcher", "sift", "--limit", "1", *alone]) == 0
+    assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["registration"]
+    assert "by hand" not in capsys.readouterr().out
     assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
     assert "suffix '.shp'" in capsys.readouterr().err
     assert main(["evaluate", "--flight", str(tmp_path / "flight")]) == 2
     assert "give both --flight and --map" in capsys.readouterr().err
     assert main(["evaluate", "--no-register"]) == 2
-    assert "Priors and registration belong to a flight" in capsys.readouterr().err
+    assert "Priors, registration, and corrections belong to a flight" in capsys.readouterr().err
 
 
 @pytest.mark.slow
@@ -500,4 +560,5 @@ def test_a_flight_is_evaluated_by_its_tags(
     assert "registration" in capsys.readouterr().out
     measured = json.loads((tmp_path / "measures.json").read_text())
     assert measured["notes"] == []
+    assert (measured["frames"], measured["corrected"]) == (2, 0)
     assert measured["stages"]["registration"]["answered"] == 2
