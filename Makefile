@@ -19,14 +19,19 @@ $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) -e '.[maps]'
 	touch $@
 
+# timm without its requirement torchvision, whose compiled operators need one build of torch; see lpn/models/adapters/timm_networks.py.
+TIMM := $(PIP) --no-deps timm
+
 $(VENV)/.train: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) torch==2.13.0
 	$(PIP) -e '.[train,maps]'
+	$(TIMM)
 	touch $@ $(VENV)/.base
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) torch==2.13.0
 	$(PIP) -e '.[train,dev]'
+	$(TIMM)
 	touch $@ $(VENV)/.train $(VENV)/.base
 
 $(VENV)/.world: $(VENV)/.train

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lpn.core.views import View
     from lpn.datasets import open_dataset
     from lpn.explain import evidence
+    from lpn.models.adapters import Kind
     from lpn.models.base import Model
     from lpn.models.partition import Partition
     from lpn.models.spec import ModelSpec
@@ -69,15 +70,16 @@ if not TYPE_CHECKING:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = False) -> Model:
-    """Open a trained LPN: an exported `.onnx`, our `.safetensors`, or a published `.pth`.
+def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = False, kind: Kind | None = None) -> Model:
+    """Open a trained model: an exported `.onnx`, our `.safetensors`, or a published `.pth` of LPN or another method.
 
-    An `.onnx` needs no torch; the others need the extra `train`.
+    An `.onnx` needs no torch; the others need the extra `train`, and other methods than LPN and SDPL the extra `models`.
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
             `.onnx`, "tensorrt".
-        compiled: run a `.safetensors` or `.pth` by torch.compile.
+        compiled: run a `.safetensors` or `.pth` of an LPN by torch.compile.
+        kind: the method of a published `.pth`, such as "dac"; by default recognised by the names of its entries.
 
     Raises:
         ModelFileError: if the file is missing, is not a model, is truncated, or lacks entries.
@@ -92,12 +94,23 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
             raise errors.InputError(
                 f"torch.compile is for .safetensors and .pth, and {Path(path).name} is exported; leave --compile out."
             )
+        _check_no_kind(path, kind)
         return Engine(path, provider=provider)
     try:
+        from lpn.models.adapters.load import load_published
         from lpn.models.checkpoints import device_of, load_torch
     except ModuleNotFoundError as error:
         raise MissingPackageError(
             f"Opening {Path(path).name} needs the package {error.name}; "
             "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
         ) from error
-    return load_torch(path, device_of(provider, Path(path).name), compiled)
+    device = device_of(provider, Path(path).name)
+    if Path(path).suffix == ".safetensors":
+        _check_no_kind(path, kind)
+        return load_torch(path, device, compiled)
+    return load_published(path, device, compiled, kind)
+
+
+def _check_no_kind(path: str | Path, kind: Kind | None) -> None:
+    if kind is not None:
+        raise errors.InputError(f"{Path(path).name} tells its kind itself; leave --kind out.")

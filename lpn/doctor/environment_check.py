@@ -27,6 +27,7 @@ _USES = {
     "data": "CVACT, and results saved by the published code",
     "search": "searching 8- and 16-bit indexes quickly",
     "faiss": "approximate search of millions of tiles",
+    "models": "published models other than LPN",
     "ray": "describing on many machines",
     "milvus": "search on a server",
     "video": "subtitles inside a video",

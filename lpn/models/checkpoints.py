@@ -139,19 +139,31 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu", compiled: b
         InputError: if `compiled`, and torch finds no compiler.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ModelFileError(f"There is no model file at {path}; check the path.")
-    if path.suffix == ".safetensors":
-        spec, state = _read_safetensors(path)
-    else:
-        state = _read_pth(path)
-        spec = infer_spec(state, read_options(path.with_name("opts.yaml")), path.name)
+    if path.suffix != ".safetensors":
+        return from_state(read_state(path), read_options(path.with_name("opts.yaml")), path, device, compiled)
+    _check_there(path)
+    return _model(*_read_safetensors(path), path, device, compiled)
+
+
+def from_state(
+    state: State, options: dict[str, Any], path: Path, device: torch.device | str = "cpu", compiled: bool = False
+) -> TorchModel:
+    """Return the LPN of a published state dict and the options beside it, see `load_torch`."""
+    return _model(infer_spec(state, options, path.name), state, path, device, compiled)
+
+
+def _model(spec: ModelSpec, state: State, path: Path, device: torch.device | str, compiled: bool) -> TorchModel:
     # Check on the meta device first: a file may claim a network far larger than its contents.
     with torch.device("meta"):
         _check_fits(LPN(spec), state, path.name)
     network = LPN(spec)
     _fill(network, state, path.name)
     return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()), compiled)
+
+
+def _check_there(path: Path) -> None:
+    if not path.is_file():
+        raise ModelFileError(f"There is no model file at {path}; check the path.")
 
 
 def best_device() -> torch.device:
@@ -253,7 +265,7 @@ def _read_weights(path: Path) -> State:
         raise ModelFileError(
             f"{path.name} is an exported graph; give --init the .safetensors or .pth it was made from."
         )
-    return _read_tensors(path)[0] if path.suffix == ".safetensors" else _read_pth(path)
+    return _read_tensors(path)[0] if path.suffix == ".safetensors" else read_state(path)
 
 
 def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
@@ -400,7 +412,13 @@ def _unpickle(path: Path) -> Any:
         ) from error
 
 
-def _read_pth(path: Path) -> State:
+def read_state(path: Path) -> State:
+    """Read a PyTorch file's state dict without the prefix `module.`; only tensors are unpickled.
+
+    Raises:
+        ModelFileError: if the file is missing, truncated, or holds other things than named tensors.
+    """
+    _check_there(path)
     loaded = _unpickle(path)
     if isinstance(loaded, dict) and isinstance(loaded.get("state_dict"), dict):
         loaded = loaded["state_dict"]

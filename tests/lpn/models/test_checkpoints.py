@@ -121,7 +121,7 @@ def test_files_that_are_not_models_get_one_sentence(tmp_path: Path, model_file: 
     torch.save([1, 2], tmp_path / "list.pth")
     assert "state_dict" in _refused(tmp_path / "list.pth")
     torch.save({"weight": torch.zeros(2)}, tmp_path / "other.pth")
-    assert "not an LPN checkpoint" in _refused(tmp_path / "other.pth")
+    assert "not a checkpoint of a known model: it holds weight" in _refused(tmp_path / "other.pth")
 
 
 def test_missing_and_misshapen_entries_are_named(tmp_path: Path) -> None:

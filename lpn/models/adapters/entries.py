@@ -1,0 +1,144 @@
+"""The entries of a published checkpoint as an adapter reads them: by prefix, with their shapes checked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from lpn.core.errors import ModelFileError
+
+_EPSILON = 1e-5
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Named tensors of a checkpoint, and the options beside it.
+
+    Attributes:
+        name: of the file, for messages.
+        state: the tensors.
+        options: of `opts.yaml`; empty without one.
+        prefix: what was cut off the names of `state`, for messages.
+    """
+
+    name: str
+    state: Mapping[str, Tensor]
+    options: Mapping[str, Any] = field(default_factory=dict)
+    prefix: str = ""
+
+    def under(self, prefix: str) -> Entries:
+        """Return the entries whose names begin with a prefix, without it."""
+        cut = {key[len(prefix) :]: value for key, value in self.state.items() if key.startswith(prefix)}
+        return Entries(self.name, cut, self.options, self.prefix + prefix)
+
+    def renamed(self, patterns: Mapping[str, str]) -> Entries:
+        """Return the entries under other names: the first pattern that matches a name's begin replaces it."""
+        renamed: dict[str, Tensor] = {}
+        for key, value in self.state.items():
+            for pattern, replacement in patterns.items():
+                changed, count = re.subn(f"^{pattern}", replacement, key)
+                if count:
+                    key = changed
+                    break
+            renamed[key] = value
+        return Entries(self.name, renamed, self.options, self.prefix)
+
+    def count(self, pattern: str) -> int:
+        """Return how many numbers 0, 1, ... in a row complete a pattern such as `blocks.{}.norm1.weight`."""
+        number = 0
+        while pattern.format(number) in self.state:
+            number += 1
+        return number
+
+    def count_heads(self, name: str) -> int:
+        """Return how many heads there are in a row of `name` and a number from 1."""
+        number = 0
+        while f"{name}{number + 1}.add_block.0.weight" in self.state:
+            number += 1
+        return number
+
+    def shape(self, key: str, sides: int) -> tuple[int, ...]:
+        """Return the shape of an entry.
+
+        Raises:
+            ModelFileError: if it is missing, or has another number of sides or an empty one.
+        """
+        found = self.state.get(key)
+        if found is None:
+            raise ModelFileError(
+                f"{self.name} lacks {self.prefix}{key}; the file is incomplete or of another model, so give a whole checkpoint."
+            )
+        if found.ndim != sides or 0 in found.shape:
+            raise ModelFileError(
+                f"In {self.name}, {self.prefix}{key} has shape {tuple(found.shape)}; expected {sides} sides above 0."
+            )
+        return tuple(found.shape)
+
+    def tensor(self, key: str, shape: tuple[int, ...]) -> Tensor:
+        """Return an entry as float32.
+
+        Raises:
+            ModelFileError: if it is missing, has another shape, or holds values that are not finite.
+        """
+        if self.shape(key, len(shape)) != shape:
+            raise ModelFileError(
+                f"In {self.name}, {self.prefix}{key} has shape {tuple(self.state[key].shape)}; expected {shape}."
+            )
+        value = self.state[key].to(torch.float32)
+        # The sum is a cheap test: it is finite only if all entries are.
+        if not bool(value.sum().isfinite()) and not bool(value.isfinite().all()):
+            raise ModelFileError(
+                f"In {self.name}, {self.prefix}{key} holds values that are not finite; take an earlier checkpoint."
+            )
+        return value
+
+    def fill(self, network: nn.Module) -> None:
+        """Put the entries into a network of the same names, also one on the meta device; further entries are ignored.
+
+        Raises:
+            ModelFileError: as for `tensor`.
+        """
+        wanted = {key: value for key, value in network.state_dict().items() if not key.endswith("num_batches_tracked")}
+        # Parameters that take a tensor as it is must own it: branches of one file may share tensors.
+        found = {key: self.tensor(key, tuple(value.shape)) for key, value in wanted.items()}
+        counters = {
+            key: torch.zeros((), dtype=torch.int64)
+            for key in network.state_dict()
+            if key.endswith("num_batches_tracked")
+        }
+        network.load_state_dict(found | counters, assign=True)
+
+    def head(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
+        """Return a head's Linear and BatchNorm1d at test time as one affine map: A (D, C) and c (D,).
+
+        Raises:
+            ModelFileError: as for `tensor`.
+        """
+        size = self.shape(f"{prefix}.add_block.0.weight", 2)[0]
+        weight = self.tensor(f"{prefix}.add_block.0.weight", (size, channels))
+        bias = self.tensor(f"{prefix}.add_block.0.bias", (size,))
+        gamma, beta, mean, variance = (
+            self.tensor(f"{prefix}.add_block.1.{key}", (size,))
+            for key in ("weight", "bias", "running_mean", "running_var")
+        )
+        scale = gamma / torch.sqrt(variance + _EPSILON)
+        return scale[:, None] * weight, scale * (bias - mean) + beta
+
+    def heads(self, prefixes: list[str], channels: int) -> tuple[Tensor, Tensor]:
+        """Return the heads of several parts: A (n, D, C) and c (n, D).
+
+        Raises:
+            ModelFileError: as for `tensor`, and if their sizes differ.
+        """
+        pairs = [self.head(prefix, channels) for prefix in prefixes]
+        sizes = [len(bias) for _, bias in pairs]
+        if len(set(sizes)) > 1:
+            raise ModelFileError(
+                f"In {self.name}, the heads {', '.join(prefixes)} give {', '.join(map(str, sizes))} numbers; expected one size."
+            )
+        return torch.stack([weight for weight, _ in pairs]), torch.stack([bias for _, bias in pairs])

@@ -1,0 +1,221 @@
+"""Checkpoints of other sizes, blocks, and branches give what double-precision references compute from their entries alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+import torch
+
+import lpn
+from lpn.core.errors import InputError, ModelFileError
+from lpn.models.adapters.build import build
+from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.model import PublishedModel
+from lpn.models.adapters.sdpl import SHIFTS, planes
+from lpn.models.base import normalise
+from lpn.models.trace import Trace
+from tools.fixtures import published_models, seeded
+from tools.fixtures.published_models import (
+    State,
+    distinct,
+    relative,
+    small_denseuav,
+    small_fsra,
+    small_mccg,
+    small_vector,
+)
+
+TOLERANCE = 2e-5
+
+
+def opened(state: State, folder: Path, options: str = "", kind: str | None = None) -> PublishedModel:
+    torch.save(state, folder / "net_119.pth")
+    (folder / "opts.yaml").write_text(options)
+    return cast(PublishedModel, lpn.load(folder / "net_119.pth", "cpu", kind=kind))  # type: ignore[arg-type]
+
+
+def check(
+    model: PublishedModel, view: str, pictures: np.ndarray, raw: torch.Tensor, mirror: torch.Tensor | None
+) -> None:
+    """Compare raw parts and descriptors of one picture, and check that its account adds up."""
+    outputs = model.run(model.with_mirror(pictures[0]), view)  # type: ignore[arg-type]
+    assert relative(model.part_embeddings(pictures, view), raw) < TOLERANCE  # type: ignore[arg-type]
+    total = raw if mirror is None else raw + mirror
+    assert relative(model.descriptors(pictures, view), normalise(total.numpy())) < TOLERANCE  # type: ignore[arg-type]
+    if model.contract.has_cells:
+        assert Trace.from_pass(model, outputs, view).closure() < 1e-5  # type: ignore[arg-type]
+        assert outputs.features is not None
+        assert outputs.features.shape[-2:] == model.map_size(view)  # type: ignore[arg-type]
+    else:
+        assert outputs.features is None
+        assert model.map_size(view) == (1, 1)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("blocks", [1, 2, 4])
+def test_fsra_of_other_blocks(blocks: int, tmp_path: Path) -> None:
+    state, pictures = small_fsra(blocks), seeded.pictures(3, 1, 256, 256)
+    model = opened(state, tmp_path, f"views: 2\nblock: {blocks}\nh: 256\nw: 256\n")
+    assert model.n_parts == (blocks + 1 if blocks > 1 else 1)
+    assert model.contract.level == ("exact, with held" if blocks > 1 else "one vector")
+    raw, mirror = (published_models.fsra(state, "model_1.", p, blocks) for p in (pictures, pictures[..., ::-1].copy()))
+    check(model, "drone", pictures, raw, mirror)
+    with pytest.raises(InputError, match="trained with 256 x 256"):
+        model.part_embeddings(seeded.pictures(3, 1, 128, 128), "drone")
+
+
+def test_fsra_of_three_views_whose_street_has_weights_of_its_own(tmp_path: Path) -> None:
+    state, pictures = distinct(small_fsra(2, 2), "model_2."), seeded.pictures(4, 1, 256, 256)
+    model = opened(state, tmp_path, "views: 3\nshare: false\n")
+    assert model.views == ("satellite", "street", "drone")
+    assert model.contract.groups == (("satellite", "drone"), ("street",))
+    for view, branch in (("satellite", "model_1."), ("drone", "model_1."), ("street", "model_2.")):
+        expected = published_models.fsra(state, branch, pictures, 2)
+        assert relative(model.part_embeddings(pictures, view), expected) < TOLERANCE  # type: ignore[arg-type]
+    assert opened(small_fsra(2, 2), tmp_path).contract.groups == (("satellite", "street", "drone"),)
+
+
+@pytest.mark.parametrize(("blocks", "size"), [(1, (64, 64)), (2, (96, 64))])
+def test_mccg_of_other_blocks_and_sizes(blocks: int, size: tuple[int, int], tmp_path: Path) -> None:
+    state, pictures = small_mccg(blocks), seeded.pictures(5, 1, *size)
+    model = opened(state, tmp_path, f"block: {blocks}\nh: {size[0]}\nw: {size[1]}\n")
+    assert (model.n_parts, model.input_size) == (blocks + 1, size)
+    raw, mirror = (published_models.mccg(state, "model_1.", p, blocks) for p in (pictures, pictures[..., ::-1].copy()))
+    check(model, "satellite", pictures, raw, mirror)
+    larger = seeded.pictures(6, 1, 128, 64)
+    expected = published_models.mccg(state, "model_1.", larger, blocks)
+    assert relative(model.part_embeddings(larger, "drone"), expected) < TOLERANCE
+    with pytest.raises(InputError, match="multiples of 32 pixels"):
+        model.part_embeddings(seeded.pictures(6, 1, 100, 64), "drone")
+
+
+def test_mccg_of_three_views_is_described_by_the_network_that_the_released_test_loads_last(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state, pictures = small_mccg(2, 2), seeded.pictures(5, 1, 64, 64)
+    model = opened(state, tmp_path, "views: 3\nh: 64\nw: 64\n")
+    assert not caplog.records
+    assert model.views == ("satellite", "street", "drone")
+    state = distinct(state, "model_2.")
+    model = opened(state, tmp_path, "views: 3\nh: 64\nw: 64\n")
+    assert "model_2 describes all views" in caplog.text
+    for view in model.views:
+        expected = published_models.mccg(state, "model_2.", pictures, 2)
+        assert relative(model.part_embeddings(pictures, view), expected) < TOLERANCE
+
+
+@pytest.mark.parametrize("kind", ["camp", "dac"])
+def test_camp_and_dac(kind: str, tmp_path: Path) -> None:
+    state, pictures = small_vector(kind), seeded.pictures(8, 1, 64, 96)
+    model = opened(state, tmp_path, "h: 64\nw: 96\n")
+    assert model.contract.method == kind.upper()
+    check(model, "drone", pictures, published_models.convnext_vector(state, pictures), None)
+    assert opened(state, tmp_path).input_size == (384, 384)
+
+
+def test_the_names_of_training_may_be_missing_if_the_kind_is_named(tmp_path: Path) -> None:
+    state = {key: value for key, value in small_vector("dac").items() if key.startswith("model_1.convnext.")}
+    with pytest.raises(ModelFileError, match="--kind dac or --kind camp"):
+        opened(state, tmp_path)
+    assert opened(state, tmp_path, kind="camp").contract.method == "CAMP"
+
+
+@pytest.mark.parametrize("pool", ["avg", "global", "max", "avg+max"])
+def test_denseuav_of_one_branch(pool: str, tmp_path: Path) -> None:
+    state, pictures = small_denseuav(0), seeded.pictures(9, 1, 64, 64)
+    model = opened(state, tmp_path, f"head: SingleBranch\nhead_pool: {pool}\nh: 64\nw: 64\n")
+    levels = {"avg": "exact", "global": "one vector"}
+    assert model.contract.level == levels.get(pool, "exact, with held")
+    raw, mirror = (published_models.denseuav(state, p, pool) for p in (pictures, pictures[..., ::-1].copy()))
+    check(model, "drone", pictures, raw, mirror)
+
+
+@pytest.mark.parametrize("regions", [2, 3])
+def test_denseuav_with_the_head_of_fsra(regions: int, tmp_path: Path) -> None:
+    state, pictures = small_denseuav(regions), seeded.pictures(10, 1, 64, 64)
+    model = opened(state, tmp_path, f"head: FSRA\nblock: {regions}\n")
+    assert model.input_size == (64, 64)
+    assert model.contract.names("drone")[0] == "1 class token"
+    raw, mirror = (published_models.denseuav(state, p, regions=regions) for p in (pictures, pictures[..., ::-1].copy()))
+    check(model, "satellite", pictures, raw, mirror)
+
+
+@pytest.mark.parametrize("side", [16, 24, 32])
+def test_the_parts_of_sdpl_keep_the_lasting_zero(side: int) -> None:
+    rng = np.random.default_rng(side)
+    features, weights = np.maximum(rng.standard_normal((3, side, side)), 0), np.array([0.5, 0.2, 0.3])
+    flat = np.append(features.reshape(3, -1), np.zeros((3, 1)), axis=1)
+    found = np.zeros((10, 3))
+    for weight, parts in zip(weights, planes(side), strict=True):
+        for number, plane in enumerate(parts):
+            values = np.maximum(flat[:, plane.outer] + flat[:, plane.inner], 1e-6)
+            found[number] += weight * np.cbrt((values**3).mean(1))
+    assert relative(found, published_models.sdpl_pooled(features, weights)) < 1e-12
+
+
+def test_the_parts_of_sdpl_overlap_as_the_released_code_adds_them() -> None:
+    for shift, parts in zip(SHIFTS, planes(16), strict=True):
+        sides = [int(np.sqrt(len(plane.outer))) for plane in parts]
+        assert sides == [4, 8, 12, 16, 8, 12, 16, 12, 16, 16]
+        empty = [bool((plane.outer == 256).all()) for plane in parts]
+        assert empty == [shift != -2 and number in (0, 1, 4) for number in range(10)]
+        # The seventh and the ninth part add their inner plane away from its place, except without a shift.
+        doubled = [bool((plane.inner < 256).any()) for plane in parts]
+        assert not any(doubled[number] for number in (0, 1, 2, 3, 4, 5, 7, 9))
+
+
+def test_the_branches_of_sdpl_follow_the_role() -> None:
+    """Of zeros, which take no memory; the branches differ in one number."""
+    blank = torch.zeros(())
+    state = {key: blank.expand(shape) for key, shape in published_models.shapes_of("sdpl_resnet50_512").items()}
+    entries = Entries("net_350.pth", state, {"h": 256, "w": 256})
+    assert build("sdpl", entries).contract.roles == "view"
+    state["model_2.model.bn1.bias"] = torch.ones(64)
+    model = PublishedModel(build("sdpl", entries), "0")
+    assert (model.contract.roles, model.map_size("drone")) == ("role", (16, 16))
+    for query, gallery in (("drone", "satellite"), ("satellite", "drone")):
+        bound = model.for_task(query, gallery)  # type: ignore[arg-type]
+        for view, value in ((query, 0.0), (gallery, 1.0)):
+            assert bound.network(view).get_submodule("trunk.bn1").bias[0] == value  # type: ignore[arg-type, index, union-attr]
+    wide = Entries("net_350.pth", state, {"h": 320, "w": 320})
+    with pytest.raises(ModelFileError, match="320 x 320 pixels; SDPL takes squares of a multiple of 128"):
+        build("sdpl", wide)
+
+
+@pytest.mark.slow
+def test_game4loc_of_another_width_and_size_whose_branches_follow_the_role(tmp_path: Path) -> None:
+    state, pictures = published_models.medium_game4loc(), seeded.pictures(11, 1, 96, 64)
+    model = opened(state, tmp_path, "h: 96\nw: 64\n")
+    (tmp_path / "net_119.pth").unlink()
+    assert (model.embedding, model.map_size("drone")) == (512, (6, 4))
+    for query, gallery in (("drone", "satellite"), ("satellite", "drone")):
+        bound = model.for_task(query, gallery)  # type: ignore[arg-type]
+        for view, branch in ((query, "model1."), (gallery, "model2.")):
+            expected = published_models.rotary_vector(published_models.under(state, branch), pictures)
+            check(bound, view, pictures, expected, None)
+
+
+def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> None:
+    state = small_fsra(2)
+    for change, said in (
+        (
+            {"model_1.classifier1.add_block.0.weight": torch.zeros(512, 8)},
+            r"has shape \(512, 8\); expected \(512, 16\)",
+        ),
+        ({"model_1.transformer.pos_embed": torch.zeros(1, 50, 16)}, "positions for 49 patches of 16 pixels"),
+        ({"model_1.transformer.norm.weight": torch.full((16,), torch.nan)}, "not finite"),
+    ):
+        with pytest.raises(ModelFileError, match=said) as caught:
+            opened(state | change, tmp_path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(ModelFileError, match="block: 3; correct or remove it"):
+        opened(state, tmp_path, "block: 3")
+    lacking = {key: value for key, value in state.items() if "norm2.bias" not in key}
+    with pytest.raises(ModelFileError, match=r"lacks model_1\.transformer\.blocks\.0\.norm2\.bias"):
+        opened(lacking, tmp_path)
+    with pytest.raises(ModelFileError, match="multiples of 32"):
+        opened(small_mccg(1), tmp_path, "h: 100\nw: 64")
+    with pytest.raises(ModelFileError, match="head_pool: median; expected one of global"):
+        opened(small_denseuav(0), tmp_path, "head_pool: median")
