@@ -16,7 +16,7 @@ from typing import Any
 import viser
 
 from explorer.client_session import ClientSession, WorkspaceServices
-from explorer.opening import offered_flight, open_flight_over, open_model, open_saved
+from explorer.opening import offered_flight, open_flight_over, open_indexed, open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
@@ -27,6 +27,7 @@ from lpn.core.errors import InputError
 from lpn.core.log import conceal
 from lpn.core.resources import ProviderName, limit_malloc_arenas, port_error, return_memory
 from lpn.core.shutdown import writes_finished
+from lpn.index.task import DEPTH
 from lpn.retrieval.published_results import load_saved
 
 log = logging.getLogger(__name__)
@@ -248,6 +249,29 @@ def run_flight(
         port,
         authenticator,
     )
+
+
+def run_index(
+    where: str,
+    model: Path,
+    data: Path | None = None,
+    pictures: Path | None = None,
+    map_path: Path | None = None,
+    flight_path: Path | None = None,
+    query: str | None = None,
+    depth: int | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    authenticator: Authenticator | None = None,
+    provider: ProviderName = "auto",
+) -> None:
+    """Serve an index of tiles like `run`; see `opening.open_indexed`."""
+
+    def opened() -> Workspace:
+        given = (data, pictures, map_path, flight_path, query)
+        return open_indexed(where, model, *given, DEPTH if depth is None else depth, provider)
+
+    _serve(opened, host, port, authenticator)
 
 
 def run_saved(

@@ -30,6 +30,11 @@ class Explore:
     """Flight over the map: a folder of lpn flight, or one of photos; its frames are the queries."""
     register: bool = True
     """Lay each photo of the flight over the map; this goes on in the background, and its answers are kept."""
+    index: str | None = None
+    """Index of tiles to search, made by lpn index: a folder, or milvus://host:port/collection; needs --model, and queries by
+    --data, --query FOLDER, or --map with --flight."""
+    depth: int | None = None
+    """With --index: number of tiles that a search returns, 100 by default; ranks beyond it are not known."""
     beside: Path | None = None
     """Second trained LPN to compare on every query (key Y, tab Two models), such as one with other parts."""
     provider: ProviderName = "auto"
@@ -39,7 +44,8 @@ class Explore:
     n_parts: int | None = None
     """Number of parts of the descriptors in --saved; 1 by default."""
     query: str | None = None
-    """Name of the query to open with, as the picker shows it; by default the first."""
+    """Name of the query to open with, as the picker shows it, by default the first; with --index also a folder of pictures to
+    search for."""
     host: str = "127.0.0.1"
     """Address to listen on; on any other than 127.0.0.1, other machines can connect with the token in the printed link."""
     port: int = 8080
@@ -57,6 +63,11 @@ class Explore:
         from lpn.retrieval.published_results import check_n_parts
 
         authenticator = make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
+        if self.index is not None:
+            self._explore_index(self.index, authenticator)
+            return
+        if self.depth is not None:
+            raise InputError("A gallery in memory is ranked in full; give --depth with --index only.")
         if self.map is not None or self.flight is not None:
             self._explore_flight(authenticator)
             return
@@ -94,6 +105,40 @@ class Explore:
             authenticator,
             self.provider,
             DEMO_FLIGHT if is_demo and DEMO_FLIGHT[0].is_file() else None,
+        )
+
+    def _explore_index(self, where: str, authenticator: Authenticator) -> None:
+        from explorer.app import run_index
+
+        if self.model is None:
+            raise InputError("An index is searched with the model that described its tiles; give it as --model.")
+        for name, value in (("--saved", self.saved), ("--n-parts", self.n_parts), ("--beside", self.beside)):
+            if value is not None:
+                raise InputError(f"An index holds descriptors of one model; leave {name} out.")
+        if not self.register:
+            raise InputError("No photo is registered on an index; leave --no-register out.")
+        folder = Path(self.query) if self.query is not None and Path(self.query).is_dir() else None
+        if self.flight is not None and self.map is None:
+            raise InputError("A flight is searched for on its map; give --map beside --flight.")
+        if self.flight is not None and (self.data is not None or folder is not None):
+            raise InputError("The frames of the flight are the queries; leave --data and a folder as --query out.")
+        if self.flight is None and self.data is None and folder is None:
+            raise InputError(
+                "An index has tiles and no queries; give --data, a folder of pictures as --query, or --map and --flight."
+            )
+        run_index(
+            where,
+            self.model,
+            self.data,
+            folder,
+            self.map,
+            self.flight,
+            None if folder is not None else self.query,
+            self.depth,
+            self.host,
+            self.port,
+            authenticator,
+            self.provider,
         )
 
     def _explore_flight(self, authenticator: Authenticator) -> None:

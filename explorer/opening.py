@@ -22,6 +22,10 @@ from lpn.core.resources import ProviderName
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.flights import open_flight
+from lpn.index import open_index
+from lpn.index.shared import SharedIndex
+from lpn.index.task import DEPTH, dataset_queries, index_task, picture_queries
+from lpn.locate.index_queries import flight_queries
 from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress, locate, registered
 from lpn.locate.task import flight_task
 from lpn.maps import open_map
@@ -192,6 +196,63 @@ def open_flight_over(
     return workspace
 
 
+def open_indexed(
+    where: str,
+    model: Path,
+    data: Path | None = None,
+    pictures: Path | None = None,
+    map_path: Path | None = None,
+    flight_path: Path | None = None,
+    query: str | None = None,
+    depth: int = DEPTH,
+    provider: ProviderName = "auto",
+) -> Workspace:
+    """Open an index of tiles with queries of a flight, of plain pictures, or of a data set.
+
+    Args:
+        where: the index's folder, or milvus://host:port/collection.
+        data: a data set whose test queries are searched for, and whose gallery has the tiles' pictures; beside plain pictures,
+            the folder that the tiles' names are relative to.
+        pictures: a folder of plain pictures to search for.
+        map_path: the map whose windows the index holds.
+        flight_path: a flight over that map, whose frames are the queries.
+        query: name of the query that a new browser shows first.
+        depth: number of tiles that a search returns.
+
+    Raises:
+        LPNError: when one of them cannot be used, or the index holds tiles of another model.
+    """
+    with _status(f"Opening {printable(model.name)} and the index"):
+        opened = lpn.load(model, provider)
+        index = SharedIndex(open_index(where, opened.fingerprint))
+        town = None if map_path is None else open_map(map_path)
+    if flight_path is not None and town is not None:
+        with _progress() as progress:
+            frames = open_flight(flight_path)
+            queries = flight_queries(
+                opened, frames, town, index, flight_path, lambda done, total: progress("frames", done, total)
+            )
+    elif pictures is not None:
+        queries = picture_queries(opened, pictures, data)
+    else:
+        assert data is not None
+        queries = dataset_queries(opened, open_dataset(data), index)
+    task = index_task(opened, model.name, index, queries, depth, town)
+    workspace = Workspace(
+        task.model_name,
+        task.data_name,
+        [_begin_ranking(task)],
+        task.contract,
+        dict(task.map_sizes),
+        opened,
+        None if town is not None else _city(task),
+        task.root,
+    )
+    workspace.town = town
+    workspace.choose_first_query(query)
+    return workspace
+
+
 def offered_flight(map_path: Path, flight_path: Path, model: Path, provider: ProviderName = "auto") -> LazyWorkspace:
     """Return a flight over a map that is opened when a browser asks for it, see `open_flight_over`."""
 
@@ -251,7 +312,7 @@ def _counts(report: ReportProgress) -> Progress:
 
 def _begin_ranking(task: Task) -> RankingJob:
     ranking = RankingJob(task)
-    with _status(f"Ranking {len(task.gallery):,} pictures for {len(task.queries):,} queries, {task.name}"):
+    with _status(f"Ranking {task.tiles:,} pictures for {len(task.queries):,} queries, {task.name}"):
         ranking.start()
     return ranking
 

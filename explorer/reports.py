@@ -13,7 +13,7 @@ from lpn import report
 from lpn.analysis import notes
 from lpn.analysis.task import Task
 from lpn.core.arrays import Float32Array
-from lpn.core.errors import LPNError
+from lpn.core.errors import InputError, LPNError
 from lpn.locate.task import stage_columns
 from lpn.models.base import Model
 
@@ -22,7 +22,11 @@ MakeReport = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
-    """Return the task with these part weights, the user's notes, and what is known of a flight."""
+    """Return the task with these part weights, the user's notes, and what is known of a flight; InputError for an index."""
+    if task.depth is not None:
+        raise InputError(
+            "A report needs the whole gallery in memory; of an index, save the laboratory's queries as CSV."
+        )
     columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
     stored = notes.read_notes(workspace.root / notes.NAME)
     return replace(task, model=model, weights=weights, notes=stored, columns=columns)

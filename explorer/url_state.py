@@ -12,6 +12,7 @@ from explorer import session_state
 from explorer.session_state import POSITIVE, SessionState, with_field
 from explorer.workspace import Workspace
 from lpn.core.files import printable
+from lpn.index.task import IndexTask
 
 # Characters of a query string; the region of a large feature map fits.
 _MAX_LENGTH = 20_000
@@ -41,7 +42,10 @@ class UrlState:
         self._first = {
             (name, side): _first_positions(entry.name for entry in entries)
             for name, task in workspace.tasks.items()
-            for side, entries in (("query", task.queries), ("gallery", task.gallery))
+            for side, entries in (
+                ("query", task.queries),
+                ("gallery", () if isinstance(task, IndexTask) else task.gallery),
+            )
         }
         reach = workspace.contract.input_size[1] // 2, workspace.contract.input_size[0] // 2
         self._parameters = (
@@ -143,16 +147,25 @@ class UrlState:
     def _write_tile(self, state: SessionState) -> str | None:
         if state.selected is None or state.selected == POSITIVE:
             return state.selected
-        return self._name(state, "gallery", self._workspace.tasks[state.task].gallery, state.selected)
+        task = self._workspace.tasks[state.task]
+        if isinstance(task, IndexTask):  # positions differ from one start of the app to the next
+            name = task.seen.name_of(state.selected)
+            return name if name == printable(name) and name not in (OWN, POSITIVE) else None
+        return self._name(state, "gallery", task.gallery, state.selected)
 
     def _read_tile(self, state: SessionState, value: str) -> SessionState:
-        gallery = self._workspace.tasks[state.task].gallery
-        tile = self._position(state, "gallery", len(gallery), value)
+        task = self._workspace.tasks[state.task]
+        gallery = task.gallery
+        if isinstance(task, IndexTask):
+            tile = None if value in (OWN, POSITIVE) else task.find_tile(value)
+        else:
+            tile = self._position(state, "gallery", len(gallery), value)
         if tile is not None:
             return replace(state, selected=tile)
         if value == POSITIVE:
             return replace(state, selected=POSITIVE)
-        raise UnusableError(f"there is no such tile; names are such as {gallery[0].name}.")
+        example = f"; names are such as {gallery[0].name}" if len(gallery) else ""
+        raise UnusableError(f"there is no such tile{example}.")
 
     def _name(self, state: SessionState, side: str, entries: Sequence[Any], index: int) -> str:
         """Return a picture's name, or "~" and its position where the name is ambiguous."""

@@ -30,6 +30,7 @@ from lpn.datasets.city_model import CityModel
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.locate.pipeline import LocatedFlight
+from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
@@ -94,6 +95,8 @@ class Workspace:
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
+        # The map that windows are cut from; None without one.
+        self.town: Map | None = None
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.contract.input_size)
@@ -191,11 +194,14 @@ class Workspace:
         assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
-                self._mosaics[task.name] = (
-                    mosaic.draw(task.geometry, task.gallery)
-                    if self.flight is None
-                    else mosaic.draw_map(task.geometry, self.flight.town)
-                )
+                town = self.town if self.flight is None else self.flight.town
+                if town is not None:
+                    drawn = mosaic.draw_map(task.geometry, town)
+                elif task.depth is not None:
+                    drawn = mosaic.empty(task.geometry)
+                else:
+                    drawn = mosaic.draw(task.geometry, task.gallery)
+                self._mosaics[task.name] = drawn
             return self._mosaics[task.name]
 
     def _part_names(self) -> list[str]:

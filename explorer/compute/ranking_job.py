@@ -13,11 +13,17 @@ from lpn.analysis.ranking_cache import ResumableRanking
 from lpn.analysis.task import Task
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
+from lpn.index.ranking import IndexRanking
+from lpn.index.task import IndexTask
 from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
 
 # A ranking of up to this many multiplications (half a second on two cores) is computed before the app starts.
 QUICK_COST = 20_000_000_000
+# An index is searched query by query: so many searches are made before the app starts, if they are of that cost.
+QUICK_SEARCHES = 200
+# A ranking by searches of a higher cost (minutes) starts when somebody opens the failure laboratory.
+AUTOMATIC_COST = 100 * QUICK_COST
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +53,9 @@ class RankingJob:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.result: TaskRanking | None = None
-        self._ranking, self._jobs, self._rank_lock = ResumableRanking(task), BackgroundJobs(), threading.Lock()
+        self._searched = isinstance(task, IndexTask)
+        self._ranking = IndexRanking(task) if isinstance(task, IndexTask) else ResumableRanking(task)
+        self._jobs, self._rank_lock = BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
 
     def start(self) -> None:
@@ -56,10 +64,16 @@ class RankingJob:
         Raises:
             InputError: when the task cannot be ranked.
         """
-        if ranking_cache.multiplications(self.task) <= QUICK_COST:
+        few = not self._searched or len(self.task.queries) <= QUICK_SEARCHES
+        if few and ranking_cache.multiplications(self.task) <= QUICK_COST:
             self.result = self._result(self._ranking.finish(lambda *_: None))
         elif (cached := ranking_cache.load(self.task)) is not None:
             self.result = self._result(cached)
+
+    @property
+    def automatic(self) -> bool:
+        """Return True if the ranking starts when a page shows the task, rather than when its outcomes are asked for."""
+        return not self._searched or ranking_cache.multiplications(self.task) <= AUTOMATIC_COST or self.n_ranked > 0
 
     @property
     def ranks(self) -> Int64Array:
@@ -124,7 +138,9 @@ class RankingJob:
     def _result(self, ranking: Retrieval) -> TaskRanking:
         shares: dict[str, float] = {}
         if self.task.geometry is not None:
-            errors = self.task.geometry.answer_errors_m(ranking.best)
+            geometry = self.task.current().geometry
+            assert geometry is not None
+            errors = geometry.answer_errors_m(ranking.best)
             placed = ~np.isnan(errors)
             shares = error_shares(errors[placed]) if placed.any() else {}
         return TaskRanking(ranking, ranking.metrics(self.task.known) | shares)

@@ -28,7 +28,9 @@ class RankingProgress:
     def follow(self, shown: RankingJob, other: RankingJob | None = None) -> None:
         """Wait for the ranking that the page shows, then for another one, and for no others."""
         needed = (shown,) if other is None else (shown, other)
-        pending = tuple(ranking for ranking in needed if ranking.result is None and not ranking.error)
+        pending = tuple(
+            ranking for ranking in needed if ranking.automatic and ranking.result is None and not ranking.error
+        )
         with self._lock:
             if pending == self._pending or self._closed:
                 return

@@ -36,7 +36,8 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Render the tab; without cells it says why there is no evidence."""
     pair = analysis.pair_evidence
     if pair is None or pair.correspondences is None:
-        return render("explain/evidence", evidence=None, without_cells=workspace.without_cells)
+        reason = analysis.task.without_picture(analysis.chosen.index)
+        return render("explain/evidence", evidence=None, without_cells=workspace.without_cells, reason=reason)
     evidence, part = pair.evidence, analysis.state.heat_part
     views = (analysis.task.query_view, analysis.task.gallery_view)
     cells = evidence.cell_maps(part)

@@ -70,6 +70,8 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
         f"Best for {_followed(profile)}: {_place(over, best)}, score {best.score:.3f}, {ordinal(best.rank)}"
         f"{_before(profile, best)}."
     ]
+    if (depth := analysis.task.depth) is not None:
+        sentences.append(f"A search tells {depth} ranks; a tile beyond them is drawn as the {ordinal(depth + 1)}.")
     if ranked.rank < best.rank:
         sentences.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
     if best.true is not None and over != "rotation":

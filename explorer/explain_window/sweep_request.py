@@ -7,10 +7,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.core.arrays import Float32Array
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.explain import sweeps
 from lpn.explain.sweeps import CHANGE_FIELD, Point, SweepResult, SweptProperty
 from lpn.models.base import Model
+from lpn.retrieval import Ranking
 
 
 class SweepRequest:
@@ -41,18 +43,12 @@ class SweepRequest:
         known = None if state.upload else state.query
         progress = SweepProgress(self, total=len(changes))
         yield progress
-        for point in sweeps.run_sweep(
-            model,
-            analysis.source,
-            task.query_view,
-            task.gallery_descriptors,
-            analysis.ranking.weights,
-            changes,
-            task.gallery_labels,
-            None if known is None else int(task.query_labels[known]),
-            None if known is None or task.truth is None else task.truth[known],
-            None if analysis.positive else analysis.chosen.index,
-        ):
+        follow = None if analysis.positive else analysis.chosen.index
+
+        def rank(descriptor: Float32Array) -> Ranking:
+            return task.start_search(known, descriptor)(analysis.ranking.weights, follow)
+
+        for point in sweeps.sweep_points(model, analysis.source, task.query_view, changes, rank, follow):
             if self.cancelled.is_set():
                 break
             progress = replace(progress, points=(*progress.points, point))

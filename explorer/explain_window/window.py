@@ -23,7 +23,6 @@ from explorer.web.html import Html
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
-from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
 
@@ -306,15 +305,7 @@ class ExplainWindow:
         task, weights = content.analysis.task, pair.comparison.change.weights
         effect = None
         try:
-            effect = counterfactual.effect(
-                task.query_descriptors,
-                task.gallery_descriptors,
-                pair.ranking.weights,
-                weights,
-                task.query_labels,
-                task.gallery_labels,
-                task.truth,
-            )
+            effect = task.effect(pair.ranking.weights, weights)
         finally:
             self._replace_pair(pair, replace(pair, effect=effect, computing=False))
 

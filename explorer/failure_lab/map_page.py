@@ -13,6 +13,8 @@ from explorer.web.render import render
 from lpn.core.arrays import Int64Array
 from lpn.drawing import overlays
 
+NO_EMBEDDING = "The tiles of an index are not in memory, so their descriptors are not drawn as a map."
+
 
 class MapPage:
     """One browser's map.
@@ -36,18 +38,22 @@ class MapPage:
             rows: the selected queries; pass the same array while they are the same.
             window: width and height in pixels.
         """
+        embedded, ground = findings.task.depth is None, findings.task.geometry is not None
+        if not embedded and (lab.map != "ground" or not ground):
+            kinds = {"ground": "On the ground"} if ground else {}
+            return render("failure_lab/map", lab=lab, kinds=kinds, picture="", axes="", reason=NO_EMBEDDING), True
         paused = lab.map in lab.paused
         job = None if paused else self._service.points(lab.map, lab.task, self._client)
         if paused:
             self._service.leave(self._client, lab.task, lab.map)
-        kinds = {"pca": "Descriptors, PCA"}
-        if self._service.has_umap:
+        kinds = {"pca": "Descriptors, PCA"} if embedded else {}
+        if embedded and self._service.has_umap:
             kinds["umap"] = "Descriptors, UMAP"
-        if findings.task.geometry is not None:
+        if ground:
             kinds["ground"] = "On the ground"
         if job is None or not job.wait(0.4) or job.value is None:
             self._key, self.drawn = None, None
-            html = render("failure_lab/map", lab=lab, kinds=kinds, picture="", axes="")
+            html = render("failure_lab/map", lab=lab, kinds=kinds, picture="", axes="", reason="")
             return html + table.waiting(job, "The map", paused, lab.map), job is None or job.error is not None
         points = job.value
         around = 210 + (30 if window[0] < 700 else 0)
@@ -64,7 +70,7 @@ class MapPage:
             )
             self._key, self._rows = key, rows
         picture = overlays.data_uri(self.drawn.picture, 86)
-        return render("failure_lab/map", lab=lab, kinds=kinds, picture=picture, axes=points.axes), True
+        return render("failure_lab/map", lab=lab, kinds=kinds, picture=picture, axes=points.axes, reason=""), True
 
     def queries_at(self, findings: Findings, lab: LabState, message: OpenPoint | ShowTip) -> Int64Array | None:
         """Return the queries at a point of the map that is shown, the lowest margin first; None if there are none."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
 from explorer.workspace import Workspace
-from lpn.analysis import embedding_map, notes, query_outcomes
+from lpn.analysis import embedding_map, notes
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.analysis.task import Task
@@ -124,8 +124,8 @@ class FailureLab:
     def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
         ranking = self._workspace.rankings[task.name].wait(self, progress).ranking
-        descriptors = task.query_descriptors, task.gallery_descriptors
-        outcomes = query_outcomes.outcomes_of(ranking, *descriptors, known=task.known)
+        task = task.current()
+        outcomes = task.outcomes_of(ranking)
         progress(len(task.queries), len(task.queries))
         part_names = self._workspace.part_names
         table = task.tabulate(outcomes, part_names)
@@ -142,6 +142,7 @@ class FailureLab:
 
     def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> MapPoints:
         if kind == "ground":
+            task = task.current()
             assert task.geometry is not None
             ground = self._workspace.mosaic(task), task.geometry.bounds()
             return MapPoints(task.geometry.query_ground, task.geometry.ground, ground=ground)

@@ -8,13 +8,15 @@ from lpn.drawing import verdicts
 
 def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
-    first = analysis.matches[0]
+    first, depth = analysis.matches[0], analysis.ranking.depth
     if analysis.ranking.relevant is None:
         gap = "there is no other tile"
         if first.gap is not None:
             gap = f"the next tile is {first.gap:.3f} further away (d²)"
         own = "Your picture: nearest tile" if analysis.state.upload is not None else "Nearest tile"
         return None, own, f"Its true place is not known here; {gap}."
+    if analysis.positive is None and depth is not None:
+        return False, f"No true tile among the {depth} nearest", "Tiles beyond that depth are not searched."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)
     error_m = None if analysis.errors_m is None else float(analysis.errors_m[first.index])
     return verdicts.verdict(first, analysis.positive, hardest_negative, part_names, error_m)

@@ -55,6 +55,7 @@ def header(workspace: Workspace, task: Task) -> str:
         workspace=workspace,
         task=task,
         results=None if ranking.result is None else ranking.results,
+        automatic=ranking.automatic,
         done=ranking.n_ranked,
         error=ranking.error,
     )

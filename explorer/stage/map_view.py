@@ -242,8 +242,8 @@ class GalleryMap:
             anchor="lm",
         )
         draw.text((438, 186), "›", palette.dim, captions.font(34), anchor="rm")
-        draw.text((412, 186), f"RANK {chosen.rank}", palette.text, captions.font(30), anchor="rm")
-        left = 412 - draw.textlength(f"RANK {chosen.rank}", font=captions.font(30))
+        draw.text((412, 186), f"RANK {chosen.rank_text}", palette.text, captions.font(30), anchor="rm")
+        left = 412 - draw.textlength(f"RANK {chosen.rank_text}", font=captions.font(30))
         captions.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
         tile = captions.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
         draw.text((412, 222), tile, palette.dim, captions.font(24), anchor="rm")

@@ -263,7 +263,7 @@ class Stage:
         chosen = analysis.chosen
         name = analysis.task.gallery[chosen.index].name
         text, palette = f"{analysis.task.gallery_view} {name}", analysis.state.palette
-        return title(f"RANK {chosen.rank}", text, chosen.true, palette, chosen.distance2)
+        return title(f"RANK {chosen.rank_text}", text, chosen.true, palette, chosen.distance2)
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
         """Draw the part bars in a column, between pictures side by side."""

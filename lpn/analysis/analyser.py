@@ -13,7 +13,7 @@ from typing import Generic, Literal, TypeVar
 import numpy as np
 
 from lpn import explain, retrieval
-from lpn.analysis.task import Task
+from lpn.analysis.task import RankUnderWeights, Task
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
@@ -134,8 +134,7 @@ class QueryAnalyser:
         self._model, self._describe_tile, self._load = model, describe_tile, load
         self._source: _LastValue[UInt8Array] = _LastValue()
         self._query: _LastValue[DescribedPicture] = _LastValue()
-        self._cosines: _LastValue[tuple[Float32Array, Float32Array | None]] = _LastValue()
-        self._ranking: _LastValue[Ranking] = _LastValue()
+        self._search: _LastValue[RankUnderWeights] = _LastValue()
 
     def analyse(self, task: Task, request: QueryRequest, k: int) -> Analysis:
         """Analyse one request.
@@ -159,9 +158,10 @@ class QueryAnalyser:
         query = self._query.get(query_key, lambda: self._describe(task, index, source, request.change))
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
-        cosines_key = query_key, request.region, request.weights if request.region else None
-        cosines, lengths = self._cosines.get(cosines_key, lambda: _compare(task, query, request.region, weights))
-        ranking = self._ranking.get((cosines_key, request.weights), lambda: task.rank(index, cosines, weights, lengths))
+        search_key = query_key, request.region, request.weights if request.region else None
+        search = self._search.get(search_key, lambda: _start_search(task, index, query, request.region, weights))
+        ranking = search(weights, request.compare if isinstance(request.compare, int) else None)
+        task = task.current()
         matches = ranking.top(k)
         if not matches:
             raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
@@ -208,24 +208,24 @@ def pair_evidence(
 
 
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:
-    """Describe a gallery picture; without a model, take its stored descriptor."""
+    """Describe a gallery picture; without a model, or without its picture, take its stored descriptor."""
     picture = task.gallery[index].load_cropped()
-    if model is None:
-        return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
+    if model is None or task.without_picture(index):
+        return DescribedPicture(picture, task.stored_descriptor(index), None, None)
     return retrieval.describe_picture(model.for_task(*task.views), picture, task.gallery_view)
 
 
-def _compare(
-    task: Task, query: DescribedPicture, region: tuple[int, ...], weights: Float32Array
-) -> tuple[Float32Array, Float32Array | None]:
-    """Part cosines with the gallery, (G, n), and the lengths of the parts, (n,), of a query that is restricted to a region."""
+def _start_search(
+    task: Task, index: int | None, query: DescribedPicture, region: tuple[int, ...], weights: Float32Array
+) -> RankUnderWeights:
+    """Compare the query, or the region that it is restricted to, with the gallery."""
     if not region or query.trace is None:
-        return scoring.part_cosines(query.descriptor, task.gallery_descriptors), None
+        return task.start_search(index, query.descriptor)
     size = query.trace.size
     inside = np.isin(np.arange(size[0] * size[1]), region)
     descriptor = query.trace.region(inside.reshape(size), weights)
     lengths = len(descriptor) * (descriptor**2).sum(axis=1)
-    return scoring.part_cosines(descriptor, task.gallery_descriptors), lengths
+    return task.start_search(index, descriptor, lengths)
 
 
 def _chosen(ranking: Ranking, compare: int | Literal["positive"] | None) -> Match:

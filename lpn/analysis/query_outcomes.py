@@ -36,7 +36,8 @@ class Outcomes:
     """The outcomes of all queries as columns; tiles are gallery positions.
 
     Attributes:
-        rank: 0-based rank of the first true match, not counting junk; -1 for a query without a true match, (Q,).
+        rank: 0-based rank of the first true match, not counting junk, (Q,); -1 for a query without a true match, and `depth` if
+            it is not known.
         answer: the nearest tile, -1 where all are junk, (Q,).
         true: the nearest positive, on ties the first in gallery order; -1 where there is none, (Q,).
         false: the hardest negative; -1 where there is none, (Q,).
@@ -46,6 +47,7 @@ class Outcomes:
             -1 without a margin, (Q,).
         weights: the part weights, summing to one, (n,).
         known: the queries whose truth is known, (Q,).
+        depth: number of tiles that were ranked for each query; None for all.
     """
 
     rank: Int64Array
@@ -57,6 +59,7 @@ class Outcomes:
     deciding_part: Int64Array
     weights: Float64Array
     known: BoolArray
+    depth: int | None = None
 
     @property
     def failed(self) -> BoolArray:
@@ -124,13 +127,21 @@ def outcomes_of(
         known: the queries whose truth is known, (Q,); None for all.
     """
     n = queries.shape[1]
-    used = _normalised(n, weights)
-    parts = _part_margins(queries, gallery, ranking.true, ranking.false, 2 * n * used)
+    parts = _part_margins(queries, gallery, ranking.true, ranking.false, 2 * n * _normalised(n, weights))
+    return outcomes_from_parts(ranking, parts, weights, known)
+
+
+def outcomes_from_parts(
+    ranking: Retrieval, parts: Float64Array, weights: npt.ArrayLike | None = None, known: BoolArray | None = None
+) -> Outcomes:
+    """The outcomes of ranked queries whose margins are known part by part, (Q, n); for the rest see `outcomes_of`."""
+    used = _normalised(parts.shape[1], weights)
     margin = parts.sum(axis=1)
     deciding_part = np.where(ranking.first == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
     deciding_part = np.where(np.isnan(margin), -1, deciding_part)
-    known = np.ones(len(queries), bool) if known is None else known
-    return Outcomes(ranking.first, ranking.best, ranking.true, ranking.false, parts, margin, deciding_part, used, known)
+    known = np.ones(len(parts), bool) if known is None else known
+    found = ranking.first, ranking.best, ranking.true, ranking.false
+    return Outcomes(*found, parts, margin, deciding_part, used, known, ranking.depth)
 
 
 def table(
@@ -146,7 +157,7 @@ def table(
 
     Columns, followed by those of the metadata:
         name: of the query.
-        rank: from 1; unknown without a true match.
+        rank: from 1; unknown without a true match; beyond the searched depth it is told as "> depth", and counts as depth + 1.
         margin: in d².
         part: the deciding part.
         truth, answer, false: names of the nearest positive, the nearest tile, and the hardest negative.
@@ -172,7 +183,7 @@ def table(
     tiles = np.array([*(tile.name for tile in gallery), ""], object)
     columns = [
         text_column("name", [query.name for query in queries]),
-        number_column("rank", np.where(outcomes.rank < 0, np.nan, outcomes.rank + 1.0)),
+        number_column("rank", np.where(outcomes.rank < 0, np.nan, outcomes.rank + 1.0), limit=outcomes.depth),
         number_column("margin", outcomes.margin),
         Column("part", "text", parts[outcomes.deciding_part]),
         Column("truth", "text", tiles[outcomes.true]),

@@ -92,7 +92,7 @@ class ResumableRanking:
 
 def multiplications(task: Task) -> int:
     """Return the number of multiplications that ranking a task takes."""
-    return task.query_descriptors.size * len(task.gallery_descriptors)
+    return task.query_descriptors.size * task.tiles
 
 
 def cache_file(task: Task) -> Path | None:

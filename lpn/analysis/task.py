@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol, cast
 
 import numpy.typing as npt
 
@@ -21,9 +22,23 @@ from lpn.core.tables import Column, Table
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth
 from lpn.explain import counterfactual
+from lpn.explain.counterfactual import Effect
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval.metrics import Retrieval
+
+
+class RankUnderWeights(Protocol):
+    """Ranks a gallery for one described query; equal arguments return the same ranking again."""
+
+    def __call__(self, weights: Float32Array, also: int | None = None) -> Ranking:
+        """Rank under weights that sum to one, (n,).
+
+        Args:
+            also: gallery position of a tile that the ranking must hold, even if it lies beyond the searched depth.
+        """
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +98,26 @@ class Task:
         """The views of queries and gallery."""
         return views_of(self.name)
 
+    @property
+    def tiles(self) -> int:
+        """The number of searched tiles."""
+        return len(self.gallery)
+
+    @property
+    def depth(self) -> int | None:
+        """The number of tiles whose order a ranking tells; None for all."""
+        return None
+
+    @property
+    def gallery_description(self) -> str:
+        """What is searched, in words, such as "951 tiles"."""
+        return f"{self.tiles:,} {'tiles' if self.gallery_view == 'satellite' else 'gallery pictures'}"
+
+    @property
+    def no_map(self) -> str:
+        """Why tiles have no positions on a map, as a sentence; empty if they have, or nothing can be said."""
+        return ""
+
     @cached_property
     def query_names(self) -> list[str]:
         """The queries' names."""
@@ -139,11 +174,72 @@ class Task:
             return None, None
         return int(self.query_labels[query]), None if self.truth is None else self.truth[query]
 
+    def current(self) -> Task:
+        """The task with labels and positions of all tiles that `gallery` has by now; a gallery in memory does not grow."""
+        return self
+
+    def without_picture(self, index: int) -> str:
+        """Why a tile's picture is not at hand, so that a placeholder stands for it, as a sentence; empty if it is."""
+        del index
+        return ""
+
+    def stored_descriptor(self, index: int) -> Float32Array:
+        """The descriptor of a gallery picture as it is searched, (n, D)."""
+        return cast(Float32Array, self.gallery_descriptors[index])
+
+    def start_search(
+        self, query: int | None, descriptor: Float32Array, lengths: Float32Array | None = None
+    ) -> RankUnderWeights:
+        """Compare a described query, (n, D), with the gallery.
+
+        Args:
+            query: its position; None if it is not of the data set.
+            lengths: see `Ranking`.
+
+        Returns:
+            The function that ranks the gallery under part weights.
+        """
+        return _GalleryRanks(self, query, descriptor, lengths)
+
+    def outcomes_of(self, ranking: Retrieval) -> Outcomes:
+        """The outcomes of all queries, ranked under the task's weights."""
+        return query_outcomes.outcomes_of(
+            ranking, self.query_descriptors, self.gallery_descriptors, self.weights, self.known
+        )
+
+    def effect(self, before: npt.ArrayLike | None, after: npt.ArrayLike) -> Effect:
+        """Compare two sets of part weights over all queries, see `counterfactual.effect`; InputError if that is not possible."""
+        return counterfactual.effect(
+            self.query_descriptors,
+            self.gallery_descriptors,
+            before,
+            after,
+            self.query_labels,
+            self.gallery_labels,
+            self.truth,
+        )
+
     def rank(
         self, query: int | None, cosines: Float32Array, weights: Float32Array, lengths: Float32Array | None = None
     ) -> Ranking:
         """Rank the gallery by its cosines (G, n) with a query; `query` is None if it is not of the data set."""
         return retrieval.rank(cosines, weights, self.gallery_labels, *self.label_and_truth(query), lengths)
+
+
+class _GalleryRanks:
+    """Ranks a gallery in memory: the part cosines are computed once, and serve all weights."""
+
+    def __init__(self, task: Task, query: int | None, descriptor: Float32Array, lengths: Float32Array | None) -> None:
+        self._task, self._query, self._lengths = task, query, lengths
+        self._cosines = scoring.part_cosines(descriptor, task.gallery_descriptors)
+        self._last: tuple[bytes, Ranking] | None = None
+
+    def __call__(self, weights: Float32Array, also: int | None = None) -> Ranking:
+        del also  # every tile is ranked
+        if self._last is None or self._last[0] != weights.tobytes():
+            ranking = self._task.rank(self._query, self._cosines, weights, self._lengths)
+            self._last = weights.tobytes(), ranking
+        return self._last[1]
 
 
 def open_task(

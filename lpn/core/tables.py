@@ -54,18 +54,22 @@ class Column:
         kind: of its values.
         values: (N,) float64, NaN if unknown, or (N,) object of str, "" if unknown.
         unit: of numbers, such as "m"; may be empty.
+        limit: a number above it is only known to be above it; None for no limit.
     """
 
     name: str
     kind: Kind
     values: AnyArray
     unit: str = ""
+    limit: float | None = None
 
     def text(self, row: int) -> str:
         """Return a value as text: numbers with up to four decimals, "" if unknown."""
         value = self.values[row]
         if self.kind == "text":
             return str(value)
+        if self.limit is not None and value > self.limit:
+            return f"> {self.limit:g}"
         return "" if np.isnan(value) else f"{value:.4f}".rstrip("0").rstrip(".")
 
     @cached_property
@@ -88,9 +92,9 @@ class Column:
         return np.where(self.known, order, np.nan)
 
 
-def number_column(name: str, values: npt.ArrayLike, unit: str = "") -> Column:
-    """Return a column of numbers (N,), NaN if unknown."""
-    return Column(name, "number", np.asarray(values, np.float64), unit)
+def number_column(name: str, values: npt.ArrayLike, unit: str = "", limit: float | None = None) -> Column:
+    """Return a column of numbers (N,), NaN if unknown; those above a limit are only known to be above it."""
+    return Column(name, "number", np.asarray(values, np.float64), unit, limit)
 
 
 def text_column(name: str, values: Iterable[str]) -> Column:

@@ -26,14 +26,22 @@ def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
     """
     west, south, east, north = geometry.bounds()
     scale = LARGEST / max(east - west, north - south)
-    canvas = np.empty((max(round((north - south) * scale), 1), max(round((east - west) * scale), 1), 3), np.uint8)
-    canvas[:] = _EARTH
+    canvas = empty(geometry)
     side = max(round(geometry.width * scale), 1)
     places = geometry.places
     for index in places[:: max(1, len(places) // MOST_TILES)]:
         tile = overlays.square(gallery[index].load(), side)
         x, y = geometry.ground[index]
         _paste(canvas, tile, round((x - west) * scale - side / 2), round((north - y) * scale - side / 2))
+    return canvas
+
+
+def empty(geometry: GalleryGeometry) -> UInt8Array:
+    """Draw the ground of a geometry without tiles: as `draw`, in one colour."""
+    west, south, east, north = geometry.bounds()
+    scale = LARGEST / max(east - west, north - south)
+    canvas = np.empty((max(round((north - south) * scale), 1), max(round((east - west) * scale), 1), 3), np.uint8)
+    canvas[:] = _EARTH
     return canvas
 
 

@@ -26,6 +26,11 @@ def ordinal(rank: int) -> str:
     return f"{rank}{suffix}"
 
 
+def describe_rank(match: Match) -> str:
+    """Return "12th", or "beyond the 100 nearest" where a search did not reach the tile."""
+    return f"beyond the {match.rank - 1} nearest" if match.beyond else ordinal(match.rank)
+
+
 def describe_position(cells: Float64Array, view: View) -> str:
     """Say where in a picture the positive cells, of (h, w), lie: "upper right" or, on a satellite tile, "north-east".
 
@@ -112,12 +117,19 @@ def verdict(
             "Found: the top match is true",
             f"It leads the best wrong tile by {margin:.3f} (d²); part {part_names[part]} does most of it (+{gain:.3f}).",
         )
+    if positive.beyond and positive.distance2 < first.distance2:
+        lead = first.distance2 - positive.distance2
+        return (
+            False,
+            "Missed: the search did not return the true tile",
+            f"It would lead the top match by {lead:.3f} (d²): the index searches approximately.",
+        )
     part, loss = _largest(positive.shares - first.shares)
     deficit = positive.distance2 - first.distance2
     off = "" if error_m is None else f" The answer is {error_m:,.0f} m off."
     return (
         False,
-        f"Wrong: the true tile is {ordinal(positive.rank)}",
+        f"Wrong: the true tile is {describe_rank(positive)}",
         f"It is {deficit:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({loss:+.3f}).{off}",
     )
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -26,7 +26,7 @@ from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.retrieval import scoring
+from lpn.retrieval import Ranking, scoring
 
 # The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels
 # of the network's input. Zoom is a factor.
@@ -45,7 +45,7 @@ class Point:
         tile: gallery position of the followed tile: the nearest positive, a chosen tile, or else the top match.
         true: True if the followed tile is a positive; None if unknown.
         score: weighted mean cosine of the followed tile, -1 .. 1.
-        rank: rank of the followed tile, 1 for the nearest.
+        rank: rank of the followed tile, 1 for the nearest; beyond the depth of a search it is that depth + 1.
         cosines: part cosines with the followed tile, (n,).
         top: gallery position of the nearest tile.
         top_score: score of the nearest tile.
@@ -87,11 +87,29 @@ def run_sweep(
         InputError: if the model lacks the view, all tiles are junk, the tile `follow` is not in the ranking, or a
             change leaves an empty picture.
     """
+
+    def ranked(descriptor: Float32Array) -> Ranking:
+        return retrieval.rank(scoring.part_cosines(descriptor, gallery), weights, labels, label, truth)
+
+    return sweep_points(model, picture, view, changes, ranked, follow)
+
+
+def sweep_points(
+    model: Model,
+    picture: UInt8Array,
+    view: View,
+    changes: Iterable[Change],
+    rank: Callable[[Float32Array], Ranking],
+    follow: int | None = None,
+) -> Iterator[Point]:
+    """Yield a point for each change, as `run_sweep` does, of a gallery that a function ranks.
+
+    Args:
+        rank: ranks the gallery for a descriptor, (n, D).
+    """
     model.check_view(view)
     for change in changes:
-        described = retrieval.describe_picture(model, picture, view, change)
-        cosines = scoring.part_cosines(described.descriptor, gallery)
-        ranking = retrieval.rank(cosines, weights, labels, label, truth)
+        ranking = rank(retrieval.describe_picture(model, picture, view, change).descriptor)
         if not len(ranking.order):
             raise InputError(
                 "There is no tile to rank; a sweep needs at least one tile in the gallery that is not junk."

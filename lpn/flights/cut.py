@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import cast
 
 import cv2
 
+from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.flights.base import Frame
 from lpn.flights.cameras import ground_width
@@ -43,3 +45,23 @@ def cut_square(picture: UInt8Array, heading: float, share: float, pixels: int) -
         picture, matrix, (pixels, pixels), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
     )
     return cast(UInt8Array, turned)
+
+
+@dataclass(frozen=True)
+class TurnedFrame:
+    """A frame turned north-up and cut to a square.
+
+    Attributes:
+        heading: of its top, degrees clockwise from north.
+        share: of its width that the square shows.
+        pixels: side of the square's picture.
+    """
+
+    frame: Frame
+    heading: float
+    share: float
+    pixels: int
+
+    def __call__(self) -> UInt8Array:
+        """Return the square, (pixels, pixels, 3); PictureError if the frame cannot be read."""
+        return cut_square(images.load_picture(self.frame.file), self.heading, self.share, self.pixels)

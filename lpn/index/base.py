@@ -113,10 +113,12 @@ class Index(ABC):
     """Tiles by name, searched by descriptor under any part weights.
 
     Attributes:
+        engine: "exact", "faiss", or "milvus".
         kind: the kind of descriptors.
         most: maximum number of tiles in a search result; None for no limit.
     """
 
+    engine: str
     kind: Kind
     most: int | None = None
 
@@ -155,6 +157,20 @@ class Index(ABC):
             StoreError: when the index cannot be read.
         """
 
+    @property
+    def exhaustive(self) -> bool:
+        """Return True if a search compares every tile, so that no nearer tile is missed."""
+        return False
+
+    @abstractmethod
+    def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
+        """Return descriptors (B, n, D) and positions (B, 2), NaN for none, of tiles by name.
+
+        Raises:
+            InputError: when the index has no tile of one of these names.
+            StoreError: when the index cannot be read.
+        """
+
     @abstractmethod
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """Return which names are in the index, (B,)."""
@@ -182,6 +198,13 @@ class Index(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def no_such_tile(name: str) -> InputError:
+    """Return the error for a name that is not in an index."""
+    return InputError(
+        f"The index has no tile {printable(name)[:80]}; tiles are named by their path when they were added."
+    )
 
 
 def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:

@@ -51,6 +51,11 @@ class ExactIndex(FolderIndex):
         create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind), precision=precision))
         return cls(folder)
 
+    @property
+    def exhaustive(self) -> bool:
+        """See `Index.exhaustive`."""
+        return True
+
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
     ) -> SearchResult:

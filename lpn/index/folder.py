@@ -31,12 +31,21 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import exclusive_lock, printable, raise_open_file_limit, unreadable_error, write_atomic
 from lpn.core.formats import decode_json
-from lpn.index.base import Index, Kind, SearchResult, best, check_names, check_positions, scores_of
+from lpn.index.base import (
+    Index,
+    Kind,
+    SearchResult,
+    best,
+    check_names,
+    check_positions,
+    no_such_tile,
+    scores_of,
+)
 from lpn.index.scan import Precision
 from lpn.index.segment_checksums import NAME, changed_files, write_checksums
 from lpn.index.segments import DEAD, FILES, Segment, TileBatch, identity_of, keys_of, write_segment
@@ -195,7 +204,6 @@ class FolderIndex(Index):
         StoreError: when the folder is not an index of this engine, or is damaged.
     """
 
-    engine: str
     # Maximum size of the vectors of a merged segment.
     max_segment_bytes = 1 << 30
     # Name of the file that `_finish` writes into a segment's folder, if any.
@@ -234,6 +242,20 @@ class FolderIndex(Index):
                 self._clear()
         except (OSError, OutputError) as error:
             raise _unwritable(self.folder, error) from error
+
+    def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
+        """See `Index.read`."""
+        vectors = np.empty((len(ids), self.kind.n_parts, self.kind.embedding), np.float32)
+        positions, found = np.full((len(ids), 2), np.nan), np.zeros(len(ids), np.bool_)
+        keys = keys_of(ids)
+        for segment in self._current().segments:
+            rows = segment.find(ids, keys)
+            here = np.flatnonzero(rows >= 0)
+            vectors[here] = segment.vectors[rows[here]].reshape(-1, *vectors.shape[1:])
+            positions[here], found[here] = segment.positions[rows[here]], True
+        if not found.all():
+            raise no_such_tile(ids[int(np.argmin(found))])
+        return vectors, positions
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""

@@ -33,7 +33,7 @@ from urllib.parse import unquote, urlsplit
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import BoolArray, Float64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import printable
 from lpn.core.formats import is_newer, newer_version
@@ -48,6 +48,7 @@ from lpn.index.base import (
     check_count,
     check_names,
     check_positions,
+    no_such_tile,
     scores_of,
 )
 
@@ -104,6 +105,7 @@ class MilvusIndex(Index):
         ModuleNotFoundError: when pymilvus is not installed.
     """
 
+    engine = "milvus"
     most = 16384
 
     def __init__(self, url: str, patience: float = 60.0, effort: int = 128) -> None:
@@ -191,6 +193,25 @@ class MilvusIndex(Index):
         places[places == _NOWHERE] = np.nan
         shaped = vectors[chosen].reshape(len(chosen), self.kind.n_parts, self.kind.embedding)
         return SearchResult([names[i] for i in chosen], scores[chosen], shaped, places[chosen])
+
+    @property
+    def exhaustive(self) -> bool:
+        """See `Index.exhaustive`."""
+        return self.structure == "flat"
+
+    def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
+        """See `Index.read`."""
+        keys = [key_of(name) for name in ids]
+        rows: dict[str, dict[str, Any]] = {}
+        for some in _chunks(keys, self._step):
+            found = self._call(partial(self._read, keys=some, level="Strong"))
+            rows |= {key_of(str(row["name"])): row for row in found}
+        if missing := [name for name, key in zip(ids, keys, strict=True) if key not in rows]:
+            raise no_such_tile(missing[0])
+        vectors = np.array([rows[key]["vector"] for key in keys], np.float32)
+        places = np.array([[rows[key]["latitude"], rows[key]["longitude"]] for key in keys], np.float64).reshape(-1, 2)
+        places[places == _NOWHERE] = np.nan
+        return vectors.reshape(len(ids), self.kind.n_parts, self.kind.embedding), places
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""

@@ -9,27 +9,25 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.analysis.task import Task
-from lpn.core import images
-from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
+from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import Picture, Truth
 from lpn.datasets.geo import Position
 from lpn.flights import Frame
-from lpn.flights.cut import cut_square
+from lpn.flights.cut import TurnedFrame
 from lpn.locate.belief import beliefs, disagreements
 from lpn.locate.pipeline import STAGES, LocatedFlight, LocatedFrame
 from lpn.locate.retrieval import MapRetrieval, heading_is_certain
-from lpn.maps import Map, Window
-from lpn.maps.named_window import WindowCut
+from lpn.maps import Map
+from lpn.maps.named_window import WindowCut, describe_place
 from lpn.models.base import Model
 
 TASK = "drone-to-satellite"
@@ -42,19 +40,6 @@ _VERDICTS = {
     "retrieval": "not verified",
     None: "not located",
 }
-
-
-@dataclass(frozen=True)
-class _FrameCut:
-    """Turns a frame north-up and cuts its square, as the retrieval does."""
-
-    frame: Frame
-    heading: float
-    share: float
-    pixels: int
-
-    def __call__(self) -> UInt8Array:
-        return cut_square(images.load_picture(self.frame.file), self.heading, self.share, self.pixels)
 
 
 def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
@@ -111,7 +96,7 @@ def _query(found: MapRetrieval, i: int, frame: Frame, heading: float, root: Path
     file = frame.file if frame.file.is_relative_to(root) else root / frame.name
     tried = len(found.headings[i])
     note = f"heading {heading:.0f}°, best of {tried}" if tried > 1 else ""
-    cut = _FrameCut(frame, heading, float(found.shares[i]), found.pixels)
+    cut = TurnedFrame(frame, heading, float(found.shares[i]), found.pixels)
     return Picture(file, i, frame.name, note=note, cut=cut)
 
 
@@ -122,17 +107,11 @@ def _gallery(town: Map, found: MapRetrieval, root: Path) -> list[Picture]:
         Picture(
             root / "windows" / str(j),
             first + j,
-            _window_name(window, several),
+            describe_place(window, several),
             cut=WindowCut(town, window, found.pixels),
         )
         for j, window in enumerate(found.windows)
     ]
-
-
-def _window_name(window: Window, with_size: bool) -> str:
-    east, north = round(window.x), round(window.y)
-    place = f"{abs(east)} {'W' if east < 0 else 'E'} {abs(north)} {'S' if north < 0 else 'N'}"
-    return f"{place} ({window.size:.0f} m)" if with_size else place
 
 
 def _descriptors(found: MapRetrieval, turns: list[int]) -> Float32Array:

@@ -87,6 +87,13 @@ class WindowCut:
             raise PictureError(str(error)) from error
 
 
+def describe_place(window: Window, with_size: bool = True) -> str:
+    """Return where a window is on its map, for people: metres from the map's origin to its centre, and its side."""
+    east, north = round(window.x), round(window.y)
+    place = f"{abs(east)} {'W' if east < 0 else 'E'} {abs(north)} {'S' if north < 0 else 'N'}"
+    return f"{place} ({window.size:.0f} m)" if with_size else place
+
+
 def covers_part_of(town: Map, window: Window) -> bool:
     """Return whether a window lies at least partly within a map's bounds."""
     if not all(map(math.isfinite, (window.x, window.y))):

@@ -41,14 +41,15 @@ class Match:
     """One ranked tile.
 
     Attributes:
-        rank: 1 for the nearest.
+        rank: 1 for the nearest; for a tile `beyond` the searched depth, the lowest rank that it can have.
         index: position in the gallery.
         score: weighted mean cosine, -1 .. 1.
         distance2: squared distance 2 - 2 score.
-        gap: squared distance of the next tile minus that of this one; None for the last tile.
+        gap: squared distance of the next tile minus that of this one; None for the last tile, and beyond the depth.
         cosines: of each part, (n,).
         shares: each part's exact contribution to distance2, (n,).
         true: True for a tile of the query's place; None if the place is not known.
+        beyond: the tile lies beyond the depth that was searched, so its rank is not known.
     """
 
     rank: int
@@ -59,6 +60,12 @@ class Match:
     cosines: Float32Array
     shares: Float32Array
     true: bool | None
+    beyond: bool = False
+
+    @property
+    def rank_text(self) -> str:
+        """The rank in figures, such as "12", or "> 100" beyond a depth of 100."""
+        return f"> {self.rank - 1}" if self.beyond else str(self.rank)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +80,8 @@ class Ranking:
         relevant: True for gallery pictures of the query's place, (G,); None if the place is not known.
         lengths: n |q_i|^2 of each part of a query that is restricted to a region, (n,), see `scoring.contributions`; `cosines`
             are then n times inner products.
+        depth: number of tiles in `order` whose ranks are known; those behind them are ranked among themselves only, and scores of
+            all other tiles are not a number. None if all ranks are known.
     """
 
     cosines: Float32Array
@@ -81,13 +90,15 @@ class Ranking:
     order: Int64Array
     relevant: BoolArray | None
     lengths: Float32Array | None = None
+    depth: int | None = None
 
     def match(self, position: int) -> Match:
         """The match at a 0-based position of the order."""
         index = int(self.order[position])
-        last = position + 1 >= len(self.order)
+        depth = len(self.order) if self.depth is None else self.depth
+        beyond, last = position >= depth, position + 1 >= depth
         return Match(
-            rank=position + 1,
+            rank=min(position, depth) + 1,
             index=index,
             score=float(self.scores[index]),
             distance2=2.0 - 2.0 * float(self.scores[index]),
@@ -95,11 +106,13 @@ class Ranking:
             cosines=self.cosines[index],
             shares=scoring.contributions(self.cosines[index], self.weights, self.lengths),
             true=None if self.relevant is None else bool(self.relevant[index]),
+            beyond=beyond,
         )
 
     def top(self, k: int) -> list[Match]:
-        """The k nearest, or all when there are fewer."""
-        return [self.match(position) for position in range(min(k, len(self.order)))]
+        """The k nearest, or all whose ranks are known when there are fewer."""
+        ranked = len(self.order) if self.depth is None else self.depth
+        return [self.match(position) for position in range(min(k, ranked))]
 
     def holds(self, index: int) -> bool:
         """Return True if gallery picture `index` is ranked, that is, not junk."""

@@ -1,0 +1,129 @@
+"""The frames of a flight as queries over an index of windows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array
+from lpn.core.files import printable
+from lpn.core.views import views_of
+from lpn.datasets import Picture
+from lpn.datasets.geo import Position
+from lpn.descriptors.parallel_inference import describe_each
+from lpn.flights import Flight, Frame
+from lpn.flights.cut import CUT, TurnedFrame, cut_size
+from lpn.index.shared import SharedIndex
+from lpn.index.task import IndexQueries, view_pair, window_sizes
+from lpn.locate.retrieval import heading_is_certain
+from lpn.maps import Map, NamedWindow
+from lpn.models.base import Model
+
+# Headings at which a frame is searched where its own is not certain.
+_TURNS = 8
+
+
+def flight_queries(
+    model: Model,
+    flight: Flight,
+    town: Map,
+    index: SharedIndex,
+    root: Path,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> IndexQueries:
+    """Describe frames as they are compared with the windows of an index.
+
+    A frame is turned north-up by its heading. Where that is not certain, it takes the one of eight turns whose nearest window is
+    nearest. Where its width on the ground is known, it is cut to the nearest size of window that the index holds. A window shows
+    a frame's place if it holds the frame's tag.
+
+    Args:
+        town: map of the windows.
+        root: folder of the flight, where a person's notes are kept.
+        on_progress: called with the numbers of described and of all pictures.
+
+    Raises:
+        InputError: if the model's branches have roles, and it has one view.
+    """
+    name = view_pair(model)
+    sizes, pixels = window_sizes(index, model), max(model.input_size)
+    cuts: list[TurnedFrame] = []
+    owners: list[int] = []
+    for i, frame in enumerate(flight.frames):
+        start, turns = frame.heading or 0.0, 1 if heading_is_certain(frame) else _TURNS
+        cuts += [
+            TurnedFrame(frame, (start + 360 / _TURNS * turn) % 360, _share(frame, sizes), pixels)
+            for turn in range(turns)
+        ]
+        owners += [i] * turns
+    view, model = views_of(name)[0], model.for_task(*views_of(name))
+    described = np.zeros((len(cuts), model.n_parts, model.embedding), np.float32)
+    good = np.zeros(len(cuts), bool)
+    for batch in describe_each(model, cuts, lambda cut: model.prepare(cut(), view), view):
+        described[batch.items], good[batch.items] = batch.descriptors, True
+        on_progress(int(good.sum()), len(cuts))
+    chosen = [
+        _best(index, described, [j for j, owner in enumerate(owners) if owner == i], good)
+        for i in range(len(flight.frames))
+    ]
+    xy = _tags(flight.frames, town)
+
+    def contains(query: int, names: Sequence[str]) -> BoolArray:
+        windows = [NamedWindow.parse(name) for name in names]
+        centres = np.array([(w.latitude, w.longitude) if w else (math.nan, math.nan) for w in windows]).reshape(-1, 2)
+        halves = np.array([w.size / 2 if w else 0.0 for w in windows])
+        away = np.abs(town.frame.xy(centres[:, 0], centres[:, 1]) - xy[query])
+        return np.asarray((away <= halves[:, None]).all(axis=1), bool)
+
+    return IndexQueries(
+        name=name,
+        data_name=printable(f"{flight.name} over {town.name}"),
+        root=root,
+        pictures=[_picture(flight.frames[i], i, cuts[j], owners.count(i), root) for i, j in enumerate(chosen)],
+        descriptors=described[chosen],
+        places=[_place(frame) for frame in flight.frames],
+        true=[() if good[j] and np.isfinite(xy[i]).all() else None for i, j in enumerate(chosen)],
+        contains=contains,
+    )
+
+
+def _share(frame: Frame, sizes: Sequence[float]) -> float:
+    """Return the share of a frame's width that its square shows."""
+    share, cut = CUT * min(1.0, frame.height / frame.width), cut_size(frame)
+    if cut is None or not sizes:
+        return share
+    return share * min(sizes, key=lambda size: abs(math.log(size / cut))) / cut
+
+
+def _best(index: SharedIndex, described: Float32Array, turns: Sequence[int], good: BoolArray) -> int:
+    """Return which of a frame's turns has the nearest window; the first if none can be read."""
+    if len(turns) == 1 or not good[turns[0]]:
+        return turns[0]
+    return max(turns, key=lambda turn: float(index.search(described[turn], None, 1).scores[0]))
+
+
+def _tags(frames: Sequence[Frame], town: Map) -> Float64Array:
+    """Return each frame's tag in metres of the map's frame, (N, 2), NaN without one."""
+    degrees = [
+        (math.nan, math.nan) if f.latitude is None or f.longitude is None else (f.latitude, f.longitude) for f in frames
+    ]
+    latitude, longitude = np.array(degrees, np.float64).reshape(-1, 2).T
+    return town.frame.xy(latitude, longitude)
+
+
+def _picture(frame: Frame, label: int, cut: TurnedFrame, turns: int, root: Path) -> Picture:
+    file = frame.file if frame.file.is_relative_to(root) else root / frame.name
+    note = f"heading {cut.heading:.0f}°, best of {turns}" if turns > 1 else ""
+    return Picture(file, label, printable(frame.name), note=note, cut=cut)
+
+
+def _place(frame: Frame) -> Position | None:
+    if frame.latitude is None or frame.longitude is None:
+        return None
+    height = frame.flying_height
+    if height is None or height <= 0:
+        return Position(frame.latitude, frame.longitude)
+    return Position(frame.latitude, frame.longitude, altitude=height, heading=0.0)

@@ -1,0 +1,212 @@
+"""An index of tiles in the explorer: opening, links, the laboratory to a depth, and what an index cannot show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explorer import reports
+from explorer.compute import ranking_job
+from explorer.explain_window import comparison, evidence
+from explorer.failure_lab import state as lab_state
+from explorer.failure_lab import table as lab_table
+from explorer.failure_lab.map_page import MapPage
+from explorer.failure_lab.service import FailureLab
+from explorer.failure_lab.state import LabState
+from explorer.opening import open_indexed, open_model
+from explorer.panels import answer_text, pages
+from explorer.session_state import POSITIVE, SessionState
+from explorer.url_state import UrlState
+from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis.comparison import Comparison
+from lpn.cli.main import main
+from lpn.core.errors import InputError
+from lpn.flights import write_flight
+from lpn.index.task import IndexTask
+from lpn.maps import NamedWindow
+from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
+
+TASK = "drone-to-satellite"
+DEPTH = 10
+
+
+def _run(*arguments: object) -> None:
+    assert main([str(argument) for argument in arguments]) == 0
+
+
+@pytest.fixture(scope="module")
+def index(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An index of the 14 satellite tiles of `data`, which has no positions."""
+    folder = tmp_path_factory.mktemp("index")
+    tiles = data / "test" / "gallery_satellite"
+    _run("describe", "--model", model_file, "--images", tiles, "--view", "satellite", "--out", folder / "store")
+    _run("index", "--descriptors", folder / "store", "--out", folder / "tiles")
+    return folder / "tiles"
+
+
+@pytest.fixture(scope="module")
+def workspace(index: Path, data: Path, model_file: Path) -> Workspace:
+    return open_indexed(str(index), model_file, data, depth=DEPTH)
+
+
+def _state(query: int = 0) -> SessionState:
+    return SessionState(TASK, 4, query=query)
+
+
+def _task(workspace: Workspace) -> IndexTask:
+    task = workspace.tasks[TASK]
+    assert isinstance(task, IndexTask)
+    return task
+
+
+def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, data: Path, model_file: Path) -> None:
+    live = open_model(data, model_file)
+    ours, theirs = StateAnalyser(workspace), StateAnalyser(live)
+    for query in (0, 7):
+        one, other = (analyser.analyse(_state(query), 10) for analyser in (ours, theirs))
+        for name in ("verdict", "matches"):
+            rendered = [
+                pages.verdict(analysis, shown)
+                if name == "verdict"
+                else [analysis.task.gallery[match.index].name for match in analysis.matches]
+                for analysis, shown in ((one, workspace), (other, live))
+            ]
+            assert rendered[0] == rendered[1]
+    results = workspace.rankings[TASK].results
+    for name in ("recall@1", "recall@5", "recall@10"):
+        assert results[name] == live.rankings[TASK].results[name]
+    header = pages.header(workspace, workspace.tasks[TASK])
+    assert "searched exactly to depth 10 of 14 tiles" in header
+    assert "AP: not defined to a depth" in header
+    assert "no map" in header
+
+
+def test_a_link_names_a_tile_as_the_index_does(workspace: Workspace) -> None:
+    links, task = UrlState(workspace), _task(workspace)
+    unseen = "0020/0020.png"
+    state, problems = links.read(f"?with={unseen}", _state())
+    assert not problems
+    assert state.selected == task.find_tile(unseen)
+    assert links.write(state).endswith(f"with={unseen}")
+    assert StateAnalyser(workspace).analyse(state, 10).chosen.index == state.selected
+    assert links.read("?with=truth", _state())[0].selected == POSITIVE
+    for bad in ("nothing", "~3", "own"):
+        state, problems = links.read(f"?with={bad}", _state())
+        assert state.selected is None
+        assert "no such tile" in problems[0]
+
+
+def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace) -> None:
+    service = FailureLab(workspace)
+    assert service.build(TASK, "test").wait(60)
+    findings = service.findings(TASK)
+    assert findings is not None
+    assert findings.outcomes.depth == DEPTH
+    lab = LabState(TASK)
+    rows = lab_state.sorted_rows(findings, lab)
+    html = lab_table.table(findings, lab, workspace, rows, 0)
+    far = np.flatnonzero(findings.outcomes.rank == DEPTH)
+    assert ("&gt; 10" in html) == bool(len(far))
+    assert lab_state.confusions(findings, lab) is not None
+    drawn, final = MapPage(service, "test").page(findings, lab, 0, rows, (760, 400))
+    assert final
+    assert "not in memory" in drawn
+
+
+def test_what_an_index_cannot_tell_is_said(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = StateAnalyser(workspace).analyse(replace(_state(1), why=True), 10)
+    with pytest.raises(InputError, match="needs the whole gallery in memory"):
+        reports.of_analysis(workspace, analysis)
+    with pytest.raises(InputError, match="takes a search for each"):
+        analysis.task.effect(None, (1, 1, 1, 0))
+    html = comparison.page(analysis, workspace, Comparison.of(analysis.ranking, analysis.matches[1]), None, False)
+    assert "among the 10 nearest tiles" in html.replace("\n", " ").replace("    ", "")
+    job = ranking_job.RankingJob(_task(workspace))
+    assert job.automatic
+    monkeypatch.setattr(ranking_job, "AUTOMATIC_COST", 0)
+    assert not job.automatic
+    monkeypatch.setitem(workspace.rankings, TASK, job)
+    assert "the failure laboratory (B) starts them" in pages.header(workspace, job.task)
+
+
+@pytest.fixture(scope="module")
+def flown(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """An index of windows, their map, and a flight over it."""
+    folder = tmp_path_factory.mktemp("flown")
+    town = write_map(folder / "town.tif", land()[::2, ::2])
+    (folder / "monday").mkdir()
+    write_flight(small_flight(folder / "monday", town), folder / "monday")
+    model = ("--model", model_file)
+    _run("describe", *model, "--map", folder / "town.tif", "--size", 50, 70, "--out", folder / "store")
+    _run("index", "--descriptors", folder / "store", "--out", folder / "windows")
+    return folder / "windows", folder / "town.tif", folder / "monday"
+
+
+def test_a_flight_is_searched_for_among_windows(flown: tuple[Path, Path, Path], model_file: Path) -> None:
+    index, town, flight = flown
+    workspace = open_indexed(str(index), model_file, map_path=town, flight_path=flight, depth=DEPTH)
+    task, analyser = _task(workspace), StateAnalyser(workspace)
+    assert len(task.queries) == len(FLOWN_PLACES) + 1
+    assert task.known is not None
+    assert np.flatnonzero(~task.known).tolist() == [0, 2]  # one has no position, one cannot be read
+    analysis = analyser.analyse(replace(_state(5), why=True), 10)
+    assert analysis.pair_evidence is not None
+    assert analysis.errors_m is not None
+    assert analysis.task.geometry is not None
+    for match in analysis.matches:
+        window = NamedWindow.parse(task.seen.name_of(match.index))
+        assert window is not None
+        placed, tag = analysis.task.geometry.tiles[match.index], analysis.task.geometry.queries[5]
+        assert tag is not None
+        assert (placed.latitude, placed.longitude, placed.width) == (window.latitude, window.longitude, window.size)
+        north, east = (
+            np.radians(a - b) * 6_371_000
+            for a, b in ((placed.latitude, tag.latitude), (placed.longitude, tag.longitude))
+        )
+        inside = max(abs(north), abs(east * np.cos(np.radians(tag.latitude)))) <= window.size / 2
+        assert match.true == inside
+    # The picture of a window is the one that was described.
+    np.testing.assert_allclose(
+        analysis.tile.descriptor, task.index.read([task.seen.name_of(analysis.chosen.index)])[0][0], atol=1e-4
+    )
+    assert workspace.mosaic(analysis.task).shape[2] == 3
+    west, south, east, north = analysis.task.geometry.bounds()
+    assert (east - west, north - south) == pytest.approx((200, 200), abs=1)
+    unknown = analyser.analyse(_state(0), 10)
+    assert unknown.ranking.relevant is None
+    assert answer_text.verdict(unknown, workspace.part_names)[0] is None
+
+
+def test_windows_without_their_map_are_placeholders(
+    flown: tuple[Path, Path, Path], model_file: Path, data: Path
+) -> None:
+    workspace = open_indexed(str(flown[0]), model_file, data)
+    analysis = StateAnalyser(workspace).analyse(replace(_state(0), why=True), 10)
+    assert "give that map as --map" in evidence.page(analysis, workspace)
+    assert workspace.card(analysis.task, analysis.chosen.index).std() < 60
+    assert analysis.ranking.relevant is None  # the data set's places are not in the index
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--index", "INDEX"], "as --model"),
+        (["--index", "INDEX", "--model", "MODEL"], "tiles and no queries"),
+        (["--index", "INDEX", "--model", "MODEL", "--flight", "x"], "give --map beside --flight"),
+        (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--beside", "MODEL"], "leave --beside out"),
+        (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--depth", "3"], "depth is 3"),
+        (["--index", "DATA", "--model", "MODEL", "--data", "DATA"], "not an index"),
+        (["--data", "DATA", "--model", "MODEL", "--depth", "50"], "with --index only"),
+    ],
+)
+def test_mistakes_get_one_sentence(
+    options: list[str], said: str, index: Path, data: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = {"INDEX": index, "MODEL": model_file, "DATA": data}
+    assert main(["explore", *(str(places.get(option, option)) for option in options)]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.strip().count("\n") == 0
