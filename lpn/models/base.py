@@ -128,7 +128,7 @@ class Model(ABC):
 
     def role(self, view: View) -> Role:
         """Return the role of a view where branches have roles; outside of a task, the satellite is the gallery."""
-        return self.branches.get(view, "gallery" if view == "satellite" else "query")
+        return self.branches.get(view, default_role(view))
 
     def to_input_size(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Resize a picture to the input size, (height, width, 3) uint8; a polar model's tiles are unrolled into panoramas."""
@@ -229,6 +229,11 @@ class Model(ABC):
                 f"The images are {batch.dtype} of shape {batch.shape}; expected float32 (B, 3, H, W), normalised."
             )
         return cast(Float32Array, np.ascontiguousarray(batch, dtype=np.float32))
+
+
+def default_role(view: View) -> Role:
+    """Return the role of a view outside of a task."""
+    return "gallery" if view == "satellite" else "query"
 
 
 def as_array(values: Any) -> AnyArray:

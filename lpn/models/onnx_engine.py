@@ -1,4 +1,4 @@
-"""An exported LPN on ONNX Runtime.
+"""A model on ONNX Runtime: an exported LPN, or any graph with a contract in its metadata.
 
 A model is one graph for each group of views that share weights. Each graph also yields its heads as constant outputs, so
 evidence can be computed with ONNX Runtime alone.
@@ -17,13 +17,14 @@ import onnxruntime as ort
 from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, check_seal
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import cache_folder, fingerprint
+from lpn.core.files import cache_folder, fingerprint, printable
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider, usable_cores
 from lpn.core.views import View
-from lpn.models import providers
-from lpn.models.base import Model
+from lpn.models import contract_metadata, providers
+from lpn.models.base import Model, default_role
 from lpn.models.contract import ForwardPass, Heads
+from lpn.models.contract_metadata import from_metadata
 from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec
 
@@ -35,6 +36,9 @@ COMPUTE = "compute"
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)
+# Outputs of a graph with a contract beside `parts`: those of each picture, and those that are the same for all.
+PASS_OUTPUTS = ("features", "cells", "constants", "slopes")
+CONSTANT_OUTPUTS = ("head_weight", "head_bias", "cells")
 _AGAIN = "copy it again from where it came, or export the model again"
 
 
@@ -53,12 +57,10 @@ class Engine(Model):
             8 bits. TensorRT is taken only when named, as it compiles for minutes.
 
     Raises:
-        ModelFileError: if a file is missing, damaged, or not written by `lpn export`.
+        ModelFileError: if a file is missing or damaged, or states neither an LPN nor a contract, or contradicts what it states.
         InputError: if the named provider is missing or does not work, or LPN_PROVIDER names none.
         OutputError: if the cache of TensorRT's engines cannot be written.
     """
-
-    spec: ModelSpec
 
     def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:
         path = self._path = Path(path)
@@ -68,24 +70,41 @@ class Engine(Model):
         options.inter_op_num_threads = 1
         self.parallel = options.intra_op_num_threads == 1
         self._sessions: dict[View, ort.InferenceSession] = {}
-        self._heads: dict[str, Heads] = {}
+        self._heads: dict[ort.InferenceSession, Heads] = {}
         session = _open(path, options)
         metadata = _metadata(session, path)
-        self.spec = ModelSpec.from_json(metadata["spec"])
-        self.contract = self.spec.contract()
+        self._read_contract(session, metadata)
         self.precision = metadata.get(COMPUTE, "float32")
-        groups = self.spec.groups()
+        groups = list(self.contract.groups)
         files = graph_files(path, groups)
         for group, file in zip(groups, files, strict=True):
             if file != path:
                 session = _open(file, options)
             _check_group(_metadata(session, file), metadata, group, file)
-            _check_shapes(session, self.spec, file)
+            if self.spec is not None:
+                _check_shapes(session, self.spec, file)
             self._sessions.update(dict.fromkeys(group, session))
         self.fingerprint = fingerprint(*files)
         provider = resolve_provider(provider)
         if provider != "cpu":
             self._move_to_gpu(provider, files, groups)
+
+    def _read_contract(self, session: ort.InferenceSession, metadata: dict[str, str]) -> None:
+        """Set contract and architecture, the outputs that a forward pass takes, and the graph's fixed batch."""
+        declared = {value.name: value.shape for value in (*session.get_inputs(), *session.get_outputs())}
+        self._fixed_batch = _fixed(declared["images"][0])
+        if "spec" in metadata:
+            self.spec = ModelSpec.from_json(metadata["spec"])
+            self.contract = self.spec.contract()
+            self._pass_outputs = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
+            self._constants = [] if self.spec.pooling == "safa" else list(HEAD_OUTPUTS)
+            return
+        shapes = _known_shapes(session, declared, self._path.name)
+        self.contract = from_metadata(metadata, self._path.name, shapes)
+        fixed = {name for name in CONSTANT_OUTPUTS if name in shapes and (name != "cells" or len(shapes[name]) == 3)}
+        self._constants = [name for name in CONSTANT_OUTPUTS if name in fixed]
+        self._pass_outputs = ["parts", *(name for name in PASS_OUTPUTS if name in shapes and name not in fixed)]
+        self.batch = self._fixed_batch or self.batch
 
     def _move_to_gpu(self, provider: ProviderName, files: list[Path], groups: list[tuple[View, ...]]) -> None:
         """Replace the sessions by those of a GPU; with "auto" the CPU stays where CUDA does not work."""
@@ -108,20 +127,23 @@ class Engine(Model):
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W) of the model's input size."""
         self._check_size(images, view)
-        names = [*OUTPUTS, *(SAFA_OUTPUTS if self.spec.pooling == "safa" else ())]
-        outputs = self._outputs(names, images, view)
-        return self.spec.forward_pass(*outputs)
+        outputs = self._outputs(self._pass_outputs, images, view)
+        if self.spec is not None:
+            return self.spec.forward_pass(*outputs)
+        parts = outputs[0].reshape(len(outputs[0]), self.n_parts, -1)
+        return ForwardPass(parts, **dict(zip(self._pass_outputs[1:], outputs[1:], strict=True)))
 
     def _parts(self, images: Float32Array, view: View) -> Float32Array:
         self._check_size(images, view)
-        return self._outputs(["parts"], images, view)[0]
+        parts = self._outputs(["parts"], images, view)[0]
+        return parts.reshape(len(parts), self.n_parts, -1)
 
     def for_parallel_inference(self) -> Model:
         """Return the same model with one thread per forward pass; on a GPU, itself."""
         if self.parallel or self.device != "cpu":
             return self
         twin = Engine(self._path, threads=1)
-        twin.means, twin.fingerprint = self.means, self.fingerprint
+        twin.means, twin.branches, twin.fingerprint = self.means, self.branches, self.fingerprint
         return twin
 
     def calibration_providers(self) -> list[tuple[str, dict[str, str]]]:
@@ -130,24 +152,43 @@ class Engine(Model):
         return providers.settings("cpu" if self.device == "cpu" else "cuda", self.input_size, Path())
 
     def map_size(self, view: View) -> tuple[int, int]:
-        """Return (h, w) of the feature map, as the graph declares it."""
+        """Return (h, w) of the feature map, as the graph declares it if it does."""
         self.check_view(view)
-        shape = next(output.shape for output in self._sessions[view].get_outputs() if output.name == "features")
-        return int(shape[2]), int(shape[3])
+        shapes = {output.name: output.shape for output in self._session(view).get_outputs()}
+        height, width = (_fixed(side) for side in shapes.get("features", [1, 1])[-2:])
+        return super().map_size(view) if height is None or width is None else (height, width)
 
     def heads(self, view: View) -> Heads:
-        """Return the affine heads and cell weights; SAFA has none."""
+        """Return the affine heads and cell weights, as far as the graph has them."""
         self.check_view(view)
-        if self.spec.pooling == "safa":
-            return Heads()
-        if view not in self._heads:
-            blank = np.zeros((1, 3, *self.input_size), np.float32)
-            self._heads[view] = Heads(*self._outputs(list(HEAD_OUTPUTS), blank, view))
-        return self._heads[view]
+        session = self._session(view)
+        if session not in self._heads:
+            blank = np.zeros((self._fixed_batch or 1, 3, *self.input_size), np.float32)
+            found = dict(zip(self._constants, self._compute(self._constants, blank, session), strict=True))
+            self._heads[session] = Heads(*(found.get(name) for name in CONSTANT_OUTPUTS))
+        return self._heads[session]
+
+    def _session(self, view: View) -> ort.InferenceSession:
+        """Return the graph that describes a view; where branches have roles, that of its role in the task."""
+        if self.contract.roles == "view":
+            return self._sessions[view]
+        # Outside of a task, each view has the role of its own graph.
+        own = [other for other in self.views if default_role(other) == self.role(view)]
+        return self._sessions[own[0] if own else view]
 
     def _outputs(self, names: list[str], images: Float32Array, view: View) -> list[Float32Array]:
-        """Run the graph; ModelFileError if it fails or its outputs contradict their declared shapes."""
-        session = self._sessions[view]
+        """Run the graph of a view, in batches of its fixed size if it has one; see `_compute`."""
+        session, size, count = self._session(view), self._fixed_batch, len(images)
+        if size is None or size == count:
+            return self._compute(names, images, session)
+        padded = np.concatenate([images, np.zeros((-count % size, *images.shape[1:]), np.float32)])
+        chunks = [self._compute(names, padded[i : i + size], session) for i in range(0, len(padded), size)]
+        return [np.concatenate(column)[:count] for column in zip(*chunks, strict=True)]
+
+    def _compute(self, names: list[str], images: Float32Array, session: ort.InferenceSession) -> list[Float32Array]:
+        """Run a graph; ModelFileError if it fails or its outputs contradict their declared shapes."""
+        if not names:
+            return []
         try:
             outputs = cast("list[Float32Array]", session.run(names, {"images": images}))
         except Exception as error:  # see `_open`
@@ -206,14 +247,57 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
-    if is_newer(found := metadata.get("format"), FORMAT):
-        raise ModelFileError(newer_version(path.name, str(found), FORMAT))
+    if is_newer(found := metadata.get("format"), contract_metadata.FORMAT):
+        raise ModelFileError(newer_version(path.name, str(found), contract_metadata.FORMAT))
+    if found == contract_metadata.FORMAT:
+        if [value.name for value in session.get_inputs()] != ["images"] or "parts" not in names:
+            inputs = ", ".join(printable(value.name) for value in session.get_inputs())
+            raise ModelFileError(
+                f"{path.name} takes {inputs} and returns {', '.join(map(printable, sorted(names)))}; by its contract it takes "
+                "images and returns parts."
+            )
+        return {name: value for name, value in metadata.items() if name != "spec"}
     ours = found == FORMAT and {"spec", "source", "group"} <= set(metadata)
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
-            f"{path.name} is an ONNX model but not one written by `lpn export`; export your LPN with it."
+            f"{path.name} is an ONNX model, but neither one written by `lpn export` nor one with a contract in its metadata; "
+            "export your LPN, or see docs/contract.md."
         )
     return metadata
+
+
+def _known_shapes(
+    session: ort.InferenceSession, declared: dict[str, Sequence[Any]], name: str
+) -> dict[str, Sequence[int]]:
+    """Return the shapes of the input and of the outputs; those that the graph leaves open are measured on a blank picture."""
+    height, width = (_fixed(side) for side in [*declared["images"], None, None][2:4])
+    if len(declared["images"]) != 4 or height is None or width is None:
+        raise ModelFileError(
+            f"{name} takes images of {declared['images']}; expected (batch, 3, height, width) with a fixed height and width."
+        )
+    wrong = [value for value in (*session.get_inputs(), *session.get_outputs()) if value.type != "tensor(float)"]
+    if wrong:
+        raise ModelFileError(f"{name} has {printable(wrong[0].name)} of {wrong[0].type}; expected tensor(float).")
+    blank = np.zeros((_fixed(declared["images"][0]) or 1, 3, height, width), np.float32)
+    names = [name for name in declared if name != "images"]
+    if all(_fixed(side) is not None for output in names for side in declared[output][1:]):
+        shapes: dict[str, Sequence[int]] = {output: declared[output] for output in names}
+    else:
+        try:
+            found = session.run(names, {"images": blank})
+        except Exception as error:  # see `_open`
+            raise ModelFileError(f"{name} cannot be computed, so it is damaged; {_AGAIN}.") from error
+        shapes = {output: array.shape for output, array in zip(names, found, strict=True)}
+    if len(shapes["parts"]) not in (2, 3):
+        raise ModelFileError(
+            f"{name} returns parts of shape {shapes['parts']}; expected (B, n, D), or (B, D) for one part."
+        )
+    return {**shapes, "images": blank.shape}
+
+
+def _fixed(side: Any) -> int | None:
+    """Return a side of a declared shape; None if the graph leaves it open."""
+    return side if isinstance(side, int) and side > 0 else None
 
 
 def _check_shapes(session: ort.InferenceSession, spec: ModelSpec, path: Path) -> None:
@@ -249,12 +333,12 @@ def _agrees(found: Sequence[Any], expected: Sequence[Any]) -> bool:
 
 
 def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View, ...], file: Path) -> None:
-    if found["group"] != "+".join(group):
+    if found.get("group", "+".join(group)) != "+".join(group):
         raise ModelFileError(
             f"{file.name} holds the part of a model for {found['group'].replace('+', ' and ')}; "
             f"open the file for {' and '.join(group)}, which was exported with it."
         )
-    if any(found.get(key) != main.get(key) for key in ("spec", "source", COMPUTE)):
+    if any(found.get(key) != value for key, value in main.items() if key not in ("group", SEAL)):
         raise ModelFileError(
             f"{file.name} was exported from another model than the file beside it; export the model again."
         )

@@ -1,0 +1,103 @@
+"""A contract as metadata of an ONNX file: a few short strings that any exporter can write; docs/contract.md has the table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import printable
+from lpn.core.images import MEAN, STD, Triple
+from lpn.models.contract import Contract
+
+FORMAT = "lpn-explorer-onnx/2"
+REQUIRED = ("method", "views", "resize", "mirror")
+
+
+def to_metadata(contract: Contract) -> dict[str, str]:
+    """Return the metadata of a contract; sizes and level follow from the graph's outputs."""
+    first = contract.views[0]
+    metadata = {
+        "format": FORMAT,
+        "method": contract.method,
+        "title": contract.title,
+        "views": " ".join(contract.views),
+        "groups": ", ".join(" ".join(group) for group in contract.groups),
+        "roles": contract.roles,
+        "resize": contract.resize,
+        "mean": " ".join(map(str, contract.mean)),
+        "std": " ".join(map(str, contract.std)),
+        "mirror": contract.mirror,
+        "held": contract.held,
+    }
+    if first in contract.part_names:
+        metadata["parts"] = ", ".join(contract.part_names[first])
+    return metadata
+
+
+def from_metadata(metadata: Mapping[str, str], name: str, shapes: Mapping[str, Sequence[int]]) -> Contract:
+    """Read the contract of an ONNX file.
+
+    Args:
+        name: of the file, for messages.
+        shapes: of `images` and `parts`, and of the outputs `features` and `cells` if the graph has them.
+
+    Raises:
+        ModelFileError: if an entry is missing or wrong, or contradicts the shapes.
+    """
+    if missing := [key for key in REQUIRED if not metadata.get(key)]:
+        raise ModelFileError(
+            f"{name} has no entry {missing[0]!r} in its metadata; a contract needs {', '.join(REQUIRED)}, see docs/contract.md."
+        )
+    parts = tuple(shapes["parts"])[1:]
+    n, size = parts if len(parts) == 2 else (1, *parts)
+    held = metadata.get("held", "")
+    level = "one vector" if n == 1 else "parts only"
+    if "features" in shapes:
+        level = "exact, with held" if held else "exact"
+        if "cells" not in shapes:
+            raise ModelFileError(
+                f"{name} has an output features {_shape(shapes['features'])} and none named cells, which says the weight of each "
+                "cell in each part; add it, or leave features out."
+            )
+    views = tuple(metadata["views"].split())
+    names = [part.strip() for part in metadata["parts"].split(",")] if metadata.get("parts") else None
+    title = metadata.get("title") or f"{metadata['method']}, n = {n}, {shapes['images'][2]} x {shapes['images'][3]}"
+    values: dict[str, Any] = {
+        "method": printable(metadata["method"]),
+        "title": printable(title),
+        "views": views,
+        "input_size": (int(shapes["images"][2]), int(shapes["images"][3])),
+        "n_parts": int(n),
+        "embedding": int(size),
+        "level": level,
+        "held": printable(held),
+        "groups": tuple(tuple(group.split()) for group in metadata.get("groups", "").split(",") if group.strip()),
+        "mean": _triple(metadata, "mean", MEAN, name),
+        "std": _triple(metadata, "std", STD, name),
+        "part_names": dict.fromkeys(views, tuple(map(printable, names))) if names else {},
+    }
+    values |= {key: metadata[key] for key in ("roles", "resize", "mirror") if metadata.get(key)}
+    try:
+        return Contract(**values)
+    except InputError as error:
+        raise ModelFileError(f"The metadata of {name} contradict each other: {error}") from error
+
+
+def _triple(metadata: Mapping[str, str], key: str, default: Triple, name: str) -> Triple:
+    if not metadata.get(key):
+        return default
+    try:
+        red, green, blue = (float(value) for value in metadata[key].split())
+    except ValueError:
+        red = green = blue = math.nan
+    if not all(map(math.isfinite, (red, green, blue))):
+        raise ModelFileError(
+            f"{name} says {key}: {printable(metadata[key][:60])}; expected three numbers with blanks between them."
+        )
+    return red, green, blue
+
+
+def _shape(shape: Sequence[int]) -> str:
+    return " x ".join(map(str, shape))
