@@ -28,6 +28,7 @@ from lpn.core.log import conceal
 from lpn.core.resources import ProviderName, limit_malloc_arenas, port_error, return_memory
 from lpn.core.shutdown import writes_finished
 from lpn.index.task import DEPTH
+from lpn.models.base import Model
 from lpn.retrieval.published_results import load_saved
 
 log = logging.getLogger(__name__)
@@ -204,7 +205,7 @@ class App:
 
 def run(
     data: Path,
-    model: Path,
+    model: Path | Model,
     query: str | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -226,7 +227,9 @@ def run(
     Raises:
         LPNError: when model, data set, or address cannot be used.
     """
-    others = {} if flight is None else {"flight": offered_flight(*flight, model, provider)}
+    others = {}
+    if flight is not None and isinstance(model, Path):
+        others["flight"] = offered_flight(*flight, model, provider)
     _serve(lambda: open_model(data, model, query, second_model, baseline, provider), host, port, authenticator, others)
 
 

@@ -45,7 +45,7 @@ OFFERED_OVERLAP = 0.5
 
 def open_model(
     data: Path,
-    model: Path,
+    model: Path | Model,
     query: str | None = None,
     second_model: Path | None = None,
     baseline: Path | None = None,
@@ -54,6 +54,7 @@ def open_model(
     """Open a model and the tasks of a data set whose views it knows.
 
     Args:
+        model: a model, or what `lpn.load` opens.
         query: name of the query of the first task that a new browser shows; by default the task's first query.
         second_model: another model to compare with on the same data; it is opened, too.
         baseline: the model of one part to offer for comparison; it is opened when a browser asks for it.
@@ -63,8 +64,9 @@ def open_model(
         LPNError: when model or data set cannot be used, or there is no such query.
     """
     data_name = printable(data.resolve().name)
-    with _status(f"Opening {printable(model.name)} and {data_name}"):
-        opened = lpn.load(model, provider)
+    model_name = printable(model.contract.method if isinstance(model, Model) else model.name)
+    with _status(f"Opening {model_name} and {data_name}"):
+        opened = model if isinstance(model, Model) else lpn.load(model, provider)
         dataset = open_dataset(data)
     names = offered_tasks(opened, dataset)
     if not names:
@@ -72,10 +74,10 @@ def open_model(
             f"The test split of {data_name} offers {', '.join(dataset.tasks()) or 'no task'}, but the model knows "
             f"only the views {', '.join(opened.views)}; give a data set or a model that fit each other."
         )
-    rankings = [_begin_ranking(open_task(opened, model.name, dataset, name, tags_and_notes={})) for name in names]
+    rankings = [_begin_ranking(open_task(opened, model_name, dataset, name, tags_and_notes={})) for name in names]
     map_sizes = {view: opened.map_size(view) for view in opened.views}
     workspace = Workspace(
-        printable(model.name),
+        model_name,
         data_name,
         rankings,
         opened.contract,

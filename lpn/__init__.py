@@ -5,10 +5,12 @@
     result = lpn.evaluate(model, dataset, "drone-to-satellite")     # recall and AP by the published protocol
     evidence = lpn.evidence(query.trace, tile.trace)                # one score as a sum over parts and cells
     ranking = lpn.rank(query, gallery)                              # one query against a gallery
+    lpn.explore(model, "University-1652")                           # all of it in a browser
 
-`metrics` scores any descriptors, `Partition` cuts a feature map into parts, `ModelSpec` describes an architecture, and every
-error that a user can correct derives from `LPNError` (see `errors`). Nothing here knows a browser. Names are imported on first
-use, so `import lpn` needs neither NumPy nor torch.
+`Contract`, `ForwardPass`, and `Heads` make any part-based network a `Model`. `metrics` scores any descriptors, `Partition` cuts a
+feature map into parts, `ModelSpec` describes an LPN's architecture, and every error that a user can correct derives from
+`LPNError` (see `errors`). Nothing here knows a browser. Names are imported on first use, so `import lpn` needs neither NumPy
+nor torch.
 """
 
 from __future__ import annotations
@@ -28,12 +30,16 @@ if TYPE_CHECKING:
     from lpn.explain import evidence
     from lpn.models.adapters import Kind
     from lpn.models.base import Model
+    from lpn.models.contract import Contract, ForwardPass, Heads
     from lpn.models.partition import Partition
     from lpn.models.spec import ModelSpec
     from lpn.retrieval import metrics, rank
     from lpn.retrieval.evaluate import evaluate
 
 __all__ = [
+    "Contract",
+    "ForwardPass",
+    "Heads",
     "LPNError",
     "Model",
     "ModelSpec",
@@ -43,6 +49,7 @@ __all__ = [
     "errors",
     "evaluate",
     "evidence",
+    "explore",
     "load",
     "metrics",
     "open_dataset",
@@ -50,6 +57,9 @@ __all__ = [
 ]
 
 _MODULE_OF = {
+    "Contract": "lpn.models.contract",
+    "ForwardPass": "lpn.models.contract",
+    "Heads": "lpn.models.contract",
     "Model": "lpn.models.base",
     "ModelSpec": "lpn.models.spec",
     "Partition": "lpn.models.partition",
@@ -71,9 +81,11 @@ if not TYPE_CHECKING:
 
 
 def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = False, kind: Kind | None = None) -> Model:
-    """Open a trained model: an exported `.onnx`, our `.safetensors`, or a published `.pth` of LPN or another method.
+    """Open a trained model: an `.onnx`, our `.safetensors`, a published `.pth` of LPN or another method, or one of another package.
 
-    An `.onnx` needs no torch; the others need the extra `train`, and other methods than LPN and SDPL the extra `models`.
+    An `.onnx` is an exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra
+    `train`, and other methods than LPN and SDPL the extra `models`. "NAME" or "NAME:FILE" opens what a package registers in the
+    entry points `lpn.models` (docs/contract.md).
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
@@ -87,6 +99,12 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
         OutputError: if the cache of TensorRT's engines cannot be written.
         MissingPackageError: if torch is needed and not installed.
     """
+    if not Path(path).exists():
+        from lpn.models.registered import open_registered
+
+        registered = open_registered(str(path))
+        if registered is not None:
+            return registered
     if Path(path).suffix == ".onnx":
         from lpn.models.onnx_engine import Engine
 
@@ -114,3 +132,25 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
 def _check_no_kind(path: str | Path, kind: Kind | None) -> None:
     if kind is not None:
         raise errors.InputError(f"{Path(path).name} tells its kind itself; leave --kind out.")
+
+
+def explore(model: Model | str | Path, data: str | Path, host: str = "127.0.0.1", port: int = 8080) -> None:
+    """Open a model on a data set in a browser, and serve it until KeyboardInterrupt, as the command `lpn explore` does.
+
+    Args:
+        model: a model, or what `load` opens.
+        data: a data set in any layout of docs/data.md.
+        host, port: the address to listen on.
+
+    Raises:
+        LPNError: when model, data set, or address cannot be used.
+        MissingPackageError: if the explorer is not installed.
+    """
+    from importlib.metadata import entry_points
+
+    # The package explorer registers its command, because lpn imports no app.
+    point = next(iter(entry_points(group="lpn.commands", name="explore")), None)
+    if point is None:
+        raise MissingPackageError("The explorer is not installed; pip install lpn-explorer.")
+    given = Path(model) if isinstance(model, str) else model
+    point.load()(model=given, data=Path(data), host=host, port=port).run()

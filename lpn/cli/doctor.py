@@ -1,4 +1,4 @@
-"""The command that checks a machine or a data set: doctor."""
+"""The command that checks a machine, a data set, or a model: doctor."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ from lpn.core.errors import InputError
 
 @dataclass
 class DoctorCommand:
-    """Check this machine, or a data set: what it holds and what is broken; ends with status 1 if something is broken."""
+    """Check this machine, a data set, or a model: what it holds and what is broken; ends with status 1 if something is."""
 
     data: Path | None = None
     """Data set in any layout of docs/data.md; without it, machine, packages, and demo are checked."""
+    model: Path | None = None
+    """Model to check: how far its evidence is exact, proved on pictures of --data, or on coloured squares without it."""
     quick: bool = False
     """Read only the header and end of each picture, without decoding it."""
     json: Path | None = None
@@ -26,6 +28,8 @@ class DoctorCommand:
 
         if self.json is not None:
             check_writable(self.json)
+        if self.model is not None:
+            return self._check_model(self.model)
         if self.data is None:
             return self._check_environment()  # works without any package
 
@@ -45,6 +49,36 @@ class DoctorCommand:
         if self.json is not None:
             write_atomic(self.json, (json.dumps(report.to_dict(), indent=1) + "\n").encode())
         return 0 if report.healthy else 1
+
+    def _check_model(self, file: Path) -> int:
+        import lpn
+        from lpn.core.files import printable, write_atomic
+        from lpn.datasets import open_dataset
+        from lpn.doctor import model_check
+
+        if self.quick:
+            raise InputError("--quick is about the pictures of a data set; leave --model out.")
+        model = lpn.load(file)
+        pictures = dict.fromkeys(model.views, model_check.noise())
+        if self.data is not None:
+            pictures = model_check.pictures_of(open_dataset(self.data))
+            if not set(pictures) & set(model.views):
+                raise InputError(
+                    f"{printable(self.data.name)} has pictures of {', '.join(pictures) or 'no view'}, and the model describes "
+                    f"{', '.join(model.views)}; give a data set that fits."
+                )
+        print(printable(f"{model.contract.method}: {model.describe()}"))
+        print(printable(f"Level: {model.contract.claim}."), flush=True)
+        findings = []
+        for finding in model_check.check_model(model, pictures):
+            findings.append(finding)
+            print(f"{'OK' if finding.healthy else 'problem':8}{finding.view}: {finding.message}", flush=True)
+        if self.json is not None:
+            values = {"method": model.contract.method, "level": model.contract.claim, "fingerprint": model.fingerprint}
+            write_atomic(
+                self.json, (json.dumps(values | {"views": [vars(one) for one in findings]}, indent=1) + "\n").encode()
+            )
+        return 0 if all(finding.healthy for finding in findings) else 1
 
     def _check_environment(self) -> int:
         from lpn.core.files import write_atomic

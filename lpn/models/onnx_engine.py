@@ -260,8 +260,8 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     ours = found == FORMAT and {"spec", "source", "group"} <= set(metadata)
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
-            f"{path.name} is an ONNX model, but neither one written by `lpn export` nor one with a contract in its metadata; "
-            "export your LPN, or see docs/contract.md."
+            f"{path.name} is an ONNX model, but not one written by `lpn export`, and has no contract in its metadata; export "
+            "your LPN, or see docs/contract.md."
         )
     return metadata
 

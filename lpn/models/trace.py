@@ -122,12 +122,12 @@ class Trace:
         assert total is not None
         return total.T if only is None else total[:, 0]
 
-    def closure(self) -> float:
-        """Return the largest error of cells plus constants as the embedding, as a share of its largest value."""
+    def errors(self) -> Float64Array:
+        """Return by how much cells plus constants miss each part at most, as a share of the largest value of all parts, (n,)."""
         everywhere = np.ones(self.size, bool)
         sums = np.stack([self.vectors(part, everywhere) for part in range(len(self.embedding))])
-        error = np.abs(sums + self.constants - self.embedding).max()
-        return float(error / max(float(np.abs(self.embedding).max()), 1e-30))
+        missed = np.abs(sums + self.constants - self.embedding).max(axis=1)
+        return cast(Float64Array, missed / max(float(np.abs(self.embedding).max()), 1e-30))
 
     def region(self, cells: BoolArray, weights: Float32Array) -> Float32Array:
         """Return the query of a region, (n, D), which ranks a gallery by the region's contribution to the scores.

@@ -40,8 +40,8 @@ def trace_of(model: Model, view: View = "drone", seed: int = 0) -> Trace:
 @pytest.mark.parametrize("model", MODELS, ids=NAMES)
 def test_cells_and_constants_of_each_picture_add_up(model: Model) -> None:
     query, tile = trace_of(model), trace_of(model, "satellite", 1)
-    assert query.closure() < 1e-6
-    assert tile.closure() < 1e-6
+    assert query.errors().max() < 1e-6
+    assert tile.errors().max() < 1e-6
     found = explain.evidence(query, tile)
     for side in (found.query, found.tile):
         np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, found.cosines, atol=1e-6)
@@ -59,7 +59,7 @@ def test_an_account_that_does_not_add_up_has_no_closure() -> None:
             assert found.constants is not None
             return found._replace(constants=found.constants + np.float32(0.01))
 
-    assert trace_of(Wrong()).closure() > 1e-3
+    assert trace_of(Wrong()).errors().max() > 1e-3
 
 
 @pytest.mark.parametrize("model", MODELS, ids=NAMES)

@@ -1,0 +1,119 @@
+"""The check of a model: how far its evidence is exact by its contract, and the proof on pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn.core.arrays import UInt8Array
+from lpn.core.errors import LPNError
+from lpn.core.files import printable
+from lpn.core.views import View, views_of
+from lpn.datasets import Dataset, Picture
+from lpn.models.base import Model
+from lpn.retrieval import DescribedPicture, describe_picture
+
+# The largest error of cells and constants as a share of the part's largest value.
+TOLERANCE = 1e-5
+# Pictures of each view that the proof is made on.
+PICTURES = 4
+
+
+@dataclass(frozen=True)
+class ModelFinding:
+    """The check of one view.
+
+    Attributes:
+        healthy: True if nothing contradicts the contract.
+        error: the largest error of cells and constants as a share of the largest value; None without cells.
+        message: one sentence about it.
+    """
+
+    view: View
+    healthy: bool
+    error: float | None
+    message: str
+
+
+def check_model(model: Model, pictures: Mapping[View, Sequence[tuple[str, UInt8Array]]]) -> Iterator[ModelFinding]:
+    """Describe pictures in each view of a model, and compare cells and constants with the parts.
+
+    Args:
+        pictures: by view, names and pictures, (H, W, 3) uint8.
+    """
+    for view in model.views:
+        if view in pictures:
+            yield _check_view(model, view, pictures[view])
+
+
+def pictures_of(dataset: Dataset) -> dict[View, list[tuple[str, UInt8Array]]]:
+    """Return some pictures of each view of a data set, spread over the lists of its tasks.
+
+    Raises:
+        LPNError: if a picture cannot be read.
+    """
+    lists: dict[View, list[Picture]] = {}
+    for task in dataset.tasks():
+        query, gallery = views_of(task)
+        lists.setdefault(gallery, dataset.gallery(gallery))
+        lists.setdefault(query, dataset.queries(query))
+    chosen = {
+        view: [found[i] for i in np.linspace(0, len(found) - 1, min(PICTURES, len(found))).round().astype(int)]
+        for view, found in lists.items()
+    }
+    return {view: [(picture.name, picture.load_cropped()) for picture in found] for view, found in chosen.items()}
+
+
+def noise() -> list[tuple[str, UInt8Array]]:
+    """Return pictures of coloured squares, for a model without a data set."""
+    rng = np.random.default_rng(0)
+    squares = [rng.integers(0, 256, (12, 12, 3)).astype(np.uint8) for _ in range(2)]
+    return [
+        (f"a picture of squares {number}", square.repeat(32, axis=0).repeat(32, axis=1))
+        for number, square in enumerate(squares, 1)
+    ]
+
+
+def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Array]]) -> ModelFinding:
+    contract, names = model.contract, model.contract.names(view)
+    worst, without_cells = (0.0, "", ""), set(range(model.n_parts))
+    for name, picture in pictures:
+        try:
+            described = describe_picture(model, picture, view)
+        except LPNError as failure:
+            return ModelFinding(view, False, None, printable(str(failure)))
+        if described.trace is None:
+            continue
+        without_cells &= {part for part in range(model.n_parts) if not described.trace.cells[:, part].any()}
+        worst = max(worst, _worst(described, name, names))
+    on = f"on {len(pictures)} pictures"
+    if not contract.has_cells:
+        return ModelFinding(
+            view, True, None, f"It gives {model.n_parts} x {model.embedding} numbers {on}, and no cells to prove."
+        )
+    error, part, name = worst
+    if error > TOLERANCE:
+        return ModelFinding(
+            view,
+            False,
+            error,
+            f"Cells and constants of part {part} miss it by {error:.1g} of the largest value on {printable(name)}, and may by "
+            f"{TOLERANCE:g}; the contract leaves something out, such as a bias, a scale, or a layer that is not linear.",
+        )
+    lumps = ", ".join(names[part] for part in sorted(without_cells))
+    note = f" No cell belongs to {lumps}, a constant of each picture." if lumps else ""
+    return ModelFinding(
+        view,
+        True,
+        error,
+        f"Cells and constants add up to each part {on}, to {error:.1g} of the largest value (allowed: {TOLERANCE:g}).{note}",
+    )
+
+
+def _worst(described: DescribedPicture, name: str, names: Sequence[str]) -> tuple[float, str, str]:
+    assert described.trace is not None
+    errors = described.trace.errors()
+    part = int(np.argmax(errors))
+    return float(errors[part]), names[part], name

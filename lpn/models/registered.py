@@ -1,0 +1,50 @@
+"""Models of other packages: the entry points of the group `lpn.models`, see docs/contract.md."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from lpn.core.errors import LPNError, ModelFileError
+from lpn.core.files import printable
+from lpn.models.base import Model
+
+GROUP = "lpn.models"
+
+
+def open_registered(model: str) -> Model | None:
+    """Open the model that a package registers: "NAME", or "NAME:FILE" with a file of weights; None if no package does.
+
+    The entry point is a function, or a class, that returns a `Model`. It is called without an argument, or with the path of the
+    file.
+
+    Raises:
+        ModelFileError: if there is no such file, or what is registered does not return a model.
+    """
+    name, colon, file = model.partition(":")
+    point = next(iter(entry_points(group=GROUP, name=name)), None)
+    if point is None:
+        return None
+    if colon and not Path(file).is_file():
+        raise ModelFileError(f"There is no file {printable(file)} for the model {name}; check the path.")
+    opened = _call(point, [Path(file)] if colon else [])
+    if not isinstance(opened, Model):
+        raise ModelFileError(
+            f"The entry point {name} of {GROUP} returns a {type(opened).__name__}; it must return an lpn.Model."
+        )
+    return opened
+
+
+def _call(point: EntryPoint, arguments: list[Path]) -> Any:
+    try:
+        make: Callable[..., Any] = point.load()
+        return make(*arguments)
+    except LPNError:
+        raise
+    except Exception as error:  # another package's code may raise anything
+        reason = printable(str(error).strip().partition("\n")[0]) or type(error).__name__
+        raise ModelFileError(
+            f"The model {point.name} cannot be opened ({type(error).__name__}: {reason}); it is registered as {point.value}."
+        ) from error
