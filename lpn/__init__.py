@@ -81,7 +81,7 @@ if not TYPE_CHECKING:
 
 
 def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = False, kind: Kind | None = None) -> Model:
-    """Open a trained model: an `.onnx`, our `.safetensors`, a published `.pth` of LPN or another method, or one of another package.
+    """Open a trained model: an `.onnx`, our `.safetensors`, a published `.pth`, or a model of another package.
 
     An `.onnx` is an exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra
     `train`, and other methods than LPN and SDPL the extra `models`. "NAME" or "NAME:FILE" opens what a package registers in the
