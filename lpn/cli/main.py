@@ -14,6 +14,7 @@ from typing import Any
 import tyro
 
 import lpn
+from lpn.cli.compare import CompareCommand
 from lpn.cli.describe import DescribeCommand, GatherCommand
 from lpn.cli.doctor import DoctorCommand
 from lpn.cli.evaluate import EvaluateCommand
@@ -39,6 +40,7 @@ from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finis
 COMMANDS: dict[str, type[Any]] = {
     "train": TrainCommand,
     "evaluate": EvaluateCommand,
+    "compare": CompareCommand,
     "explain": ExplainCommand,
     "sweep": SweepCommand,
     "failures": FailuresCommand,

@@ -1,0 +1,115 @@
+"""The command compare: several models on the same queries and gallery."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+import lpn
+from lpn.core.resources import ProviderName
+from lpn.core.views import TaskName
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lpn.analysis.model_table import ModelTable
+
+
+@dataclass
+class CompareCommand:
+    """Compare two or more models on the same queries and gallery: figures with intervals, and paired tests."""
+
+    models: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Models (.onnx, .safetensors, .pth), or results of the published test code (pytorch_result.mat)."""
+    data: Path
+    """Data set in any layout of docs/data.md."""
+    task: TaskName | None = None
+    """Views of query and gallery; by default the first task of the data set."""
+    gallery: Literal["full", "without-distractors"] = "full"
+    """The gallery that all of them rank: full (as LPN and FSRA do), or without-distractors (as Sample4Geo and DAC do)."""
+    seed: int = 0
+    """Seed of the bootstrap."""
+    resamples: int = 1000
+    """Number of bootstrap resamples."""
+    provider: ProviderName = "auto"
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    markdown: Path | None = None
+    """File to write the tables to, as Markdown."""
+    csv: Path | None = None
+    """File to write one line a model to."""
+    json: Path | None = None
+    """File to write everything to, as JSON."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from lpn.analysis.model_table import compare, rank_model, rank_saved
+        from lpn.core.errors import InputError
+        from lpn.core.files import check_writable, write_atomic
+        from lpn.datasets import open_dataset
+        from lpn.descriptors import descriptor_reader
+        from lpn.retrieval.published_results import load_saved
+
+        outputs = {self.markdown: "markdown", self.csv: "csv", self.json: "json"}
+        for file in outputs:
+            if file is not None:
+                check_writable(file)
+        if len(self.models) < 2:
+            raise InputError(f"A comparison takes two models or more; found {len(self.models)}.")
+        dataset = open_dataset(self.data)
+        tasks = dataset.tasks()
+        task = self.task or (tasks[0] if tasks else "drone-to-satellite")
+        ranked = []
+        for file, name in zip(self.models, _names(self.models), strict=True):
+            if file.suffix.lower() == ".mat":
+                ranked.append(rank_saved(load_saved(file), name, dataset, task, self.gallery))
+            else:
+                model = lpn.load(file, self.provider)
+                ranked.append(rank_model(model, name, dataset, task, self.gallery, descriptor_reader(dataset.root)))
+        found = compare(ranked, self.seed, self.resamples)
+        _print(found, Console(width=max(120, Console().width)))
+        if self.markdown is not None:
+            write_atomic(self.markdown, found.to_markdown().encode())
+        if self.csv is not None:
+            write_atomic(self.csv, found.to_csv())
+        if self.json is not None:
+            write_atomic(self.json, (json.dumps(found.to_dict(), indent=1) + "\n").encode())
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """Return the file names, with as many folders above as it takes to tell them apart."""
+    from lpn.core.files import printable
+
+    depth, resolved = 1, [file.resolve() for file in files]
+    while depth < 10:
+        names = ["/".join(file.parts[-depth:]) for file in resolved]
+        if max(Counter(names).values()) == 1:
+            break
+        depth += 1
+    return [printable(name) for name in names]
+
+
+def _print(found: ModelTable, console: Console) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=f"{found.task}, {found.gallery_name}")
+    names = list(found.figures[0])
+    for name in ("model", *names):
+        table.add_column(name, justify="left" if name == "model" else "right")
+    for one, figures in zip(found.models, found.figures, strict=True):
+        table.add_row(Text(one.name), *map(str, figures.values()))
+    tests = Table(title="Queries that only one of two models finds first")
+    for name in ("A", "B", "only A", "only B", "both", "neither", "p"):
+        tests.add_column(name, justify="left" if name in "AB" else "right")
+    for test in found.tests:
+        counts = (test.only_first, test.only_second, test.both, test.neither)
+        tests.add_row(Text(test.first), Text(test.second), *map(str, counts), f"{test.p:.3g}")
+    console.print(table, tests)
+    console.print(found.sentence, markup=False, highlight=False)

@@ -1,0 +1,170 @@
+"""Statistics of compared models against sums written out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, chi2
+
+from lpn.analysis.model_table import RankedModel, compare, intervals, mcnemar, rank_saved
+from lpn.cli.main import main
+from lpn.core.errors import InputError
+from lpn.datasets import open_dataset
+from lpn.retrieval.published_results import PublishedResult
+from tools.fixtures import small_worlds
+
+
+def ranked(name: str, seed: int, queries: int = 30, places: int = 12, gallery: int = 40) -> RankedModel:
+    rng = np.random.default_rng(seed)
+    first = rng.integers(-1, 8, queries)
+    return RankedModel(
+        name,
+        "drone-to-satellite",
+        f"full gallery, {gallery}",
+        tuple(f"q{i}" for i in range(queries)),
+        frozenset(f"t{i}" for i in range(gallery)),
+        np.arange(queries) % places,
+        first,
+        np.where(first < 0, 0.0, rng.random(queries)),
+    )
+
+
+@pytest.mark.parametrize(("b", "c"), [(0, 0), (0, 1), (3, 3), (5, 1), (24, 4), (20, 6), (400, 350)])
+def test_mcnemar_is_the_binomial_test_where_few_differ(b: int, c: int) -> None:
+    p, exact = mcnemar(b, c)
+    assert exact
+    assert p == pytest.approx(1.0 if b + c == 0 else binomtest(min(b, c), b + c, 0.5).pvalue)
+    if b + c <= 6:
+        outcomes = [sum(draw) for draw in itertools.product((0, 1), repeat=b + c)]
+        as_far = [abs(2 * heads - (b + c)) >= abs(b - c) for heads in outcomes]
+        assert p == pytest.approx(sum(as_far) / len(outcomes))
+
+
+@pytest.mark.parametrize(("b", "c"), [(501, 500), (700, 600), (5000, 4000)])
+def test_mcnemar_is_chi_square_where_many_differ(b: int, c: int) -> None:
+    p, exact = mcnemar(b, c)
+    assert not exact
+    assert p == pytest.approx(chi2.sf((abs(b - c) - 1) ** 2 / (b + c), 1))
+    assert p == pytest.approx(binomtest(c, b + c, 0.5).pvalue, rel=0.02)
+
+
+def test_intervals_draw_places_with_all_their_queries() -> None:
+    rng = np.random.default_rng(5)
+    labels = np.array([7, 7, 7, 2, 2, 9, 4, 4, 4, 4])
+    values = (rng.random((2, 10)) < 0.5).astype(float)
+    found = intervals(values, labels, seed=3, resamples=200)
+    draws = np.random.default_rng(3)
+    places = [2, 4, 7, 9]
+    means = []
+    for _ in range(200):
+        chosen = [places[i] for i in draws.integers(4, size=4)]
+        rows = [row for place in chosen for row in np.flatnonzero(labels == place)]
+        means.append(values[:, rows].mean(axis=1))
+    for estimate, row, of_row in zip(found, values, np.array(means).T, strict=True):
+        assert estimate.value == pytest.approx(100 * row.mean())
+        assert (estimate.low, estimate.high) == pytest.approx(tuple(100 * np.quantile(of_row, (0.025, 0.975))))
+
+
+def test_intervals_hold_a_known_share() -> None:
+    hits = (np.arange(400) % 4 == 0).astype(float)
+    (estimate,) = intervals(hits[None], np.arange(400), seed=0, resamples=2000)
+    half = 100 * 1.96 * math.sqrt(0.25 * 0.75 / 400)
+    assert (estimate.value, estimate.low, estimate.high) == pytest.approx((25, 25 - half, 25 + half), abs=0.6)
+
+
+def test_a_comparison_counts_what_only_one_model_finds() -> None:
+    models = [ranked("a.onnx", 1), ranked("b.onnx", 2), ranked("c.mat", 3)]
+    shuffled = np.random.default_rng(0).permutation(30)
+    models[1] = models[1].in_order([f"q{i}" for i in shuffled])
+    found = compare(models, seed=4, resamples=50)
+    assert [(test.first, test.second) for test in found.tests] == [
+        ("a.onnx", "b.onnx"),
+        ("a.onnx", "c.mat"),
+        ("b.onnx", "c.mat"),
+    ]
+    hits = [{query for query, first in zip(one.queries, one.first, strict=True) if first == 0} for one in models]
+    for test, (a, b) in zip(found.tests, itertools.combinations(hits, 2), strict=True):
+        assert (test.only_first, test.only_second, test.both) == (len(a - b), len(b - a), len(a & b))
+        assert test.neither == 30 - len(a | b)
+        assert test.p == mcnemar(len(a - b), len(b - a))[0]
+    for one, figures in zip(models, found.figures, strict=True):
+        assert list(figures) == ["R@1", "R@5", "R@10", "AP"]
+        for depth in (1, 5, 10):
+            assert figures[f"R@{depth}"].value == pytest.approx(
+                100 * np.mean([0 <= first < depth for first in one.first])
+            )
+        assert figures["AP"].value == pytest.approx(100 * one.precision.mean())
+        assert all(e.low <= e.value <= e.high for e in figures.values())
+    again = compare(models, seed=4, resamples=50)
+    assert again.to_dict() == found.to_dict()
+    rows = list(csv.DictReader(io.StringIO(found.to_csv().decode())))
+    assert [row["model"] for row in rows] == ["a.onnx", "b.onnx", "c.mat"]
+    assert rows[1]["only this, not a.onnx"] == str(found.tests[0].only_second)
+    assert float(rows[2]["R@5 low"]) == pytest.approx(found.figures[2]["R@5"].low, abs=1e-4)
+    page = found.to_markdown()
+    assert f"| a.onnx | {found.figures[0]['R@1']} |" in page
+    assert f"| a.onnx | b.onnx | {found.tests[0].only_first} | {found.tests[0].only_second} |" in page
+    assert "seed 4" in page
+
+
+def test_galleries_tasks_and_queries_are_never_mixed() -> None:
+    one = ranked("a", 1)
+    other = ranked("b", 2)
+    for changed, message in (
+        (replace(other, gallery_name="without distractors, 40"), "full gallery, 40, and b the without distractors, 40"),
+        (
+            ranked("b", 2, gallery=39),
+            "full gallery, 40, and b the full gallery, 39; figures on two galleries do not compare",
+        ),
+        (replace(other, gallery=frozenset({"x", *list(other.gallery)[1:]})), "of other pictures"),
+        (replace(other, task="satellite-to-drone"), "compare models on one task"),
+        (ranked("b", 2, queries=29), "30 queries, and b 29"),
+        (replace(other, name="a"), "expected different names"),
+    ):
+        with pytest.raises(InputError, match=message):
+            compare([one, changed])
+    with pytest.raises(InputError, match="two models or more"):
+        compare([one])
+    with pytest.raises(InputError, match="expected a seed from 0"):
+        compare([one, other], resamples=0)
+
+
+def test_models_and_saved_results_compare_on_one_gallery(
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = small_worlds.make_dataset(tmp_path / "places", train=1, test=6)
+    (root / "test" / "query_drone" / "0004" / "image-01.png").unlink()
+    second = tmp_path / "other" / "model.onnx"
+    second.parent.mkdir()
+    second.write_bytes(model_file.read_bytes())
+    outputs = [tmp_path / f"table.{kind}" for kind in ("md", "csv", "json")]
+    options = ["--data", str(root), "--markdown", str(outputs[0]), "--csv", str(outputs[1]), "--json", str(outputs[2])]
+    assert main(["compare", str(model_file), str(second), *options]) == 0
+    found = json.loads(outputs[2].read_text())
+    assert (found["gallery"], found["queries"], found["bootstrap"]["seed"]) == ("full gallery, 6", 5, 0)
+    assert found["models"][0]["AP"] == found["models"][1]["AP"]
+    assert (found["tests"][0]["only_first"], found["tests"][0]["p"]) == (0, 1.0)
+    assert [one["name"] for one in found["models"]] == [f"{model_file.parent.name}/model.onnx", "other/model.onnx"]
+    assert main(["compare", str(model_file), str(second), "--data", str(root), "--gallery", "without-distractors"]) == 0
+    assert "without distractors, 5" in capsys.readouterr().out
+    dataset = open_dataset(root)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")[1:]
+    drawn = np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32)
+    paths = tuple(tuple(str(picture.path) for picture in pictures) for pictures in (queries, gallery))
+    labels = tuple(np.array([picture.label for picture in pictures]) for pictures in (queries, gallery))
+    saved = PublishedResult("r.mat", drawn[:5], labels[0], drawn[5:10], labels[1], *paths)
+    smaller = rank_saved(saved, "r.mat", dataset, "drone-to-satellite")
+    assert smaller.gallery_name == "full gallery, 5"
+    whole = replace(smaller, name="m", gallery_name="full gallery, 6", gallery=smaller.gallery | {"x"})
+    with pytest.raises(InputError, match="do not compare"):
+        compare([whole, smaller])
+    with pytest.raises(InputError, match="expected satellite-to-drone"):
+        rank_saved(saved, "r.mat", dataset, "satellite-to-drone")
