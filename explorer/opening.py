@@ -23,8 +23,9 @@ from lpn.datasets import open_dataset
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.flights import open_flight
 from lpn.index import open_index
+from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.shared import SharedIndex
-from lpn.index.task import DEPTH, dataset_queries, index_task, picture_queries
+from lpn.index.task import DEPTH, index_task
 from lpn.locate.index_queries import flight_queries
 from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress, locate, registered
 from lpn.locate.task import flight_task

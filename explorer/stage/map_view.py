@@ -137,6 +137,7 @@ class GalleryMap:
         points = [self._to_stage(point, 0.0) for point in around]
         if camera is not None and float(np.abs(camera - points[0]).max()) < _MAX_CAMERA_DISTANCE * self._scale:
             points.append(camera)
+        points = [point for point in points if np.isfinite(point).all()] or [self._to_stage(np.zeros(2), 0.0)]
         return oblique_view(np.array(points) - MAP_CENTRE, _MIN_VIEW * self._scale)
 
     def put_sign(self, viewpoint: Viewpoint, aspect: float) -> None:
@@ -166,10 +167,11 @@ class GalleryMap:
     def _show_tiles(self, analysis: StateAnalysis, places: GalleryGeometry, city: bool, lift: float) -> None:
         """Draw the ranked tiles as pictures on the ground, or as frames above the roofs."""
         for slot, plane in enumerate(self._tiles):
-            plane.handle.visible = slot < len(analysis.matches)
-            if not plane.handle.visible:
+            match = analysis.matches[slot] if slot < len(analysis.matches) else None
+            # Tiles of an index may lack a position.
+            plane.handle.visible = match is not None and bool(np.isfinite(places.ground[match.index]).all())
+            if match is None or not plane.handle.visible:
                 continue
-            match = analysis.matches[slot]
             colour = theme.verdict_colour(match.true)
             if city:
                 chosen = match.index == analysis.chosen.index
@@ -220,6 +222,7 @@ class GalleryMap:
             segments.append((start, chosen, theme.verdict_colour(analysis.chosen.true)))
         if camera is not None and truth is not None and not analysis.chosen.true:
             segments.append((camera, truth, theme.TRUE_COLOUR))
+        segments = [one for one in segments if np.isfinite(one[:2]).all()]
         self._lines.visible = bool(segments)
         if segments:
             self._lines.points = np.array([(a, b) for a, b, _ in segments], np.float32)
@@ -247,7 +250,7 @@ class GalleryMap:
         captions.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
         tile = captions.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
         draw.text((412, 222), tile, palette.dim, captions.font(24), anchor="rm")
-        if analysis.errors_m is not None:
+        if analysis.errors_m is not None and np.isfinite(analysis.errors_m[chosen.index]):
             colour = palette.ink(theme.verdict_colour(chosen.true))
             draw.text(
                 (228, 126), f"{analysis.errors_m[chosen.index]:,.0f} m off", colour, captions.font(40), anchor="mm"

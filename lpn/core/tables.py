@@ -178,14 +178,14 @@ class Table:
         return rows[start : start + max(count, 0)]
 
     def to_csv(self, rows: Int64Array) -> bytes:
-        """Return rows as CSV in UTF-8: path and all columns, unknown values empty.
+        """Return rows as CSV in UTF-8: path and all columns, unknown values empty, numbers above a column's limit as "> limit".
 
         A text that a spreadsheet would read as a formula (it begins with =, +, -, @, tab, or return) is prefixed with an
         apostrophe.
         """
         columns = list(self.columns.values())
         cells = [
-            [("" if np.isnan(v) else f"{v:.9g}") for v in column.values[rows]]
+            [_csv_number(v, column.limit) for v in column.values[rows].tolist()]
             if column.kind == "number"
             else [escape_formula(text) for text in column.values[rows]]
             for column in columns
@@ -195,6 +195,12 @@ class Table:
         writer.writerow(["path", *(escape_formula(column.name) for column in columns)])
         writer.writerows(zip((escape_formula(self.paths[row]) for row in rows), *cells, strict=True))
         return file.getvalue().encode("utf-8", "replace")
+
+
+def _csv_number(value: float, limit: float | None) -> str:
+    if np.isnan(value):
+        return ""
+    return f"{value:.9g}" if limit is None or value <= limit else f"> {limit:g}"
 
 
 def escape_formula(text: str) -> str:

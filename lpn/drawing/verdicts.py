@@ -27,8 +27,8 @@ def ordinal(rank: int) -> str:
 
 
 def describe_rank(match: Match) -> str:
-    """Return "12th", or "beyond the 100 nearest" where a search did not reach the tile."""
-    return f"beyond the {match.rank - 1} nearest" if match.beyond else ordinal(match.rank)
+    """Return "12th", or "not among the 100 found" where a search did not return the tile."""
+    return f"not among the {match.rank - 1} found" if match.beyond else ordinal(match.rank)
 
 
 def describe_position(cells: Float64Array, view: View) -> str:

@@ -53,7 +53,9 @@ class IndexRanking:
         first, true, false = (np.array([row[i] for row in self._rows], np.int64) for i in range(3))
         parts = np.array([row[3] for row in self._rows], np.float64).reshape(total, self._task.contract.n_parts)
         unknown = np.full(total, np.nan)
-        depth = None if self._task.search_depth >= self._task.tiles else self._task.search_depth
+        depth: int | None = self._task.search_depth
+        if depth == self._task.tiles and not (first == depth).any():
+            depth = None
         return IndexRetrieval(first, true, false, unknown, self._task.tiles, depth=depth, parts=parts)
 
     def _ranked(self, query: int) -> tuple[int, int, int, Float64Array]:
@@ -66,7 +68,7 @@ class IndexRanking:
         if positive is not None and negative is not None:
             parts = 2 * weights.astype(np.float64) * (positive.cosines.astype(np.float64) - negative.cosines)
         if positive is not None:
-            first = positive.rank - 1
+            first = task.search_depth if positive.beyond else positive.rank - 1
         else:  # where true tiles cannot be listed, one may follow beyond the depth
             listed = task.contains is None or ranking.relevant is None or ranking.depth is None
             first = -1 if listed else task.search_depth

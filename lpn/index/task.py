@@ -7,39 +7,35 @@ exact, as their descriptors are read by name, and their ranks are only known to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
-from lpn import descriptors
 from lpn.analysis import query_outcomes
-from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.analysis.query_outcomes import Outcomes
-from lpn.analysis.task import RankUnderWeights, Task, choose_task, offered_tasks
-from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
-from lpn.core.errors import DataError, InputError
+from lpn.analysis.task import RankUnderWeights, Task
+from lpn.core.arrays import BoolArray, Float32Array, Int64Array
+from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, Picture, Truth, geo
-from lpn.datasets.base import checked_path
+from lpn.datasets import Picture, Truth
 from lpn.datasets.geo import Position
-from lpn.drawing import captions
 from lpn.explain.counterfactual import Effect
-from lpn.index.base import SearchResult, check_count
+from lpn.index.base import ID_LENGTH, check_count
 from lpn.index.gallery import IndexGallery
+from lpn.index.ground import IndexGeometry, IndexGround, ground_of, probes
+from lpn.index.queries import IndexQueries
 from lpn.index.ranking import IndexRanking, IndexRetrieval
 from lpn.index.shared import SharedIndex
-from lpn.maps import Map, NamedWindow
-from lpn.maps.named_window import WindowCut, covers_part_of, describe_place
-from lpn.models.base import Model, normalise
+from lpn.index.tile_pictures import TilePlaceholder, tile_picture
+from lpn.maps import Map
+from lpn.models.base import Model
 from lpn.retrieval import Ranking, scoring
-from lpn.retrieval.metrics import JUNK, Retrieval
+from lpn.retrieval.metrics import Retrieval
 
 # Number of tiles that a search returns by default.
 DEPTH = 100
@@ -47,104 +43,6 @@ DEPTH = 100
 MIN_DEPTH = 10
 # Labels of tiles that no data set names begin here.
 _NO_PLACE = 1 << 40
-_PLACEHOLDER = 256
-# Searches by drawn descriptors that show where an index's tiles lie, and how large windows are.
-_PROBES = 2
-_PROBED = 100
-# Gallery pictures by which the described folder is found.
-_SAMPLE = 50
-# Share of the width of a map without a raster that is added on each side.
-_BORDER = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class IndexQueries:
-    """The queries of a task over an index.
-
-    Attributes:
-        name: of the task, such as "drone-to-satellite".
-        data_name: to display.
-        root: folder of the pictures; a person's notes are kept there.
-        pictures: the queries.
-        descriptors: (Q, n, D).
-        places: what each query shows; None if no position is known.
-        true: names of each query's true tiles in the index, none where `contains` finds them; None for a query whose place is not
-            known, and in place of all if none is.
-        junk: names of tiles that are left out of each query's ranking; empty for none.
-        contains: returns which tiles, given by name, show a query's place, (K,), where the true tiles cannot be listed.
-        tiles: pictures of tiles that the data set knows, by their names in the index.
-        folders: where the pictures of other tiles are looked for, by their names.
-    """
-
-    name: str
-    data_name: str
-    root: Path
-    pictures: Sequence[Picture]
-    descriptors: Float32Array
-    places: Sequence[Position | None] | None = None
-    true: Sequence[Sequence[str] | None] | None = None
-    junk: Sequence[Sequence[str]] = ()
-    contains: Callable[[int, Sequence[str]], BoolArray] | None = None
-    tiles: Mapping[str, Picture] = field(default_factory=dict)
-    folders: Sequence[Path] = ()
-
-
-@dataclass(frozen=True)
-class TilePlaceholder:
-    """Stands for the picture of a tile that is not at hand: plain grey with the tile's name.
-
-    Attributes:
-        reason: why there is no picture, as a sentence.
-    """
-
-    name: str
-    reason: str
-
-    def __call__(self) -> UInt8Array:
-        """Draw the placeholder, (256, 256, 3)."""
-        image, draw = captions.caption(_PLACEHOLDER, _PLACEHOLDER)
-        draw.rectangle((0, 0, _PLACEHOLDER, _PLACEHOLDER), fill=(60, 60, 60))
-        lines = ["no picture", *(self.name[i : i + 22] for i in range(0, min(len(self.name), 66), 22))]
-        for i, line in enumerate(lines):
-            draw.text(
-                (128, 128 + 26 * (i - (len(lines) - 1) / 2)), line, (190, 190, 190), captions.font(20), anchor="mm"
-            )
-        return np.asarray(image)
-
-
-@dataclass(frozen=True, eq=False)
-class IndexGeometry(GalleryGeometry):
-    """The positions of an index's tiles that were seen; the borders stay as they are while tiles are added.
-
-    Attributes:
-        borders: west, south, east, north in metres from the origin.
-    """
-
-    borders: tuple[float, float, float, float]
-
-    def bounds(self) -> tuple[float, float, float, float]:
-        return self.borders
-
-
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """Where the tiles of an index lie; `frame` is a map's, whose metres are exact."""
-
-    origin: Position
-    width: float
-    borders: tuple[float, float, float, float]
-    town: Map | None
-
-    def geometry(self, places: Sequence[Position | None], gallery: IndexGallery) -> IndexGeometry:
-        degrees = gallery.degrees()
-        tiles = [
-            Position(latitude, longitude, width=_window_size(gallery.name_of(i)))
-            for i, (latitude, longitude) in enumerate(degrees.tolist())
-        ]
-        ground = (
-            geo.on_plane(tiles, self.origin) if self.town is None else self.town.frame.xy(degrees[:, 0], degrees[:, 1])
-        )
-        return IndexGeometry(places, tiles, self.origin, ground, self.width, self.borders)
 
 
 class _Snapshots:
@@ -154,7 +52,7 @@ class _Snapshots:
         self._newest: tuple[int, Int64Array, IndexGeometry | None] | None = None
 
     def get(
-        self, gallery: IndexGallery, ground: _Ground | None, places: Sequence[Position | None]
+        self, gallery: IndexGallery, ground: IndexGround | None, places: Sequence[Position | None]
     ) -> tuple[Int64Array, IndexGeometry | None]:
         version, newest = gallery.version, self._newest
         if newest is None or newest[0] != version:
@@ -181,7 +79,7 @@ class IndexTask(Task):
     search_depth: int
     snapshots: _Snapshots
     contains: Callable[[int, Sequence[str]], BoolArray] | None = None
-    ground: _Ground | None = None
+    ground: IndexGround | None = None
     no_map: str = ""
     town: Map | None = None
 
@@ -213,7 +111,7 @@ class IndexTask(Task):
     def find_tile(self, name: str) -> int | None:
         """Return the gallery position of a tile by its name in the index; None if the index has no such tile."""
         place = self.seen.find(name)
-        if place is None and 0 < len(name) <= 512 and self.index.holds([name])[0]:
+        if place is None and 0 < len(name) <= ID_LENGTH and self.index.holds([name])[0]:
             place = int(self.seen.add([name])[0])
         return place
 
@@ -269,10 +167,6 @@ class IndexTask(Task):
             if self.contains is not None:
                 relevant[places] = self.contains(query, [self.seen.name_of(i) for i in places.tolist()])
         return Ranking(cosines, weights, all_scores, places, relevant, lengths, depth)
-
-    def resumable_ranking(self) -> IndexRanking:
-        """Return the ranking of all queries, one search each."""
-        return IndexRanking(self)
 
     @cached_property
     def outcomes(self) -> Outcomes:
@@ -348,7 +242,7 @@ def index_task(
     def make_picture(name: str, place: int) -> Picture:
         if (listed := queries.tiles.get(name)) is not None:
             return listed
-        return _picture(name, _NO_PLACE + place, queries.root, queries.folders, town, max(model.input_size))
+        return tile_picture(name, _NO_PLACE + place, queries.root, queries.folders, town, max(model.input_size))
 
     gallery = IndexGallery(make_picture)
     none = np.zeros(0, np.int64)
@@ -358,7 +252,7 @@ def index_task(
         junk = np.sort(gallery.add(queries.junk[i])) if queries.junk else none
         truth.append(Truth(np.sort(gallery.add(names)) if names else none, junk, known=names is not None))
     places = queries.places or [None] * len(queries.pictures)
-    ground, no_map = _ground(_probes(index, model), places, town)
+    ground, no_map = ground_of(probes(index, model), places, town)
     return IndexTask(
         name=queries.name,
         model=model,
@@ -377,176 +271,10 @@ def index_task(
         geometry=None if ground is None else ground.geometry(places, gallery),
         index=index,
         seen=gallery,
-        search_depth=min(depth, index.tiles),
+        search_depth=min(depth, index.tiles, index.index.most or depth),
         snapshots=_Snapshots(),
         contains=queries.contains,
         ground=ground,
         no_map=no_map,
         town=town,
     )
-
-
-def window_sizes(index: SharedIndex, model: Model) -> list[float]:
-    """Return the sides in metres of some windows that an index holds, ascending; empty if its tiles are no windows."""
-    names = [name for one in _probes(index, model) for name in one.ids]
-    return sorted({size for name in names if (size := _window_size(name)) is not None})
-
-
-def _window_size(name: str) -> float | None:
-    window = NamedWindow.parse(name)
-    return None if window is None else window.size
-
-
-def _picture(name: str, label: int, root: Path, folders: Sequence[Path], town: Map | None, pixels: int) -> Picture:
-    """Return the picture of a tile that no data set lists: cut from the map, read from a folder, or a placeholder."""
-    window, shown = NamedWindow.parse(name), printable(name)
-    if window is not None and town is not None:
-        place = window.on(town.frame)
-        if covers_part_of(town, place):
-            return Picture(root / "windows" / name, label, describe_place(place), cut=WindowCut(town, place, pixels))
-        reason = f"the window lies outside the map {printable(town.name)}."
-    elif window is not None:
-        reason = "it is a window of a map; give that map as --map."
-    else:
-        with suppress(DataError, OSError):
-            for folder in folders:
-                if (file := folder / checked_path(name, "The index")).is_file():
-                    return Picture(file, label, shown)
-        reason = "no file of this name is at hand; give the folder that was described as --data."
-    return Picture(root / "index" / str(label), label, shown, cut=TilePlaceholder(shown, reason))
-
-
-def _probes(index: SharedIndex, model: Model) -> list[SearchResult]:
-    """Search with drawn descriptors: their results show what tiles an index holds."""
-    rng = np.random.default_rng(0)
-    shape = (_PROBES, model.n_parts, model.embedding)
-    return [index.search(one, None, _PROBED) for one in normalise(rng.standard_normal(shape).astype(np.float32))]
-
-
-def _ground(
-    found: Sequence[SearchResult], places: Sequence[Position | None], town: Map | None
-) -> tuple[_Ground | None, str]:
-    """Return where tiles lie, and why that is not known, as a sentence."""
-    degrees = np.concatenate([one.positions for one in found])
-    if np.isnan(degrees).any():
-        return None, "The index has tiles without a position, so there is no map; lpn index --data adds positions."
-    sizes = [size for one in found for name in one.ids if (size := _window_size(name)) is not None]
-    if town is not None:
-        xy = town.frame.xy(degrees[:, 0], degrees[:, 1])
-        west, south, east, north = town.bounds
-        inside = (xy[:, 0] >= west) & (xy[:, 0] <= east) & (xy[:, 1] >= south) & (xy[:, 1] <= north)
-        if not inside.any():
-            raise InputError(
-                f"None of {len(xy)} tiles of the index lies on the map {printable(town.name)}; give the map that was described."
-            )
-        origin = Position(town.frame.latitude, town.frame.longitude)
-        width = float(np.median(sizes)) if sizes else max(east - west, north - south) / 20
-        return _Ground(origin, width, town.bounds, town), ""
-    tiles = [Position(*row) for row in np.unique(degrees, axis=0).tolist()]
-    known = [*tiles, *(place for place in places if place is not None)]
-    layout = GalleryGeometry.of([], known)
-    width = float(np.median(sizes)) if sizes else GalleryGeometry.of([], tiles).width
-    west, south, east, north = layout.bounds()
-    pad = _BORDER * max(east - west, north - south)
-    return _Ground(layout.origin, width, (west - pad, south - pad, east + pad, north + pad), None), ""
-
-
-def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> IndexQueries:
-    """Return the test queries of a data set whose gallery an index holds: of the task of which it holds most pictures.
-
-    The names in the index are paths below the folder that was described, which is the data set's or one below it. Where it
-    holds none of the gallery, the queries' places are not known.
-
-    Raises:
-        LPNError: when the data set has no task that the model knows, or cannot be read.
-    """
-    offered = offered_tasks(model, dataset) or [choose_task(model, dataset)]
-    sides = [(name, *_names_held(index, dataset.root, dataset.gallery(views_of(name)[1]))) for name in offered]
-    name, folder, held = max(sides, key=lambda side: len(side[2]))
-    view, model = views_of(name)[0], model.for_task(*views_of(name))
-    queries, lists = dataset.queries(view), dataset.truth(name)
-    positions = geo.positions(dataset.root)
-    by_label: dict[int, list[str]] = {}
-    for tile, (_, picture) in held.items():
-        by_label.setdefault(picture.label, []).append(tile)
-    true: list[Sequence[str] | None]
-    junk: list[Sequence[str]] = []
-    if not held:
-        true = [None] * len(queries)
-    elif lists is None:
-        common = by_label.pop(JUNK, [])
-        true = [by_label.get(query.label, ()) for query in queries]
-        junk = [common] * len(queries) if common else []
-    else:
-        names = {place: tile for tile, (place, _) in held.items()}
-        true = [[names[i] for i in one.good.tolist() if i in names] if one.known else None for one in lists]
-        junk = [[names[i] for i in one.junk.tolist() if i in names] for one in lists]
-    return IndexQueries(
-        name=name,
-        data_name=printable(dataset.root.resolve().name),
-        root=dataset.root,
-        pictures=queries,
-        descriptors=descriptors.shipped_or_cached(model, queries, view, dataset.root, "query").descriptors,
-        places=None if positions is None else positions.of(queries),
-        true=true,
-        junk=junk,
-        tiles={tile: picture for tile, (_, picture) in held.items()},
-        folders=(dataset.root / folder, dataset.root) if folder else (dataset.root,),
-    )
-
-
-def picture_queries(model: Model, folder: Path, tiles: Path | None = None) -> IndexQueries:
-    """Return plain pictures below a folder as queries, whose places are not known.
-
-    Args:
-        tiles: folder that the tiles' names are relative to; None if their pictures are not at hand.
-
-    Raises:
-        LPNError: when there are no pictures, or one cannot be read.
-    """
-    files = descriptors.pictures_below(folder)
-    pictures = [
-        Picture(file, i, printable(file.relative_to(folder).with_suffix("").as_posix())) for i, file in enumerate(files)
-    ]
-    positions = geo.positions(folder)
-    name = view_pair(model)
-    return IndexQueries(
-        name=name,
-        data_name=printable(folder.resolve().name),
-        root=folder,
-        pictures=pictures,
-        descriptors=descriptors.cached_descriptors(model.for_task(*views_of(name)), pictures, views_of(name)[0]),
-        places=None if positions is None else positions.match(geo.names_below(folder, pictures)),
-        folders=() if tiles is None else (tiles,),
-    )
-
-
-def view_pair(model: Model) -> str:
-    """Return the task of pictures that no data set lists: from the drone's view to the satellite's, if the model has them."""
-    query = "drone" if "drone" in model.views else model.views[-1]
-    return f"{query}-to-{'satellite' if 'satellite' in model.views else model.views[0]}"
-
-
-def _names_held(
-    index: SharedIndex, root: Path, gallery: Sequence[Picture]
-) -> tuple[str, dict[str, tuple[int, Picture]]]:
-    """Return the folder below the root that the names in an index are relative to, and the gallery pictures that it holds.
-
-    The pictures, with their positions in the gallery, are keyed by their names in the index.
-    """
-    paths = geo.names_below(root, gallery)
-    parts = paths[0].split("/")[:-1]
-    folders = ["/".join(parts[:depth]) for depth in range(len(parts) + 1)]
-    sample = paths[:: max(1, len(paths) // _SAMPLE)]
-    counts = [int(index.holds(_below(folder, sample)).sum()) for folder in folders]
-    folder = folders[int(np.argmax(counts))]
-    start = len(folder) + 1 if folder else 0
-    inside = [i for i, path in enumerate(paths) if path.startswith(f"{folder}/" if folder else "")]
-    names = [paths[i][start:] for i in inside]
-    held = index.holds(names)
-    return folder, {names[j]: (inside[j], gallery[inside[j]]) for j in np.flatnonzero(held).tolist()}
-
-
-def _below(folder: str, paths: Sequence[str]) -> list[str]:
-    start = f"{folder}/" if folder else ""
-    return [path[len(start) :] for path in paths if path.startswith(start)]

@@ -16,8 +16,9 @@ from lpn.datasets.geo import Position
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, TurnedFrame, cut_size
+from lpn.index.ground import window_sizes
+from lpn.index.queries import IndexQueries, view_pair
 from lpn.index.shared import SharedIndex
-from lpn.index.task import IndexQueries, view_pair, window_sizes
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map, NamedWindow
 from lpn.models.base import Model

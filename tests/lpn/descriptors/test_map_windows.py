@@ -25,7 +25,7 @@ def town(tmp_path: Path) -> Map:
 
 
 def _windows(town: Map) -> list[NamedWindow]:
-    return NamedWindow.all_of(town.pyramid([30.0], 0.5), town.frame)
+    return NamedWindow.all_of(town.pyramid([40.0], 0.5), town.frame)
 
 
 def test_windows_are_described_once_and_a_killed_run_resumes(
@@ -68,7 +68,7 @@ def test_a_map_is_described_indexed_and_searched(town: Map, model_file: Path, tm
         assert main([str(argument) for argument in arguments]) == 0
 
     model = ("--model", model_file)
-    run("describe", *model, "--map", tmp_path / "town.tif", "--size", 30, "--overlap", 0.5, "--out", tmp_path / "store")
+    run("describe", *model, "--map", tmp_path / "town.tif", "--size", 40, "--overlap", 0.5, "--out", tmp_path / "store")
     run("index", "--descriptors", tmp_path / "store", "--out", tmp_path / "index")
     windows = _windows(town)
     assert [row.file for row in open_store(tmp_path / "store").manifest.rows] == [window.name for window in windows]

@@ -9,6 +9,7 @@ from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain.counterfactual import Effect, PositiveRank, RanksWithoutParts, Reweighting
 from lpn.explain.sweeps import Point, SweepResult
+from lpn.retrieval import Match
 
 
 def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> RanksWithoutParts:
@@ -65,3 +66,25 @@ def test_the_margin_names_the_decisive_part() -> None:
     assert leads == "The true tile leads by 0.200 (d²); part a does most of it (+0.300)."
     trails = verdicts.describe_margin(np.array([0.1, -0.3]), ["a", "b"], "this tile")
     assert trails == "This tile is 0.200 (d²) behind; part b costs it most (-0.300)."
+
+
+def match(rank: int, shares: tuple[float, float], true: bool, beyond: bool = False) -> Match:
+    cosines = 1 - np.array(shares, np.float32)
+    distance2 = float(sum(shares))
+    return Match(rank, rank, 1 - distance2 / 2, distance2, None, cosines, np.array(shares, np.float32), true, beyond)
+
+
+def test_a_true_tile_beyond_the_searched_depth_has_no_rank() -> None:
+    first, far = match(1, (0.1, 0.2), False), match(101, (0.4, 0.3), True, beyond=True)
+    assert (first.rank_text, far.rank_text) == ("1", "> 100")
+    assert verdicts.describe_rank(first) == "1st"
+    verdict = verdicts.verdict(first, far, first, ["a", "b"])
+    assert verdict[:2] == (False, "Wrong: the true tile is not among the 100 found")
+    assert "0.400 (d²) behind the top match; part a costs it most" in verdict[2]
+
+
+def test_a_true_tile_that_an_approximate_search_missed_is_told() -> None:
+    first, missed = match(1, (0.1, 0.2), False), match(101, (0.1, 0.05), True, beyond=True)
+    verdict = verdicts.verdict(first, missed, first, ["a", "b"])
+    assert verdict[:2] == (False, "Missed: the search did not return the true tile")
+    assert "lead the top match by 0.150" in verdict[2]

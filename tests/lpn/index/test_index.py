@@ -153,6 +153,13 @@ def test_every_index_keeps_what_it_was_given(make: Callable[[], Index]) -> None:
         assert index.count() == 120
         for box in (None, BOXES[1]):
             tiles.check(index.search(query, [1, 2, 3, 4], 1000, box), query, [1, 2, 3, 4], 1000, box)
+        some = [100, 3, 40, 89]  # of several segments, some of them replaced
+        vectors, positions = index.read([tiles.names[i] for i in some])
+        np.testing.assert_array_equal(vectors, tiles.descriptors[some])
+        np.testing.assert_array_equal(positions, tiles.positions[some])
+        assert [len(found) for found in index.read([])] == [0, 0]
+        with pytest.raises(InputError, match="has no tile none"):
+            index.read([tiles.names[0], "none"])
 
 
 def test_names_of_all_kinds_come_back(make: Callable[[], Index]) -> None:

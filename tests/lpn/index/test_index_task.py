@@ -13,9 +13,11 @@ from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import Task, open_task
 from lpn.core.errors import InputError, StoreError
 from lpn.datasets import open_dataset
+from lpn.drawing import verdicts
 from lpn.index import Engine, Kind, SearchResult, create_index
+from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.shared import SharedIndex
-from lpn.index.task import IndexTask, dataset_queries, index_task, picture_queries
+from lpn.index.task import IndexTask, index_task
 from lpn.models.base import Model
 from tools.fixtures import small_worlds
 
@@ -73,7 +75,7 @@ def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: 
     assert "to depth 12 of 30 tiles" in task.gallery_description
     by_index, in_memory = _analyser(model), _analyser(model)
     beyond = 0
-    for query in range(0, PLACES, 4):
+    for query in range(0, PLACES, 8):
         for weights in (None, (0.0, 1.0, 0.5, 0.0)):
             request = QueryRequest(query, weights=weights)
             found, wanted = by_index.analyse(task, request, 10), in_memory.analyse(whole, request, 10)
@@ -233,4 +235,29 @@ def test_an_index_of_other_tiles_leaves_the_places_unknown(tmp_path: Path, whole
     task = index_task(model, "m", shared, dataset_queries(model, open_dataset(whole.root), shared))
     assert not task.metrics["queries"]
     assert (task.outcomes.rank == -1).all()
+    index.close()
+
+
+def test_a_search_that_returns_fewer_tiles_than_its_depth_invents_no_rank(
+    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index = _index(tmp_path / "index", whole)
+    task = index_task(model, "m", index, dataset_queries(model, open_dataset(whole.root), index), DEPTH)
+    search = SharedIndex.search
+
+    def poor(self: SharedIndex, query: object, weights: object, k: int, background: bool = False) -> SearchResult:
+        """Return every second of the nearest, as an approximate search could."""
+        found = search(self, query, weights, k, background)  # type: ignore[arg-type]
+        return SearchResult(found.ids[1::2], found.scores[1::2], found.vectors[1::2], found.positions[1::2])
+
+    monkeypatch.setattr(SharedIndex, "search", poor)
+    ranks = np.asarray(whole.outcomes.rank)
+    returned = (ranks < DEPTH) & (ranks % 2 == 1)
+    assert returned.any()
+    np.testing.assert_array_equal(task.outcomes.rank, np.where(returned, ranks // 2, DEPTH))
+    missed = int(np.flatnonzero(ranks == 0)[0])
+    analysis = _analyser(model).analyse(task, QueryRequest(missed), 10)
+    assert analysis.positive is not None
+    assert analysis.positive.rank_text == "> 6"
+    assert verdicts.verdict(analysis.matches[0], analysis.positive, None, "abcd")[1].startswith("Missed")
     index.close()

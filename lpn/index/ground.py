@@ -1,0 +1,106 @@
+"""Where the tiles of an index lie: positions in metres, for errors and maps, of tiles that searches return."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn.analysis.gallery_geometry import GalleryGeometry
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.datasets import geo
+from lpn.datasets.geo import Position
+from lpn.index.base import SearchResult
+from lpn.index.gallery import IndexGallery
+from lpn.index.shared import SharedIndex
+from lpn.maps import Map, NamedWindow
+from lpn.models.base import Model, normalise
+
+# Searches by drawn descriptors that show where an index's tiles lie, and how large windows are.
+_PROBES = 2
+_PROBED = 100
+# Share of the width of a map without a raster that is added on each side.
+_BORDER = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class IndexGeometry(GalleryGeometry):
+    """The positions of an index's tiles that were seen; the borders stay as they are while tiles are added.
+
+    Attributes:
+        borders: west, south, east, north in metres from the origin.
+    """
+
+    borders: tuple[float, float, float, float]
+
+    def bounds(self) -> tuple[float, float, float, float]:
+        return self.borders
+
+
+@dataclass(frozen=True, eq=False)
+class IndexGround:
+    """Where the tiles of an index lie; `frame` is a map's, whose metres are exact."""
+
+    origin: Position
+    width: float
+    borders: tuple[float, float, float, float]
+    town: Map | None
+
+    def geometry(self, places: Sequence[Position | None], gallery: IndexGallery) -> IndexGeometry:
+        degrees = gallery.degrees()
+        tiles = [
+            Position(latitude, longitude, width=_window_size(gallery.name_of(i)))
+            for i, (latitude, longitude) in enumerate(degrees.tolist())
+        ]
+        ground = (
+            geo.on_plane(tiles, self.origin) if self.town is None else self.town.frame.xy(degrees[:, 0], degrees[:, 1])
+        )
+        return IndexGeometry(places, tiles, self.origin, ground, self.width, self.borders)
+
+
+def ground_of(
+    found: Sequence[SearchResult], places: Sequence[Position | None], town: Map | None
+) -> tuple[IndexGround | None, str]:
+    """Return where tiles lie, and why that is not known, as a sentence."""
+    degrees = np.concatenate([one.positions for one in found])
+    if np.isnan(degrees).any():
+        return None, "The index has tiles without a position, so there is no map; lpn index --data adds positions."
+    sizes = [size for one in found for name in one.ids if (size := _window_size(name)) is not None]
+    if town is not None:
+        xy = town.frame.xy(degrees[:, 0], degrees[:, 1])
+        west, south, east, north = town.bounds
+        inside = (xy[:, 0] >= west) & (xy[:, 0] <= east) & (xy[:, 1] >= south) & (xy[:, 1] <= north)
+        if not inside.any():
+            raise InputError(
+                f"None of {len(xy)} tiles of the index lies on the map {printable(town.name)}; give the map that was described."
+            )
+        origin = Position(town.frame.latitude, town.frame.longitude)
+        width = float(np.median(sizes)) if sizes else max(east - west, north - south) / 20
+        return IndexGround(origin, width, town.bounds, town), ""
+    tiles = [Position(*row) for row in np.unique(degrees, axis=0).tolist()]
+    known = [*tiles, *(place for place in places if place is not None)]
+    layout = GalleryGeometry.of([], known)
+    width = float(np.median(sizes)) if sizes else GalleryGeometry.of([], tiles).width
+    west, south, east, north = layout.bounds()
+    pad = _BORDER * max(east - west, north - south)
+    return IndexGround(layout.origin, width, (west - pad, south - pad, east + pad, north + pad), None), ""
+
+
+def window_sizes(index: SharedIndex, model: Model) -> list[float]:
+    """Return the sides in metres of some windows that an index holds, ascending; empty if its tiles are no windows."""
+    names = [name for one in probes(index, model) for name in one.ids]
+    return sorted({size for name in names if (size := _window_size(name)) is not None})
+
+
+def probes(index: SharedIndex, model: Model) -> list[SearchResult]:
+    """Search with drawn descriptors: their results show what tiles an index holds."""
+    rng = np.random.default_rng(0)
+    shape = (_PROBES, model.n_parts, model.embedding)
+    return [index.search(one, None, _PROBED) for one in normalise(rng.standard_normal(shape).astype(np.float32))]
+
+
+def _window_size(name: str) -> float | None:
+    window = NamedWindow.parse(name)
+    return None if window is None else window.size

@@ -1,0 +1,156 @@
+"""The queries of a task over an index: those of a data set whose gallery it holds, or plain pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lpn import descriptors
+from lpn.analysis.task import choose_task, offered_tasks
+from lpn.core.arrays import BoolArray, Float32Array
+from lpn.core.files import printable
+from lpn.core.views import views_of
+from lpn.datasets import Dataset, Picture, geo
+from lpn.datasets.geo import Position
+from lpn.index.shared import SharedIndex
+from lpn.models.base import Model
+from lpn.retrieval.metrics import JUNK
+
+# Gallery pictures by which the described folder is found.
+_SAMPLE = 50
+
+
+@dataclass(frozen=True, eq=False)
+class IndexQueries:
+    """The queries of a task over an index.
+
+    Attributes:
+        name: of the task, such as "drone-to-satellite".
+        data_name: to display.
+        root: folder of the pictures; a person's notes are kept there.
+        pictures: the queries.
+        descriptors: (Q, n, D).
+        places: what each query shows; None if no position is known.
+        true: names of each query's true tiles in the index, none where `contains` finds them; None for a query whose place is not
+            known, and in place of all if none is.
+        junk: names of tiles that are left out of each query's ranking; empty for none.
+        contains: returns which tiles, given by name, show a query's place, (K,), where the true tiles cannot be listed.
+        tiles: pictures of tiles that the data set knows, by their names in the index.
+        folders: where the pictures of other tiles are looked for, by their names.
+    """
+
+    name: str
+    data_name: str
+    root: Path
+    pictures: Sequence[Picture]
+    descriptors: Float32Array
+    places: Sequence[Position | None] | None = None
+    true: Sequence[Sequence[str] | None] | None = None
+    junk: Sequence[Sequence[str]] = ()
+    contains: Callable[[int, Sequence[str]], BoolArray] | None = None
+    tiles: Mapping[str, Picture] = field(default_factory=dict)
+    folders: Sequence[Path] = ()
+
+
+def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> IndexQueries:
+    """Return the test queries of a data set whose gallery an index holds: of the task of which it holds most pictures.
+
+    The names in the index are paths below the folder that was described, which is the data set's or one below it. Where it
+    holds none of the gallery, the queries' places are not known.
+
+    Raises:
+        LPNError: when the data set has no task that the model knows, or cannot be read.
+    """
+    offered = offered_tasks(model, dataset) or [choose_task(model, dataset)]
+    sides = [(name, *_names_held(index, dataset.root, dataset.gallery(views_of(name)[1]))) for name in offered]
+    name, folder, held = max(sides, key=lambda side: len(side[2]))
+    view, model = views_of(name)[0], model.for_task(*views_of(name))
+    queries, lists = dataset.queries(view), dataset.truth(name)
+    positions = geo.positions(dataset.root)
+    by_label: dict[int, list[str]] = {}
+    for tile, (_, picture) in held.items():
+        by_label.setdefault(picture.label, []).append(tile)
+    true: list[Sequence[str] | None]
+    junk: list[Sequence[str]] = []
+    if not held:
+        true = [None] * len(queries)
+    elif lists is None:
+        common = by_label.pop(JUNK, [])
+        true = [by_label.get(query.label, ()) for query in queries]
+        junk = [common] * len(queries) if common else []
+    else:
+        names = {place: tile for tile, (place, _) in held.items()}
+        true = [[names[i] for i in one.good.tolist() if i in names] if one.known else None for one in lists]
+        junk = [[names[i] for i in one.junk.tolist() if i in names] for one in lists]
+    return IndexQueries(
+        name=name,
+        data_name=printable(dataset.root.resolve().name),
+        root=dataset.root,
+        pictures=queries,
+        descriptors=descriptors.shipped_or_cached(model, queries, view, dataset.root, "query").descriptors,
+        places=None if positions is None else positions.of(queries),
+        true=true,
+        junk=junk,
+        tiles={tile: picture for tile, (_, picture) in held.items()},
+        folders=(dataset.root / folder, dataset.root) if folder else (dataset.root,),
+    )
+
+
+def picture_queries(model: Model, folder: Path, tiles: Path | None = None) -> IndexQueries:
+    """Return plain pictures below a folder as queries, whose places are not known.
+
+    Args:
+        tiles: folder that the tiles' names are relative to; None if their pictures are not at hand.
+
+    Raises:
+        LPNError: when there are no pictures, or one cannot be read.
+    """
+    files = descriptors.pictures_below(folder)
+    pictures = [
+        Picture(file, i, printable(file.relative_to(folder).with_suffix("").as_posix())) for i, file in enumerate(files)
+    ]
+    positions = geo.positions(folder)
+    name = view_pair(model)
+    return IndexQueries(
+        name=name,
+        data_name=printable(folder.resolve().name),
+        root=folder,
+        pictures=pictures,
+        descriptors=descriptors.cached_descriptors(model.for_task(*views_of(name)), pictures, views_of(name)[0]),
+        places=None if positions is None else positions.match(geo.names_below(folder, pictures)),
+        folders=() if tiles is None else (tiles,),
+    )
+
+
+def view_pair(model: Model) -> str:
+    """Return the task of pictures that no data set lists: from the drone's view to the satellite's, if the model has them."""
+    query = "drone" if "drone" in model.views else model.views[-1]
+    return f"{query}-to-{'satellite' if 'satellite' in model.views else model.views[0]}"
+
+
+def _names_held(
+    index: SharedIndex, root: Path, gallery: Sequence[Picture]
+) -> tuple[str, dict[str, tuple[int, Picture]]]:
+    """Return the folder below the root that the names in an index are relative to, and the gallery pictures that it holds.
+
+    The pictures, with their positions in the gallery, are keyed by their names in the index.
+    """
+    paths = geo.names_below(root, gallery)
+    parts = paths[0].split("/")[:-1]
+    folders = ["/".join(parts[:depth]) for depth in range(len(parts) + 1)]
+    sample = paths[:: max(1, len(paths) // _SAMPLE)]
+    counts = [int(index.holds(_below(folder, sample)).sum()) for folder in folders]
+    folder = folders[int(np.argmax(counts))]
+    start = len(folder) + 1 if folder else 0
+    inside = [i for i, path in enumerate(paths) if path.startswith(f"{folder}/" if folder else "")]
+    names = [paths[i][start:] for i in inside]
+    held = index.holds(names)
+    return folder, {names[j]: (inside[j], gallery[inside[j]]) for j in np.flatnonzero(held).tolist()}
+
+
+def _below(folder: str, paths: Sequence[str]) -> list[str]:
+    start = f"{folder}/" if folder else ""
+    return [path[len(start) :] for path in paths if path.startswith(start)]
