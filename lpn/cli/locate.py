@@ -41,6 +41,8 @@ class LocateCommand:
     """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed, and sift for what it cannot place."""
     prior: float | None = None
     """Metres around each frame's own position that registration searches without a model; by default the whole map."""
+    map_error: float | None = None
+    """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at least 1 m."""
     size: tuple[float, ...] | None = None
     """Sides of the map's windows in metres; by default chosen from heights and fields of view."""
     speed: float = 15.0
@@ -84,6 +86,7 @@ class LocateCommand:
             self.register,
             self.matcher,
             self.prior,
+            self.map_error,
             self.size,
             centre=self.centre,
             speed=self.speed,
@@ -123,6 +126,8 @@ def locate_files(
 def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, and the findings below it."""
     from rich.table import Table
+
+    from lpn.locate.measures import RIGHT_CALIBRATION
 
     summaries = located.summaries()
     table = Table(
@@ -166,6 +171,16 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         "ranks windows and verifies none.",
         soft_wrap=True,
     )
+    for stage, found in summaries.items():
+        if found.calibration:
+            shares, right = (
+                ", ".join(f"{share:.0f} %" for share in of.values()) for of in (found.calibration, RIGHT_CALIBRATION)
+            )
+            console.print(
+                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {shares}; radii that are right, against an exact "
+                f"truth, have {right}.",
+                soft_wrap=True,
+            )
     if measured := located.field_measures():
         console.print(
             "Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()), soft_wrap=True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 
 WITHIN = (5, 10, 25, 50, 100)
+# Shares in percent of errors that are normal along both axes, 1 - exp(-k^2 / 2), within k standard deviations.
+RIGHT_CALIBRATION = {k: 100 * (1 - math.exp(-(k**2) / 2)) for k in (1, 2, 3)}
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,8 @@ class ErrorSummary:
         coverage_at_zero: share in percent of all frames that can be accepted, most confident first, before the first one
             that is farther off than the limit.
         limit: metres from which an accepted frame counts as false.
+        calibration: share in percent of answers with a radius whose error is at most 1, 2, and 3 times the radius; empty without
+            radii. Radii of normal errors are right at `RIGHT_CALIBRATION`.
     """
 
     frames: int
@@ -35,16 +40,22 @@ class ErrorSummary:
     within: dict[int, float]
     coverage_at_zero: float
     limit: float
+    calibration: dict[int, float]
 
 
 def summarise(
-    errors: npt.ArrayLike, radii: npt.ArrayLike | None = None, limit: float = 50.0, within: Sequence[int] = WITHIN
+    errors: npt.ArrayLike,
+    radii: npt.ArrayLike | None = None,
+    limit: float = 50.0,
+    within: Sequence[int] = WITHIN,
+    scores: npt.ArrayLike | None = None,
 ) -> ErrorSummary:
     """Summarise errors in metres (N,), NaN where the stage gave no accepted position.
 
     Args:
-        radii: 1-sigma radii, or another measure of doubt, (N,), by which answers are ordered for `coverage_at_zero`; a missing
-            one comes last.
+        radii: 1-sigma radii along each axis in metres, (N,), NaN where missing.
+        scores: (N,), of a stage without radii. Answers are ordered by radius or by score for `coverage_at_zero`; a missing one
+            comes last.
 
     Raises:
         InputError: if the shapes differ.
@@ -52,7 +63,10 @@ def summarise(
     values = _vector(errors)
     answered = ~np.isnan(values)
     known = values[answered]
-    order = np.zeros(len(known)) if radii is None else _vector(radii, len(values))[answered]
+    missing = np.full(len(values), np.nan)
+    own = (missing if radii is None else _vector(radii, len(values)))[answered]
+    order = own if scores is None else -_vector(scores, len(values))[answered]
+    given = own > 0
     share = 100 / max(len(values), 1)
     return ErrorSummary(
         len(values),
@@ -62,6 +76,7 @@ def summarise(
         {metres: share * int((known <= metres).sum()) for metres in within},
         share * accepted_before_false(known, order, limit),
         limit,
+        {k: 100 * float((known[given] <= k * own[given]).mean()) for k in RIGHT_CALIBRATION if given.any()},
     )
 
 

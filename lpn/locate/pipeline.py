@@ -35,7 +35,7 @@ from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.retrieval import field_metrics
 
-FORMAT = "lpn-locate/3"
+FORMAT = "lpn-locate/4"
 STAGES = ("retrieval", "sequence", "registration")
 # The stage of a track that has the places of corrected frames.
 BY_HAND = "by hand"
@@ -49,9 +49,11 @@ _LATEST = 3
 _AROUND = 0.75
 # Share of a photo's ground beyond what was searched, above which the search is repeated about the place found.
 _BEYOND = 0.05
-# Degrees from straight down up to which the camera's place is told, and 1-sigma error of a tilt.
+# Degrees from straight down up to which the camera's place is told, and 1-sigma errors of a gimbal's and an aircraft's tilt.
 _MAX_TILT = 15.0
-_TILT_ERROR = 1.5
+_TILT_ERROR, _AIRCRAFT_TILT_ERROR = 1.5, 5.0
+# The map's own 1-sigma error unless it is given: pixels, and the least metres, as tags without ground control leave a map.
+_MAP_PIXELS, _MAP_METRES = 3.0, 1.0
 # How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
 _SWAY = 0.1
 _UNKNOWN = (math.nan, math.nan)
@@ -68,6 +70,7 @@ class LocateOptions:
         sequence, register: whether these stages run; retrieval runs with a model. The sequence needs retrieval.
         matcher: of the registration; "auto" is XFeat where it is installed, and SIFT for the photos that XFeat does not place.
         prior: metres around each frame's tag that registration searches; None uses no tag.
+        map_error: 1-sigma error of the map's places in metres, along each axis; None takes `default_map_error`.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
         centre: whether descriptors are centred by view.
@@ -80,6 +83,7 @@ class LocateOptions:
     register: bool = True
     matcher: MatcherName = "auto"
     prior: float | None = None
+    map_error: float | None = None
     sizes: tuple[float, ...] | None = None
     overlap: float = 0.75
     centre: bool = True
@@ -91,6 +95,8 @@ class LocateOptions:
     def __post_init__(self) -> None:
         if self.prior is not None and not 0 < self.prior < math.inf:
             raise InputError(f"The prior is {self.prior:g} m; expected metres above 0.")
+        if self.map_error is not None and not 0 <= self.map_error < math.inf:
+            raise InputError(f"The map's error is {self.map_error:g} m; expected 0 or more metres.")
         if self.top < 1:
             raise InputError(f"{self.top} windows would be kept for each frame; expected 1 or more.")
 
@@ -261,16 +267,14 @@ class LocatedFlight:
         known = [located for located in self.frames if located.truth(False) is not None]
         found = {}
         for stage in self.stages:
-            errors, doubts = [], []
-            for located in known:
-                answer, error = located.stages.get(stage), located.error(stage)
-                refused = answer is None or answer.state == "refused"
-                errors.append(math.nan if refused or error is None else error)
-                doubt = answer.radius if answer is not None else None
-                if stage == "retrieval" and located.windows:
-                    doubt = -located.windows[0].score
-                doubts.append(math.nan if doubt is None else doubt)
-            found[stage] = measures.summarise(errors, doubts, limit)
+            answers = [located.stages.get(stage) for located in known]
+            errors = [
+                math.nan if answer is None or answer.state == "refused" or error is None else error
+                for answer, error in zip(answers, (located.error(stage) for located in known), strict=True)
+            ]
+            radii = [math.nan if answer is None or answer.radius is None else answer.radius for answer in answers]
+            scores = [located.windows[0].score if located.windows else math.nan for located in known]
+            found[stage] = measures.summarise(errors, radii, limit, scores=scores if stage == "retrieval" else None)
         return found
 
     def field_measures(self) -> dict[str, float]:
@@ -382,6 +386,8 @@ def registered(
         on_partial: called every few seconds with the flight as far as it is registered; the tags are not audited yet.
     """
     options = replace(options or LocateOptions(), register=True)
+    map_error = default_map_error(located.town) if options.map_error is None else options.map_error
+    options = replace(options, map_error=map_error)
     frames = [replace(frame, stages=dict(frame.stages)) for frame in located.frames]
     published = time.monotonic()
 
@@ -391,7 +397,7 @@ def registered(
             on_progress(stage, done, total)
         if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
             copies = [replace(frame, stages=dict(frame.stages)) for frame in frames]
-            _refuse_jumps(copies[:done])
+            _refuse_jumps(copies[:done], map_error)
             on_partial(replace(located, frames=copies))
             published = time.monotonic()
 
@@ -402,7 +408,14 @@ def registered(
     ).reshape(-1, 2)
     tags = np.array([_UNKNOWN if frame.tag is None else frame.tag for frame in frames])
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
+    if any(answer.accepted and answer.radius is not None for answer in answers):
+        said.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself.")
     return replace(located, frames=frames, audit=audit, notes=[*located.notes, *said, *_turn_notes(frames)])
+
+
+def default_map_error(town: Map) -> float:
+    """Return the 1-sigma error in metres along each axis that a map's places count with: 3 pixels, and at least 1 m."""
+    return max(_MAP_METRES, _MAP_PIXELS * town.resolution)
 
 
 def _sentence(what: str, metres: float | None) -> str:
@@ -577,7 +590,8 @@ def _registered(
     features = [MapFeatures(town, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
-    key = [FORMAT, town.digest(), names, asdict(replace(options, top=_TOP)), model and model.fingerprint]
+    searched = replace(options, top=_TOP, map_error=None)
+    key = [FORMAT, town.digest(), names, asdict(searched), model and model.fingerprint]
     records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
     widths: list[float] = []
     ratios: list[float] = []
@@ -589,20 +603,32 @@ def _registered(
         if answer is None:
             answer = _register_frame(town, features, located, options, widths, ratios, found)
             records.append(trail, answer)
-        located.stages["registration"] = answer
+        located.stages["registration"] = _with_map_error(answer, options.map_error or 0.0)
         if answer.accepted and answer.width is not None:
             widths.append(answer.width)
             if (expected := ground_width(located.frame)) is not None:
                 ratios.append(answer.width / expected)
         if on_progress is not None:
             on_progress("registration", i + 1, len(frames))
-    return _refuse_jumps(frames)
+    return _refuse_jumps(frames, options.map_error or 0.0)
 
 
-def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
+def _with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
+    """Add the map's error to an answer's radius, and tell the radius of an accepted one."""
+    if answer.radius is None:
+        return answer
+    radius = math.hypot(answer.radius, map_error)
+    said = answer.sentence
+    if answer.accepted:
+        said += f" The 1-sigma radius of the {'camera' if answer.camera else 'picture'}'s "
+        said += f"{'place' if answer.camera else 'middle'} is {radius:.1f} m."
+    return msgspec.structs.replace(answer, radius=radius, sentence=said)
+
+
+def _refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
     """Refuse registrations that the drone cannot have flown to and back from, unless they are many; return sentences about it.
 
-    Cameras and pictures' middles are two tracks.
+    Cameras and pictures' middles are two tracks. The map's error moves neighbours alike, so it is taken out of their radii.
     """
     notes = []
     for of_camera in (True, False):
@@ -617,7 +643,9 @@ def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
         times = np.array([located.frame.time for located, _ in timed], np.float64)
         places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
         sway = 0.0 if of_camera else _SWAY
-        radii = np.array([math.hypot(answer.radius or 0.0, sway * (answer.width or 0.0)) for _, answer in timed])
+        own = np.array([answer.radius for _, answer in timed], np.float64)
+        widths = np.array([answer.width or 0.0 for _, answer in timed])
+        radii = np.sqrt(np.maximum(own**2 - map_error**2, 0) + (sway * widths) ** 2)
         tags = np.array([_UNKNOWN if located.tag is None else located.tag for located, _ in timed]).reshape(-1, 2)
         if (speeds := continuity.top_speeds(times, places, tags)) is None:
             continue
@@ -739,10 +767,9 @@ def _record(frame: Frame, size: tuple[int, int], found: Registration, reach: flo
         place, radius = below
     sentence = found.reason
     if found.accepted:
-        agreed = f"{found.inliers} matches of {found.matcher} agree on a {found.model}"
-        what = "the camera's place" if below is not None else "the picture's middle"
-        sentence = f"{agreed}; the 1-sigma radius of {what} is {radius:.1f} m."
-        sentence += f" {found.turn_sentence}".rstrip()
+        sentence = (
+            f"{found.inliers} matches of {found.matcher} agree on a {found.model}. {found.turn_sentence}".rstrip()
+        )
     return StageRecord(
         "accepted" if found.accepted else "refused",
         sentence + how,
@@ -763,7 +790,7 @@ def _camera_place(frame: Frame, size: tuple[int, int], found: Registration) -> t
 
     Matches that lie evenly over the photo bound its middle best. A linear model's variance at (x, y) is 1 + 12 (x / w)^2 +
     12 (y / h)^2 times that at the middle of w x h pixels. A tilt that is told wrongly moves the place by the height times its
-    tangent.
+    tangent: 1.5 degrees of a gimbal, 5 of an aircraft, which banks while the photo's record waits.
 
     Returns:
         None if the tilt is unknown or above `_MAX_TILT`, or the model bends too much on the way from the middle.
@@ -783,7 +810,8 @@ def _camera_place(frame: Frame, size: tuple[int, int], found: Registration) -> t
         return None
     height = down * found.width / 2 / math.tan(math.radians(frame.fov or 0.0) / 2)
     spread = found.radius * math.sqrt(1 + 12 * float(((moved / size) ** 2).sum()))
-    radius = math.hypot(spread, height * math.tan(math.radians(_TILT_ERROR)))
+    error = _AIRCRAFT_TILT_ERROR if frame.heading_source == "aircraft" else _TILT_ERROR
+    radius = math.hypot(spread, height * math.tan(math.radians(error)))
     return found.to_metres((middle + moved)[None])[0], radius
 
 

@@ -105,10 +105,6 @@ def small_flight(folder: Path, town: Map) -> Flight:
     return Flight("monday", tuple(frames))
 
 
-class _Spec:
-    embedding = 16
-
-
 class GridModel:
     """Describes a picture by the colours of a grid, as a network that has learned the place would; counts what it describes."""
 
@@ -118,7 +114,7 @@ class GridModel:
     n_parts = 2
     batch = 8
     parallel = True
-    spec = _Spec()
+    embedding = 16
 
     def __init__(self) -> None:
         self.described = 0

@@ -17,6 +17,22 @@ def test_summary_counts_frames_without_an_answer() -> None:
     assert found.p90 == pytest.approx(40.0)
     assert found.within == {5: 25.0, 10: 37.5, 25: 62.5, 50: 62.5, 100: 75.0}
     assert found.coverage_at_zero == 62.5
+    # Ratios of error and radius: 3, 3.5, 6.7, 5, 4, 5.5.
+    assert found.calibration == pytest.approx({1: 0, 2: 0, 3: 100 / 6})
+
+
+def test_answers_without_radii_are_ordered_by_score() -> None:
+    errors = [1.0, 60.0, 2.0, 3.0]
+    assert measures.summarise(errors, scores=[0.9, 0.5, 0.8, 0.1]).coverage_at_zero == 50.0
+    assert measures.summarise(errors, scores=[0.9, 0.5, 0.8, 0.1]).calibration == {}
+    assert measures.summarise(errors, [1.0, 2.0, 0.5, np.nan]).coverage_at_zero == 50.0
+
+
+def test_radii_of_normal_errors_are_right() -> None:
+    rng = np.random.default_rng(0)
+    radii = rng.uniform(1, 9, 20_000)
+    errors = np.linalg.norm(rng.normal(0, 1, (20_000, 2)) * radii[:, None], axis=1)
+    assert measures.summarise(errors, radii).calibration == pytest.approx(measures.RIGHT_CALIBRATION, abs=1)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -326,7 +326,8 @@ def test_the_camera_is_told_within_its_radius(
     town: Map, tmp_path: Path, pitch: float, roll: float, told: float
 ) -> None:
     frame = _tilted(tmp_path, pitch, roll, told)
-    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
+    options = replace(SIFT, map_error=0.0)
+    answer = locate(town, Flight("monday", (frame,)), None, options).frames[0].stages["registration"]
     assert answer.accepted, answer.sentence
     assert answer.camera
     assert "of the camera's place" in answer.sentence
@@ -336,6 +337,37 @@ def test_the_camera_is_told_within_its_radius(
     # The radius is that of one axis, so twice it covers 86 % of errors; a tilt told wrongly by 1 sigma fills one.
     assert math.hypot(answer.x, answer.y) < 2 * answer.radius
     assert HEIGHT * math.tan(math.radians(1.5)) * 0.9 < answer.radius < 4.0
+
+
+def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place, heading = PLACES[0], HEADINGS[0]
+    laid = np.linalg.inv(ground_to_photo(place, heading, WIDTH, SIZE))
+    found = Registration(
+        True, "", "SIFT", homography=laid, centre=np.array(place), width=WIDTH, covariance=0.04 * np.eye(2)
+    )
+    monkeypatch.setattr(pipeline, "register", lambda *_: found)
+
+    def radius(frame: Frame, map_error: float | None) -> float:
+        options = replace(SIFT, map_error=map_error)
+        located = locate(town, Flight("monday", (frame,)), None, options)
+        answer = located.frames[0].stages["registration"]
+        assert answer.sentence.endswith(f"The 1-sigma radius of the camera's place is {answer.radius:.1f} m.")
+        expected = 1.5 if map_error is None else map_error
+        assert located.notes[-1] == f"Radii of registrations hold {expected:.1f} m for the error of the map itself."
+        assert answer.radius is not None
+        return answer.radius
+
+    frame = flight.frames[0]
+    alone = math.hypot(0.2, HEIGHT * math.tan(math.radians(1.5)))
+    assert radius(frame, 0.0) == pytest.approx(alone)
+    assert radius(frame, 4.0) == pytest.approx(math.hypot(alone, 4.0))
+    assert radius(frame, None) == pytest.approx(math.hypot(alone, 3 * town.resolution))
+    aircraft = math.hypot(0.2, HEIGHT * math.tan(math.radians(5)))
+    assert radius(replace(frame, heading_source="aircraft"), 0.0) == pytest.approx(aircraft)
+    with pytest.raises(InputError, match="map's error is -1"):
+        LocateOptions(map_error=-1)
 
 
 def test_beyond_15_degrees_of_tilt_the_middle_is_told(town: Map, tmp_path: Path) -> None:
@@ -559,6 +591,6 @@ def test_a_flight_is_evaluated_by_its_tags(
     assert main(["evaluate", *where, "--json", str(tmp_path / "measures.json")]) == 0
     assert "registration" in capsys.readouterr().out
     measured = json.loads((tmp_path / "measures.json").read_text())
-    assert measured["notes"] == []
+    assert measured["notes"] == ["Radii of registrations hold 1.5 m for the error of the map itself."]
     assert (measured["frames"], measured["corrected"]) == (2, 0)
     assert measured["stages"]["registration"]["answered"] == 2
