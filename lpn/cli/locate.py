@@ -177,8 +177,8 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
                 ", ".join(f"{share:.0f} %" for share in of.values()) for of in (found.calibration, RIGHT_CALIBRATION)
             )
             console.print(
-                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {shares}; radii that are right, against an exact "
-                f"truth, have {right}.",
+                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {shares}; right radii, against an exact truth, "
+                f"have {right}.",
                 soft_wrap=True,
             )
     if measured := located.field_measures():

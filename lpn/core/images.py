@@ -125,12 +125,14 @@ def _other_kind(file: BinaryIO) -> str | None:
 
 
 def use_all_cores() -> None:
-    """Let OpenCV use every core of this process.
+    """Let OpenCV use every core of this process, by threads that start now.
 
-    OpenCV starts one thread fewer than it is told, so on two cores one core would stay idle.
+    OpenCV starts one thread fewer than it is told, so on two cores one core would stay idle. All threads of the process share
+    them. If one that yields (`lpn.core.resources.yield_cores`) started them, they would yield to the others for ever.
     """
     cores = usable_cores()
     cv2.setNumThreads(cores + 1 if cores > 1 else 1)
+    cv2.GaussianBlur(np.zeros((512, 512, 3), np.uint8), (0, 0), 2)
 
 
 def rotate(picture: UInt8Array, degrees: float) -> UInt8Array:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -96,3 +98,44 @@ def test_pictures_are_turned_alike_on_one_core_and_on_all() -> None:
         assert np.array_equal(images.rotate(picture, 33), alone)
     finally:
         cv2.setNumThreads(before)
+
+
+SHARED_THREADS = """
+import os, sys, threading, time
+import cv2
+import numpy as np
+from lpn.core import images
+from lpn.core.resources import yield_cores
+
+def work():
+    yield_cores()
+    cv2.GaussianBlur(np.zeros((2000, 2000, 3), np.uint8), (0, 0), 2)
+
+def niceness():
+    return {os.getpriority(os.PRIO_PROCESS, int(thread)) for thread in os.listdir("/proc/self/task")}
+
+cv2.setNumThreads(8)
+if sys.argv[1:]:
+    images.use_all_cores()
+thread = threading.Thread(target=work)
+thread.start()
+thread.join()
+for _ in range(500 if sys.argv[1:] else 50):  # the system removes a thread some time after its end
+    if len(niceness()) == 1:
+        break
+    time.sleep(0.01)
+print(len(niceness()))
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux has a niceness for each thread")
+@pytest.mark.skipif(usable_cores() < 2, reason="needs two cores")
+def test_threads_that_all_share_do_not_yield_because_one_thread_does() -> None:
+    def kinds(*asked: str) -> int:
+        done = subprocess.run(
+            [sys.executable, "-c", SHARED_THREADS, *asked], check=True, stdout=subprocess.PIPE, text=True
+        )
+        return int(done.stdout)
+
+    assert kinds("asked") == 1
+    assert kinds() == 2, "OpenCV does not share its threads any more: `use_all_cores` need not start them"
