@@ -173,11 +173,11 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     )
     for stage, found in summaries.items():
         if found.calibration:
-            shares, right = (
+            inside, right = (
                 ", ".join(f"{share:.0f} %" for share in of.values()) for of in (found.calibration, RIGHT_CALIBRATION)
             )
             console.print(
-                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {shares}; right radii, against an exact truth, "
+                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {inside}; right radii, against an exact truth, "
                 f"have {right}.",
                 soft_wrap=True,
             )
