@@ -29,7 +29,8 @@ def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: 
         )
     columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
     stored = notes.read_notes(workspace.root / notes.NAME)
-    return replace(task, model=model, weights=weights, notes=stored, columns=columns)
+    bound = None if model is None else model.for_task(*task.views)
+    return replace(task, model=bound, weights=weights, notes=stored, columns=columns)
 
 
 def of_analysis(

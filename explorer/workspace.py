@@ -128,10 +128,13 @@ class Workspace:
     def supported_state(self, state: SessionState) -> SessionState:
         """Return the state without the features that this workspace cannot show.
 
-        Without a network, these are changes of the query, uploads, heatmaps, and the explain window.
+        Without a network, these are changes of the query, uploads, heatmaps, and the explain window; without cells, heatmaps and
+        regions.
         """
         if state.flight and not self.has_flight:
             state = replace(state, flight=False)
+        if self.without_cells:
+            state = replace(state, heat=False, heat_kind="activation", region=())
         return (
             state
             if self.model is not None
@@ -170,7 +173,7 @@ class Workspace:
         return picture if self.model is None else self.model.as_partitioned(picture, view)
 
     def card(self, task: Task, index: int) -> UInt8Array:
-        """Return a gallery picture at the size of a card, without rings; read-only."""
+        """Return a gallery picture at the size of a card, without part borders; read-only."""
         return self._card(task.name, index)
 
     def areas(self, view: View, described: DescribedPicture | None = None) -> PartAreas | None:
@@ -203,6 +206,12 @@ class Workspace:
                     drawn = mosaic.draw(task.geometry, task.gallery)
                 self._mosaics[task.name] = drawn
             return self._mosaics[task.name]
+
+    @property
+    def parts_word(self) -> str:
+        """What the parts are called: "rings" if the first view has more than one of them, else "parts"."""
+        partition = self.contract.partition(self.contract.views[0])
+        return "rings" if partition is not None and partition.kind == "rings" and partition.n > 1 else "parts"
 
     def _part_names(self) -> list[str]:
         """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""

@@ -58,7 +58,13 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         scale=overlays.data_uri(overlays.evidence_scale(200, 12), 95),
         evidence_colours=charts.EVIDENCE_COLOURS,
         claim=workspace.contract.claim,
+        lumps=verdicts.describe_lumps(_lumps(analysis, workspace)),
     )
+
+
+def _lumps(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
+    areas = workspace.areas(analysis.task.query_view, analysis.query)
+    return [] if areas is None else [workspace.part_names[part] for part in areas.lumps]
 
 
 def _map(

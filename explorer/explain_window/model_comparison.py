@@ -26,6 +26,8 @@ class _Column:
     """One model's answer; `map` is the query with its evidence for and against the compared tile."""
 
     description: str
+    claim: str
+    without_cells: str
     recall: float | None
     verdict: bool | None
     rank: int | None
@@ -87,6 +89,8 @@ def _column(analysis: StateAnalysis, workspace: Workspace) -> _Column:
     task, truth, ranking = analysis.task, analysis.positive, workspace.rankings[analysis.task.name]
     column = _Column(
         workspace.description,
+        workspace.contract.claim,
+        workspace.without_cells,
         None if ranking.result is None else ranking.results["recall@1"],
         analysis.matches[0].true,
         None if truth is None else truth.rank,

@@ -20,5 +20,6 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         painted=[cell for cell in analysis.state.region if cell < rows * columns],
         picture=with_parts(workspace, analysis.query, view, _SIZE),
         without_cells=workspace.without_cells,
+        claim=workspace.contract.claim,
         stacked=workspace.layout.stacked,
     )

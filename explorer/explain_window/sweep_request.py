@@ -48,7 +48,9 @@ class SweepRequest:
         def rank(descriptor: Float32Array) -> Ranking:
             return task.start_search(known, descriptor)(analysis.ranking.weights, follow)
 
-        for point in sweeps.sweep_points(model, analysis.source, task.query_view, changes, rank, follow):
+        for point in sweeps.sweep_points(
+            model.for_task(*task.views), analysis.source, task.query_view, changes, rank, follow
+        ):
             if self.cancelled.is_set():
                 break
             progress = replace(progress, points=(*progress.points, point))

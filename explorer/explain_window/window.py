@@ -166,11 +166,14 @@ class ExplainWindow:
             (f"Sweep: {label.lower()}", self._command(_SWEEP, self._request_sweep, over))
             for over, label in sweep_page.CHOICES.items()
         ]
+        heatmaps = [
+            ("Heatmaps: activation part by part", self._command(_HEATMAPS)),
+            ("Heatmaps: same scale for query and tile, or each its own", self._command(_HEATMAPS, self._flip_scale)),
+        ]
         second = self._workspace.second
         return [
             *([] if second is None else [(f"Compare with {second.label}", self.compare_models)]),
-            ("Heatmaps: activation part by part", self._command(_HEATMAPS)),
-            ("Heatmaps: same scale for query and tile, or each its own", self._command(_HEATMAPS, self._flip_scale)),
+            *([] if self._workspace.without_cells else heatmaps),
             *sweep_commands,
             ("Stop the sweep", self._command(_SWEEP, self._cancel_sweep)),
             (

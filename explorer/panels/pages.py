@@ -44,7 +44,9 @@ def note(text: str, element_id: str = "") -> str:
 
 def keys(workspace: Workspace) -> str:
     """Return the list of keyboard shortcuts."""
-    return render("panels/keys", flight=workspace.has_flight)
+    return render(
+        "panels/keys", flight=workspace.has_flight, parts=workspace.parts_word, cells=not workspace.without_cells
+    )
 
 
 def header(workspace: Workspace, task: Task) -> str:

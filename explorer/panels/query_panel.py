@@ -76,18 +76,21 @@ class QueryPanel:
         # Inputs are read in order. The search comes after the sliders, because it resets them when it finds a query.
         controls.bind("find", self.find_box, self._search)
         with gui.add_folder("Look"):
-            controls.checkbox("Rings", "rings")
+            controls.checkbox(workspace.parts_word.capitalize(), "rings")
             controls.checkbox("Take apart", "exploded")
             has_places = any(task.geometry is not None for task in workspace.tasks.values())
             controls.checkbox("Map", "map", visible=has_places)
             self._city = controls.checkbox("City", "city", visible=False)
-            controls.checkbox("Heatmap", "heat", visible=has_model)
-            controls.dropdown("Heat type", "heat_kind", _HEAT_KINDS, visible=has_model, hint=pages.HEAT_NOTE)
+            has_cells = not workspace.without_cells
+            controls.checkbox("Heatmap", "heat", visible=has_cells)
+            controls.dropdown("Heat type", "heat_kind", _HEAT_KINDS, visible=has_cells, hint=pages.HEAT_NOTE)
             parts = {"All parts": None} | {name: part for part, name in enumerate(workspace.part_names)}
-            controls.dropdown("Heat of", "heat_part", parts, visible=has_model)
-            controls.slider("Opacity", "opacity", 0.0, 1.0, 0.05, visible=has_model)
+            controls.dropdown("Heat of", "heat_part", parts, visible=has_cells)
+            controls.slider("Opacity", "opacity", 0.0, 1.0, 0.05, visible=has_cells)
             if not has_model:
                 gui.add_html(pages.note(pages.SAVED_NOTE, "lpn-saved"))
+            elif not has_cells:
+                gui.add_html(pages.note(workspace.without_cells, "lpn-without-cells"))
 
     def update(self, state: SessionState) -> None:
         """Show the checkbox City only if the state has a city to show."""

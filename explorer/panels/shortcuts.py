@@ -56,15 +56,13 @@ def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None
         ("Turn left 5°", "J", lambda state: session_state.turn(state, 5)),
         ("Turn right 5°", "L", lambda state: session_state.turn(state, -5)),
         ("Reset rotation, shift, and zoom", "K", session_state.upright),
-        ("Heatmap on or off", "H", lambda state: replace(state, heat=not state.heat)),
-        ("Rings on or off", "G", lambda state: replace(state, rings=not state.rings)),
+        (f"{workspace.parts_word.capitalize()} on or off", "G", lambda state: replace(state, rings=not state.rings)),
         ("Compare the true tile", "T", lambda state: replace(state, selected=POSITIVE)),
-        ("Take the rings apart", "X", lambda state: replace(state, exploded=not state.exploded)),
+        (f"Take the {workspace.parts_word} apart", "X", lambda state: replace(state, exploded=not state.exploded)),
         ("Map on or off", "M", lambda state: _flip_map(workspace, state)),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
         ("Failure laboratory: all queries", "B", session_state.flip_lab),
         *([("Flight over its map", "W", session_state.flip_flight)] if workspace.has_flight else []),
-        ("Heatmap: activation or evidence", "V", session_state.flip_heat_kind),
         ("3-D city on the map on or off", "C", lambda state: _flip_city(workspace, state)),
         ("Light or dark theme", "O", session_state.flip_dark),
     ]
@@ -73,10 +71,15 @@ def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None
     parts = list(enumerate(workspace.part_names))
     changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in parts]
     changes.append(("All parts equal", None, session_state.equal_parts))
-    if workspace.model is not None:
-        changes += [(f"Heatmap of part {name}", None, _show_heat(part)) for part, name in parts]
+    if not workspace.without_cells:
         changes += [
+            ("Heatmap on or off", "H", lambda state: replace(state, heat=not state.heat)),
+            ("Heatmap: activation or evidence", "V", session_state.flip_heat_kind),
+            *((f"Heatmap of part {name}", None, _show_heat(part)) for part, name in parts),
             ("Heatmap of all parts", None, _show_heat(None)),
+        ]
+    if workspace.model is not None:
+        changes += [
             ("Zoom in", None, _zoom(_ZOOM_STEP)),
             ("Zoom out", None, _zoom(1 / _ZOOM_STEP)),
             (f"Shift right by {_SHIFT_STEP} pixels", None, _shift(workspace, _SHIFT_STEP, 0)),

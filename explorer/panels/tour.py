@@ -27,14 +27,13 @@ class TourStep:
 def steps(workspace: Workspace) -> list[TourStep]:
     """Return the five steps for a model and data set; they do not mention what these lack."""
     layout, task = workspace.layout, next(iter(workspace.tasks.values()))
-    partition = workspace.contract.partition(task.query_view)
 
     def html(step: str) -> str:
         return render(
             "tour_step",
             step=step,
             query_view=task.query_view,
-            rings=partition is not None and partition.kind == "rings" and partition.n > 1,
+            rings=workspace.parts_word == "rings",
             cells=workspace.contract.has_cells,
             live=workspace.model is not None,
             mapped=task.geometry is not None,

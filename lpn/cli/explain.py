@@ -61,34 +61,39 @@ class ExplainCommand:
         for file in (self.json, self.png):
             if file is not None:
                 check_writable(file)
-        model = lpn.load(self.model).for_task(self.view_query, self.view_match)
-        views = (self.view_query, self.view_match)
+        model, views = lpn.load(self.model), (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
+        model = model.for_task(*views)
+        if not model.contract.has_cells and (self.png is not None or not self.covering):
+            raise InputError(
+                f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure places instead."
+            )
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         query = retrieval.describe_picture(model, images.load_picture(self.query), self.view_query, self.rotate)
         tile = retrieval.describe_picture(model, images.load_picture(self.match), self.view_match)
-        if query.trace is None or tile.trace is None:
-            raise InputError(verdicts.no_cells(model.contract))
-        found = explain.evidence(query.trace, tile.trace, weights)
+        traces = None if query.trace is None or tile.trace is None else (query.trace, tile.trace)
+        found = None if traces is None else explain.evidence(*traces, weights)
+        cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
         names = model.contract.names(self.view_query)
         console = Console(width=max(100, Console().width))
         losses = _losses(model, query, self.view_query, tile, console) if self.covering else None
         of: dict[str, Any] = {"model": model.fingerprint, "query": str(self.query), "match": str(self.match)}
         of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
-        values = of | (
-            found.to_dict(names, model.contract.claim) if losses is None else occlusion.to_dict(found, losses, names)
-        )
-        _show(console, found, names, model.contract.claim)
-        console.print(verdicts.describe_evidence(found, names, *views), markup=False)
+        if losses is not None:
+            of |= occlusion.to_dict(cosines, weights, losses, names)
+        elif found is not None:
+            of |= found.to_dict(names, model.contract.claim)
+        _show(console, cosines, weights, found, names, model.contract.claim)
+        if found is not None:
+            console.print(verdicts.describe_evidence(found, names, *views), markup=False)
         if self.json is not None:
-            write_atomic(self.json, (json.dumps(values, indent=1) + "\n").encode())
-        if self.png is not None:
+            write_atomic(self.json, (json.dumps(of, indent=1) + "\n").encode())
+        if self.png is not None and found is not None and traces is not None:
             cut = [model.as_partitioned(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
             titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
             areas = [
-                PartAreas.of(model.contract, view, trace.size, trace)
-                for view, trace in zip(views, (query.trace, tile.trace), strict=True)
+                PartAreas.of(model.contract, view, trace.size, trace) for view, trace in zip(views, traces, strict=True)
             ]
             shown = pair_figure.draw(
                 found, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses
@@ -121,16 +126,28 @@ def _losses(
     return found[1]
 
 
-def _show(console: Console, found: Evidence, names: Sequence[str], claim: str) -> None:
+def _show(
+    console: Console,
+    cosines: Float32Array,
+    weights: Float32Array,
+    found: Evidence | None,
+    names: Sequence[str],
+    claim: str,
+) -> None:
     from rich.table import Table
 
-    table = Table(title=f"score {found.score:.4f}, squared distance {found.distance2:.4f} ({claim})")
-    for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant"):
+    score = float(cosines @ weights)
+    table = Table(title=f"score {score:.4f}, squared distance {2 - 2 * score:.4f} ({claim})")
+    sums = () if found is None else found.part_sums
+    for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant")[
+        : 4 + len(sums)
+    ]:
         table.add_column(name, justify="left" if name == "part" else "right")
     for part, name in enumerate(names):
-        numbers = (found.contributions[part], *(values[part] for values in found.part_sums))
-        weight = f"{100 * found.weights[part]:.0f} %"
-        table.add_row(name, f"{found.cosines[part]:+.4f}", weight, *(f"{number:+.4f}" for number in numbers))
+        numbers = (cosines[part] * weights[part], *(values[part] for values in sums))
+        table.add_row(
+            name, f"{cosines[part]:+.4f}", f"{100 * weights[part]:.0f} %", *(f"{number:+.4f}" for number in numbers)
+        )
     console.print(table)
 
 

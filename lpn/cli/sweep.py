@@ -85,6 +85,7 @@ class SweepCommand:
         query_view, gallery_view = views_of(task)
         for view in (query_view, gallery_view):
             model.check_view(view)
+        model = model.for_task(query_view, gallery_view)
         side = model.input_size[0 if self.over == "shift-down" else 1]
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)

@@ -12,6 +12,7 @@ from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture
+from lpn.drawing import verdicts
 from lpn.models.base import Model
 from lpn.retrieval import DescribedPicture, describe_picture
 
@@ -102,14 +103,11 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
             f"Cells and constants of part {part} miss it by {error:.1g} of the largest value on {printable(name)}, and may by "
             f"{TOLERANCE:g}; the contract leaves something out, such as a bias, a scale, or a layer that is not linear.",
         )
-    lumps = ", ".join(names[part] for part in sorted(without_cells))
-    note = f" No cell belongs to {lumps}, a constant of each picture." if lumps else ""
-    return ModelFinding(
-        view,
-        True,
-        error,
-        f"Cells and constants add up to each part {on}, to {error:.1g} of the largest value (allowed: {TOLERANCE:g}).{note}",
+    proof = (
+        f"Cells and constants add up to each part {on}, to {error:.1g} of the largest value (allowed: {TOLERANCE:g})."
     )
+    lumps = verdicts.describe_lumps([names[part] for part in sorted(without_cells)])
+    return ModelFinding(view, True, error, f"{proof} {lumps}".rstrip())
 
 
 def _worst(described: DescribedPicture, name: str, names: Sequence[str]) -> tuple[float, str, str]:

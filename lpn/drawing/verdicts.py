@@ -72,6 +72,15 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     return text
 
 
+def describe_lumps(lumps: Sequence[str]) -> str:
+    """Name the parts of a picture that no cell belongs to; empty if there are none."""
+    if not lumps:
+        return ""
+    several = len(lumps) > 1
+    whose = f"{'parts' if several else 'part'} {', '.join(lumps)}"
+    return f"No cell belongs to {whose}; {'they are constants' if several else 'it is a constant'} of each picture."
+
+
 def no_cells(contract: Contract) -> str:
     """Say why a model without cells has no evidence."""
     given = "one vector" if contract.level == "one vector" else f"{contract.n_parts} parts"

@@ -1,6 +1,6 @@
 """Occlusion: the loss of a pair's score where a square of the picture is covered. It is measured, and so approximate.
 
-Occlusion needs only a model's descriptors and serves every model; `lpn.explain.attribution` is exact where the heads are affine.
+Occlusion needs only a model's descriptors and serves every model; `lpn.explain.attribution` is exact where a model gives cells.
 A covered picture is one that no camera took, and the receptive fields of cells reach beyond the covered square.
 """
 
@@ -12,9 +12,8 @@ from typing import Any, cast
 import cv2
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, UInt8Array
 from lpn.core.views import View
-from lpn.explain import Evidence
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
@@ -54,19 +53,27 @@ def occlude(
         yield start + len(some), losses
 
 
-def to_dict(found: Evidence, losses: Float32Array, names: Sequence[str]) -> dict[str, Any]:
-    """The values of the JSON file for a pair's losses (n, rows, columns), which have no meaningful sum."""
+def to_dict(
+    cosines: FloatingArray, weights: Float32Array, losses: Float32Array, names: Sequence[str]
+) -> dict[str, Any]:
+    """The values of the JSON file for a pair's losses (n, rows, columns), which have no meaningful sum.
+
+    Args:
+        cosines: of the parts of the pair, (n,).
+        weights: part weights that sum to one, (n,).
+    """
+    score = float(cosines @ weights)
     parts = [
         {
             "name": name,
-            "cosine": float(found.cosines[part]),
-            "weight": float(found.weights[part]),
-            "contribution": float(found.contributions[part]),
+            "cosine": float(cosines[part]),
+            "weight": float(weights[part]),
+            "contribution": float(cosines[part] * weights[part]),
             "losses": losses[part].tolist(),
         }
         for part, name in enumerate(names)
     ]
-    return {"level": "measured by occlusion", "score": found.score, "distance2": found.distance2, "parts": parts}
+    return {"level": "measured by occlusion", "score": score, "distance2": 2 - 2 * score, "parts": parts}
 
 
 def curve(

@@ -30,7 +30,7 @@ def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list
     )
     assert run.returncode == 0, run.stderr
     found = json.loads(file.read_text())
-    assert found["exact"]
+    assert found["level"] == "exact"
     assert [part["weight"] for part in found["parts"]] == pytest.approx([0.25, 0.25, 0, 0.5])
     for part in found["parts"]:
         assert part["contribution"] == pytest.approx(part["weight"] * part["cosine"], abs=1e-7)
@@ -52,7 +52,7 @@ def test_covering_is_said_to_be_approximate(model_file: Path, pair: list[str], t
     given = ["explain", "--model", str(model_file), *pair, "--covering", "--json", str(file), "--png", str(picture)]
     assert main.main(given) == 0
     found = json.loads(file.read_text())
-    assert found["exact"] is False
+    assert found["level"] == "measured by occlusion"
     assert np.shape(found["parts"][0]["losses"]) == (8, 8)
     assert "cells" not in found["parts"][0]
     assert cv2.imread(str(picture)) is not None

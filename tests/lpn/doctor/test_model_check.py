@@ -25,7 +25,7 @@ def test_every_level_says_what_it_proves() -> None:
     assert regions[0].error is not None
     assert regions[0].error < 1e-6
     assert "on 2 pictures" in regions[0].message
-    assert "No cell belongs to 4 whole picture, a constant of each picture." in regions[0].message
+    assert "No cell belongs to part 4 whole picture; it is a constant of each picture." in regions[0].message
     gates = next(check_model(GateModel(), {"satellite": noise()}))
     assert gates.healthy
     assert "No cell" not in gates.message
