@@ -1,0 +1,124 @@
+"""The explorer on models whose parts are no rings: regions of each picture, gates, branches by role, and parts without cells."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from explorer.explain_window import activation, evidence, model_comparison, region
+from explorer.opening import open_model
+from explorer.panels import pages, tour
+from explorer.session_state import SessionState
+from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
+from lpn.explain import sweeps
+from lpn.report import Options, build
+from tools.fixtures import small_worlds
+from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel
+
+TASK = "drone-to-satellite"
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return small_worlds.make_dataset(tmp_path_factory.mktemp("own") / "places", train=1, test=6)
+
+
+@pytest.fixture(scope="module")
+def regions(data: Path) -> Workspace:
+    return open_model(data, RegionModel())
+
+
+@pytest.fixture(scope="module")
+def without_cells(data: Path) -> Workspace:
+    return open_model(data, PartsModel(RegionModel()))
+
+
+def analysed(workspace: Workspace, task: str = TASK, **changes: Any) -> StateAnalysis:
+    state = workspace.supported_state(SessionState(task, workspace.contract.n_parts, why=True))
+    return StateAnalyser(workspace).analyse(replace(state, **changes), 5)
+
+
+def test_parts_are_those_of_each_picture(regions: Workspace) -> None:
+    analysis = analysed(regions)
+    assert regions.part_names == list(REGIONS.part_names["drone"])
+    assert (regions.parts_word, regions.without_cells) == ("parts", "")
+    for view, described in zip(analysis.task.views, (analysis.query, analysis.tile), strict=True):
+        areas = regions.areas(view, described)
+        assert areas is not None
+        assert described.trace is not None
+        np.testing.assert_array_equal(areas.inside, described.trace.cells[0] > 0)
+        # Without a forward pass, a card's parts are not known.
+        assert regions.areas(view) is None
+
+
+def test_the_windows_name_the_level_and_the_part_without_cells(regions: Workspace) -> None:
+    analysis = analysed(regions)
+    page = evidence.page(analysis, regions)
+    assert "Exact, with the regions of each picture held: cells and constants add up to the score." in page
+    assert "No cell belongs to part 4 whole picture; it is a constant of each picture." in page
+    heatmaps = activation.page(analysis, regions)
+    assert "part 3 darkest" in heatmaps
+    assert "part 4 whole picture" not in heatmaps
+    painted = analysed(regions, region=(9, 10, 17))
+    assert "(exact, with the regions of each picture held)" in region.page(painted, regions)
+    assert painted.ranking.lengths is not None
+    html = " ".join(step.html for step in tour.steps(regions)) + pages.keys(regions)
+    assert not re.search(r"\brings?\b", html)
+
+
+def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:
+    made = build(regions.tasks[TASK], [0], Options(matches=2)).decode()
+    assert "Exact, with the regions of each picture held: the cells and the constant add up" in made
+    assert "No cell belongs to part 4 whole picture" in made
+    made = build(without_cells.tasks[TASK], [0], Options(matches=2)).decode()
+    assert "Parts gives 4 parts for a picture and no cells" in made
+    assert "Evidence for and against" not in made
+
+
+def test_without_cells_there_is_a_reason_in_place_of_a_heatmap(without_cells: Workspace, regions: Workspace) -> None:
+    analysis = analysed(without_cells)
+    assert not analysis.state.heat
+    why = "Parts gives 4 parts for a picture and no cells (parts only: the model gives no cells)"
+    for page in (evidence.page, activation.page, region.page):
+        assert why in page(analysis, without_cells)
+    assert "heatmap" not in pages.keys(without_cells)
+    # The ranking needs no cells.
+    np.testing.assert_allclose(analysis.ranking.cosines, analysed(regions).ranking.cosines, atol=1e-5)
+    points = list(
+        sweeps.run_sweep(
+            PartsModel(RegionModel()), analysis.source, "drone", analysis.task.gallery_descriptors,
+            analysis.ranking.weights, sweeps.changes_over("rotation", 90),
+        )
+    )  # fmt: skip
+    assert len(points) == 4
+
+
+def test_two_contracts_stand_side_by_side(regions: Workspace, without_cells: Workspace) -> None:
+    second = LazyWorkspace("gates", lambda _: without_cells)
+    second.open().wait(60)
+    found = model_comparison._column(analysed(regions), regions)
+    other = model_comparison._column(analysed(without_cells), without_cells)
+    assert (found.claim, found.without_cells) == ("exact, with the regions of each picture held", "")
+    assert found.map is not None
+    assert other.map is None
+    assert "no cells" in other.without_cells
+
+
+def test_branches_by_role_describe_each_side_of_each_task(data: Path) -> None:
+    workspace = open_model(data, GateModel(replace(GATES, roles="role")))
+    assert {TASK, "satellite-to-drone"} <= set(workspace.tasks)
+    descriptors = []
+    for name in (TASK, "satellite-to-drone"):
+        analysis = analysed(workspace, name)
+        task, index = analysis.task, analysis.chosen.index
+        np.testing.assert_allclose(analysis.query.descriptor, task.query_descriptors[0], atol=1e-5)
+        np.testing.assert_allclose(analysis.tile.descriptor, task.gallery_descriptors[index], atol=1e-5)
+        descriptors.append(task.gallery_descriptors if name == TASK else task.query_descriptors)
+    # The same satellite pictures are another side's.
+    assert len(descriptors[0]) == len(descriptors[1])
+    assert not np.allclose(np.sort(descriptors[0], axis=0), np.sort(descriptors[1], axis=0), atol=1e-3)
