@@ -11,6 +11,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from lpn.descriptors import Store
@@ -28,6 +29,8 @@ class DescribeCommand:
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
     out: str
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     images: str | None = None
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
     map: Path | None = None
@@ -77,7 +80,7 @@ class DescribeCommand:
         if self.map is not None:
             return self._windows(self.map)
         images, view = self._pictures()
-        model, root, out = lpn.load(self.model, self.provider, self.compile), Path(images), Path(self.out)
+        model, root, out = lpn.load(self.model, self.provider, self.compile, self.kind), Path(images), Path(self.out)
         model.check_view(view)
         files = descriptors.pictures_below(root)
         self._report(descriptors.describe(model, files, view, out, root=root, precision=self.precision), model)
@@ -90,7 +93,7 @@ class DescribeCommand:
 
         if self.images is not None:
             raise InputError("A map's windows are described in place of pictures; give either --map or --images.")
-        model, town = lpn.load(self.model, self.provider, self.compile), open_map(where)
+        model, town = lpn.load(self.model, self.provider, self.compile, self.kind), open_map(where)
         sizes = self.size or pyramid_sizes(town, [])
         windows = town.pyramid(sizes, 0.5 if self.overlap is None else self.overlap)
         if not windows:
@@ -126,6 +129,8 @@ class DescribeCommand:
         images, view = self._pictures()
         if self.compile or self.provider not in ("auto", "cpu"):
             raise InputError("Ray's workers compute on the CPU; leave --provider and --compile out, or --engine ray.")
+        if self.kind is not None:
+            raise InputError("Ray's workers take an .onnx, which tells its kind itself; leave --kind out.")
         if self.precision == "int8":
             raise InputError("Shards hold float32 or float16; give one of these as --precision.")
         summary = describe_shards(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName, View
+from lpn.models.adapters import Kind
 from lpn.retrieval.published_results import check_n_parts
 
 
@@ -27,6 +28,8 @@ class EvaluateCommand:
     """Data set; see docs/evaluation.md for the kinds."""
     model: Path | None = None
     """Trained LPN: .onnx, .safetensors, or .pth."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     compile: bool = False
@@ -154,7 +157,7 @@ class EvaluateCommand:
             raise InputError(
                 "There is nothing to evaluate; give --data and --model, or a pytorch_result.mat with --saved."
             )
-        model, dataset = lpn.load(self.model, self.provider, self.compile), open_dataset(self.data)
+        model, dataset = lpn.load(self.model, self.provider, self.compile, self.kind), open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         title = f"{self.model.name} ({model.describe()}) on {self.data.resolve().name}"

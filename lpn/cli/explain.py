@@ -13,6 +13,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import View
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,6 +33,8 @@ class ExplainCommand:
     """Picture file of the query."""
     match: Path
     """Picture file of the tile to compare with."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     view_query: View = "drone"
     """View of the query: the branch that describes it."""
     view_match: View = "satellite"
@@ -61,7 +64,7 @@ class ExplainCommand:
         for file in (self.json, self.png):
             if file is not None:
                 check_writable(file)
-        model, views = lpn.load(self.model), (self.view_query, self.view_match)
+        model, views = lpn.load(self.model, kind=self.kind), (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
         model = model.for_task(*views)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from lpn.core.resources import ProviderName
+from lpn.models.adapters import Kind
 
 
 @dataclass
@@ -18,11 +19,13 @@ class ExportCommand:
     """Trained LPN: .safetensors or .pth."""
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     storage: Literal["float32", "float16", "int8"] = "float32"
     """Precision of the weights in the file: float16 halves it, int8 reduces it to about a third; all compute in float32."""
 
     def run(self) -> None:
-        files = import_module("lpn.models.export").export(self.model, self.out, self.storage)
+        files = import_module("lpn.models.export").export(self.model, self.out, self.storage, self.kind)
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
 
 

@@ -13,6 +13,7 @@ import lpn
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.views import TaskName
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -30,6 +31,8 @@ class FailuresCommand:
     """Data set in any layout of docs/data.md."""
     model: Path
     """Trained LPN: .onnx, .safetensors, or .pth."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     task: TaskName | None = None
     """Views of query and gallery; by default the first task of the data set that the model supports."""
     where: str = ""
@@ -58,7 +61,7 @@ class FailuresCommand:
             raise InputError(f"The number of queries listed is {self.top}; expected 1 or more.")
         if self.csv is not None:
             check_writable(self.csv)
-        model, dataset = lpn.load(self.model), open_dataset(self.data)
+        model, dataset = lpn.load(self.model, kind=self.kind), open_dataset(self.data)
         task = open_task(
             model, self.model.name, dataset, self.task, tags_and_notes=read_notes(self.notes) if self.notes else None
         )

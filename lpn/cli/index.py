@@ -13,6 +13,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from lpn.index import SearchResult
@@ -87,6 +88,8 @@ class SearchCommand:
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path
     """Picture file to find."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     view: View = "drone"
     """View of the picture: the branch that describes it."""
     rotate: float = 0.0
@@ -119,7 +122,7 @@ class SearchCommand:
         check_effort(self.effort, self.depth)
         if self.json is not None:
             check_writable(self.json)
-        model = lpn.load(self.model, self.provider)
+        model = lpn.load(self.model, self.provider, kind=self.kind)
         model.check_view(self.view)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         with open_index(self.index, model.fingerprint, self.effort, self.depth) as index:

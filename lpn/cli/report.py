@@ -12,6 +12,7 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import TaskName
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from lpn.analysis.task import Task
@@ -28,6 +29,8 @@ class ReportCommand:
     """Trained LPN: .onnx (needs no torch), .safetensors, or .pth."""
     out: Path
     """HTML file to write."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     task: TaskName | None = None
     """Views of query and gallery; by default the first task of the data set that the model supports."""
     query: tuple[str, ...] = ()
@@ -68,7 +71,7 @@ class ReportCommand:
             raise InputError(f"The number of failures is {self.failures}; expected 1 or more.")
         options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate))
         check_writable(self.out)
-        model, dataset = lpn.load(self.model), open_dataset(self.data)
+        model, dataset = lpn.load(self.model, kind=self.kind), open_dataset(self.data)
         name = choose_task(model, dataset, self.task)
         # Before pictures are described, which may take long.
         named = _named(self.query, dataset.queries(views_of(name)[0]), dataset.root.name)

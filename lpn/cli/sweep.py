@@ -10,6 +10,7 @@ import lpn
 from lpn.cli.explain import part_values
 from lpn.core.errors import InputError
 from lpn.core.views import TaskName, views_of
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,6 +33,8 @@ class SweepCommand:
     """Trained LPN: .onnx, .safetensors, or .pth."""
     query: str
     """Name of the query, as the explorer's picker shows it, such as 0005/01."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     task: TaskName | None = None
     """Views of query and gallery; by default the first task of the data set."""
     over: Literal["rotation", "shift", "shift-down", "zoom"] = "rotation"
@@ -57,7 +60,7 @@ class SweepCommand:
             check_writable(file)
         if self.png is not None:
             import matplotlib  # noqa: F401 (fail before the long computation)
-        model, dataset = lpn.load(self.model), open_dataset(self.data)
+        model, dataset = lpn.load(self.model, kind=self.kind), open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "none")
         if task not in tasks:

@@ -1,4 +1,4 @@
-"""Export of a PyTorch LPN to `.onnx`: one graph per group of views that share weights, each with its heads."""
+"""Export of a model in PyTorch to `.onnx`: one graph per group of views that share weights, each with its heads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,12 @@ from lpn.core.checksums import SEAL, UNSEALED, with_seal
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.views import View
+from lpn.models.adapters import Kind
+from lpn.models.adapters.load import load_published
+from lpn.models.adapters.model import PublishedModel
+from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel, load_torch
+from lpn.models.contract_metadata import to_metadata
 from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
 from lpn.models.spec import SLOPES
@@ -39,6 +44,22 @@ class _SafaGraph(nn.Module):
         features = self.network.features(images, self.view)
         attention = self.network.attention(features, self.view)
         return weigh(features, attention), features, attention
+
+
+class _AccountGraph(nn.Module):
+    """A published model of another method for one view: the parts, their account, and the static heads."""
+
+    def __init__(self, model: PublishedModel, view: View) -> None:
+        super().__init__()
+        self.network = model.network(view)
+        given = self.network.account(torch.zeros(1, 3, *model.input_size))
+        self.fields = [name for name, tensor in given._asdict().items() if tensor is not None]
+        self.outputs = [*self.fields, *([] if model.heads(view).weight is None else ["head_weight"])]
+
+    def forward(self, images: Tensor) -> tuple[Tensor, ...]:
+        account = self.network.account(images)
+        found = [getattr(account, name) for name in self.fields]
+        return (*found, cast(Tensor, self.network.weight)) if "head_weight" in self.outputs else tuple(found)
 
 
 class _Graph(nn.Module):
@@ -64,16 +85,18 @@ class _Graph(nn.Module):
         return parts, features, self.weight, self.bias, self.partition
 
 
-def export(model: str | Path, out: str | Path, storage: Storage = "float32") -> list[Path]:
+def export(model: str | Path, out: str | Path, storage: Storage = "float32", kind: Kind | None = None) -> list[Path]:
     """Export a `.pth` or `.safetensors` model for ONNX Runtime.
 
     The first group of views is written to `out`; further groups, such as the street view, to files beside it (`out` with the
     views' names before the suffix). Outputs: `parts` (B, n, D), `features` (B, C, h, w), and the constants `head_weight`
-    (n, D, C), `head_bias` (n, D), `cells` (n, h, w); SAFA has `attention` (B, n, M, h, w) instead of the constants.
+    (n, D, C), `head_bias` (n, D), `cells` (n, h, w); SAFA has `attention` (B, n, M, h, w) instead of the constants. A published
+    model of another method has `parts` and what its account needs, with its contract as metadata (docs/contract.md).
 
     Args:
         storage: of the weights in the file. float16 halves the file; int8 stores convolutions in a quarter, with one scale
             per output channel, and the rest in half. Either is converted to float32 on opening, so neither is faster.
+        kind: the method of a published `.pth`, see `lpn.load`.
 
     Returns:
         The files written.
@@ -89,9 +112,12 @@ def export(model: str | Path, out: str | Path, storage: Storage = "float32") -> 
     if Path(model).suffix == ".onnx":
         raise InputError(f"{Path(model).name} is exported already; give the .safetensors or .pth it was made from.")
     check_writable(out)
-    loaded = load_torch(model)
-    groups = loaded.spec.groups()
-    metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "source": loaded.fingerprint}
+    loaded: Model = load_published(model, kind=kind) if Path(model).suffix != ".safetensors" else load_torch(model)
+    groups = list(loaded.contract.groups)
+    if loaded.spec is None:
+        metadata = {**to_metadata(loaded.contract), "source": loaded.fingerprint}
+    else:
+        metadata = {"format": FORMAT, "spec": loaded.spec.to_json(), "source": loaded.fingerprint}
     graphs = {
         path: _graph(loaded, group[0], metadata | {"group": "+".join(group)}, storage)
         for path, group in zip(graph_files(out, groups), groups, strict=True)
@@ -113,16 +139,27 @@ def _quiet() -> Iterator[None]:
         logging.disable(logging.NOTSET)
 
 
-def _graph(model: TorchModel, view: View, metadata: dict[str, str], storage: Storage) -> bytes:
+def _network(model: Model, view: View) -> tuple[nn.Module, list[str]]:
+    """Return what is traced for a view, and the names of its outputs."""
+    if isinstance(model, PublishedModel):
+        traced = _AccountGraph(model, view)
+        return traced, traced.outputs
+    assert isinstance(model, TorchModel)
+    names = [*OUTPUTS, *extra_outputs(model.spec)]
+    return (_SafaGraph if model.spec.pooling == "safa" else _Graph)(model, view), names
+
+
+def _graph(model: Model, view: View, metadata: dict[str, str], storage: Storage) -> bytes:
     """Trace one view with a dynamic batch and return the serialised graph."""
     height, width = model.input_size
+    network, names = _network(model, view)
     example = torch.zeros(2, 3, height, width)
     with _quiet():
         program = torch.onnx.export(
-            (_SafaGraph if model.spec.pooling == "safa" else _Graph)(model, view).eval(),
+            network.eval(),
             (example,),
             input_names=["images"],
-            output_names=[*OUTPUTS, *extra_outputs(model.spec)],
+            output_names=names,
             dynamic_shapes={"images": {0: torch.export.Dim("batch", min=1)}},
             dynamo=True,
             optimize=True,

@@ -66,6 +66,11 @@ def quantize(
         raise InputError(f"{pictures} calibration pictures were asked for; give at least one, such as {PICTURES}.")
     check_writable(out)
     engine = Engine(model, provider=provider)
+    if engine.spec is None:
+        raise InputError(
+            f"{model.name} is {engine.contract.method}; only LPN and SAFA are computed in 8 bits, as what the account of other "
+            "methods loses by it was not measured. lpn export --storage int8 makes the file smaller."
+        )
     groups = list(engine.contract.groups)
     chosen = [calibration_pictures(dataset, group, pictures) for group in groups]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")

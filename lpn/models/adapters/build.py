@@ -137,7 +137,7 @@ def _sdpl(entries: Entries) -> PublishedParts:
         embedding=first.bias.shape[1],
         level="exact, with held",
         held="the pooled values and the weights of the shifts",
-        roles="view" if shared else "role",
+        **_roles(shared),
         part_names=dict.fromkeys(_PAIR, sdpl.PART_NAMES),
     )
     if shared:
@@ -184,12 +184,12 @@ def _vector_contract(
         embedding=channels,
         level="exact, with held",
         held=_NORM_HELD,
-        roles="view" if shared else "role",
+        **_roles(shared),
         resize="linear",
         mean=mean,
         std=std,
         mirror="none",
-        part_names={view: ["1 whole"] for view in _PAIR},
+        part_names=dict.fromkeys(_PAIR, ("1 whole",)),
     )
 
 
@@ -268,7 +268,7 @@ def _by_view(
     three = _has(entries, "model_2.")
     shared = not three or _equal(entries, "model_1.", "model_2.")
     first = branch("model_1.")
-    names = [f"{number + 1} {name}" for number, name in enumerate(names)]
+    numbered = tuple(f"{number + 1} {name}" for number, name in enumerate(names))
     branches: dict[View | Role, PartBranch] = dict.fromkeys(_TRIPLE if three else _PAIR, first)
     if not shared:
         branches["street"] = branch("model_2.")
@@ -286,7 +286,7 @@ def _by_view(
             level=level,
             held=held,
             groups=(views,) if shared else (_PAIR, ("street",)),
-            part_names=dict.fromkeys(views, names),
+            part_names=dict.fromkeys(views, numbered),
         ),
         branches,
     )
@@ -300,6 +300,11 @@ def region_names(count: int) -> list[str]:
 
 def _regions_level(regions: int) -> dict[str, Any]:
     return {"level": "exact, with held", "held": "the regions of each picture"} if regions else {"level": "one vector"}
+
+
+def _roles(shared: bool) -> dict[str, Any]:
+    """Return roles and groups of a contract; a branch for each role is a group for the view of that role outside of a task."""
+    return {} if shared else {"roles": "role", "groups": (("satellite",), ("drone",))}
 
 
 def _has(entries: Entries, prefix: str) -> bool:

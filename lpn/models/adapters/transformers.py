@@ -80,10 +80,12 @@ class TokenRegions(PartBranch):
         """Return the weight of each token in each part, 0 in the class token's: (B, 1 + N, C) -> (B, n, N)."""
         heat = tokens[:, 1:].mean(2)
         count = heat.shape[1]
-        order = torch.argsort(heat, dim=1, descending=True, stable=True)
+        own, other = heat[:, :, None], heat[:, None, :]
+        earlier = torch.ones(count, count, dtype=torch.bool, device=heat.device).tril(-1)
+        # Ranks by comparison are stable, and ONNX has no stable sort.
+        rank = ((other > own) | ((other == own) & earlier)).sum(2)
         size = count // self.regions
-        rank_region = torch.clamp(torch.arange(count, device=heat.device) // size, max=self.regions - 1)
-        regions = torch.zeros_like(order).scatter(1, order, rank_region.expand_as(order))
+        regions = torch.clamp(rank // size, max=self.regions - 1)
         sizes = [size] * (self.regions - 1) + [count - size * (self.regions - 1)]
         parts = [(regions == number) / size for number, size in enumerate(sizes)]
         parts.insert(self.token, torch.zeros_like(parts[0]))
