@@ -154,6 +154,11 @@ def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
     Within 50 km of the origin and below 45 degrees of latitude, distances are accurate to 1 %.
     """
     degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
+    return degrees_on_plane(degrees, origin)
+
+
+def degrees_on_plane(degrees: Float64Array, origin: Position) -> Float64Array:
+    """Return the same for latitudes and longitudes in degrees, (N, 2)."""
     north, east = metres_per_degree(origin.latitude)
     turned = (degrees[:, 1] - origin.longitude + 180) % 360 - 180
     return np.stack([turned * east, (degrees[:, 0] - origin.latitude) * north], axis=1)

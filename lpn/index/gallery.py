@@ -13,13 +13,13 @@ from lpn.datasets import Picture
 
 # Returns the picture of a tile, given its name in the index and its gallery position.
 MakePicture = Callable[[str, int], Picture]
+_SPARE = 256
 
 
 class IndexGallery(Sequence[Picture]):
     """Tiles that somebody has seen, in the order in which they were first seen; thread-safe.
 
-    It only grows, so that a gallery position stays valid: those of an index of 10^7 tiles would not fit. A tile takes about
-    0.5 kB; its descriptor stays in the index.
+    It only grows, so that a gallery position stays valid. A tile takes about 1 kB; its descriptor stays in the index.
 
     Args:
         make_picture: called once for each tile.
@@ -32,7 +32,8 @@ class IndexGallery(Sequence[Picture]):
         self._make_picture, self._lock = make_picture, threading.RLock()
         self._names: list[str] = []
         self._pictures: list[Picture] = []
-        self._degrees: list[tuple[float, float]] = []
+        # Rows beyond the number of tiles are spare.
+        self._labels, self._degrees = np.zeros(_SPARE, np.int64), np.zeros((_SPARE, 2))
         self._places: dict[str, int] = {}
         self.version = 0
 
@@ -52,18 +53,15 @@ class IndexGallery(Sequence[Picture]):
         given = np.full((len(names), 2), np.nan) if degrees is None else degrees
         with self._lock:
             places = []
-            for name, (latitude, longitude) in zip(names, given.tolist(), strict=True):
+            for name, position in zip(names, given, strict=True):
                 place = self._places.get(name)
                 if place is None:
-                    place = len(self._pictures)
-                    self._pictures.append(self._make_picture(name, place))
-                    self._names.append(name)
-                    self._degrees.append((latitude, longitude))
-                    self._places[name] = place
-                    self.version += 1
-                elif latitude == latitude and self._degrees[place] != (latitude, longitude):
-                    self._degrees[place] = latitude, longitude
-                    self.version += 1
+                    place = self._append(name)
+                elif np.isnan(position).any() or (self._degrees[place] == position).all():
+                    places.append(place)
+                    continue
+                self._degrees[place] = position
+                self.version += 1
                 places.append(place)
         return np.array(places, np.int64)
 
@@ -77,8 +75,22 @@ class IndexGallery(Sequence[Picture]):
 
     def labels(self) -> Int64Array:
         """Return the label of each tile, (G,)."""
-        return np.array([picture.label for picture in list(self._pictures)], np.int64)
+        with self._lock:
+            return self._labels[: len(self)].copy()
 
     def degrees(self) -> Float64Array:
         """Return latitude and longitude of each tile, (G, 2), NaN where unknown."""
-        return np.array(list(self._degrees), np.float64).reshape(-1, 2)
+        with self._lock:
+            return self._degrees[: len(self)].copy()
+
+    def _append(self, name: str) -> int:
+        place = len(self._pictures)
+        if place == len(self._labels):
+            self._labels = np.concatenate([self._labels, np.zeros_like(self._labels)])
+            self._degrees = np.concatenate([self._degrees, np.zeros_like(self._degrees)])
+        picture = self._make_picture(name, place)
+        self._labels[place] = picture.label
+        self._names.append(name)
+        self._places[name] = place
+        self._pictures.append(picture)  # last, as it gives the length
+        return place

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from lpn.analysis.gallery_geometry import GalleryGeometry
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.datasets import geo
@@ -31,9 +34,15 @@ class IndexGeometry(GalleryGeometry):
 
     Attributes:
         borders: west, south, east, north in metres from the origin.
+        degrees: latitude and longitude of each tile, (G, 2).
     """
 
     borders: tuple[float, float, float, float]
+    degrees: Float64Array
+
+    @cached_property
+    def _radians(self) -> Float64Array:
+        return np.radians(self.degrees)
 
     def bounds(self) -> tuple[float, float, float, float]:
         return self.borders
@@ -50,14 +59,27 @@ class IndexGround:
 
     def geometry(self, places: Sequence[Position | None], gallery: IndexGallery) -> IndexGeometry:
         degrees = gallery.degrees()
-        tiles = [
-            Position(latitude, longitude, width=_window_size(gallery.name_of(i)))
-            for i, (latitude, longitude) in enumerate(degrees.tolist())
-        ]
         ground = (
-            geo.on_plane(tiles, self.origin) if self.town is None else self.town.frame.xy(degrees[:, 0], degrees[:, 1])
+            geo.degrees_on_plane(degrees, self.origin)
+            if self.town is None
+            else self.town.frame.xy(degrees[:, 0], degrees[:, 1])
         )
-        return IndexGeometry(places, tiles, self.origin, ground, self.width, self.borders)
+        tiles = TilePositions(gallery, degrees)
+        return IndexGeometry(places, tiles, self.origin, ground, self.width, self.borders, degrees)
+
+
+class TilePositions(Sequence[Position]):
+    """The positions of a gallery's tiles, made when they are asked for: an index may have shown 10^5."""
+
+    def __init__(self, gallery: IndexGallery, degrees: Float64Array) -> None:
+        self._gallery, self._degrees = gallery, degrees
+
+    def __len__(self) -> int:
+        return len(self._degrees)
+
+    def __getitem__(self, place: Any) -> Any:
+        latitude, longitude = self._degrees[place].tolist()
+        return Position(latitude, longitude, width=_window_size(self._gallery.name_of(place)))
 
 
 def ground_of(
