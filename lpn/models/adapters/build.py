@@ -125,7 +125,7 @@ def _sdpl(entries: Entries) -> PublishedParts:
             f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
             f"{sdpl.SIDE_STEP} pixels from {sdpl.SMALLEST}."
         )
-    names = [key for key in ("model_1.", "model_2.") if _has(entries, key)]
+    names = ["model_1.", "model_2."] if _has(entries, "model_2.") else ["model_1."]
     shared = len(names) == 1 or _equal(entries, *names)
     first = sdpl.Sdpl(entries.under(names[0]), entries, size)
     contract = Contract(

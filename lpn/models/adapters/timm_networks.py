@@ -36,8 +36,6 @@ _ROTARY = {
     (640, 12): "vit_betwixt_patch16_rope_reg4_gap_256",
     (768, 12): "vit_base_patch16_rope_reg1_gap_256",
 }
-# Vision transformers of every size have heads of 64 numbers.
-_HEAD = 64
 
 
 def import_timm() -> Any:
@@ -120,7 +118,7 @@ def convnext(depths: tuple[int, ...], widths: tuple[int, ...]) -> nn.Module:
 
 
 def vision_transformer(
-    width: int, depth: int, hidden: int, size: tuple[int, int], patch: int, qkv_bias: bool, heads: int | None = None
+    width: int, depth: int, hidden: int, size: tuple[int, int], patch: int, qkv_bias: bool, heads: int
 ) -> nn.Module:
     """Build a ViT with a class token and without a classifier, on the meta device.
 
@@ -128,7 +126,7 @@ def vision_transformer(
 
     Args:
         hidden: width of the hidden layer of each block.
-        heads: of the attention; by default one for each 64 numbers.
+        heads: of the attention.
     """
     import_timm()
     from timm.models.vision_transformer import VisionTransformer
@@ -141,7 +139,7 @@ def vision_transformer(
                 patch_size=patch,
                 embed_dim=width,
                 depth=depth,
-                num_heads=heads or width // _HEAD,
+                num_heads=heads,
                 mlp_ratio=hidden / width,
                 qkv_bias=qkv_bias,
                 num_classes=0,

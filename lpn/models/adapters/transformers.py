@@ -16,6 +16,8 @@ TokenPool = Literal["global", "avg", "max", "avg+max"]
 TOKEN_POOLS: tuple[TokenPool, ...] = get_args(TokenPool)
 # FSRA's attention has 8 heads, and scales logits by the width of all of them together.
 _FSRA_HEADS = 8
+# Other vision transformers of every size have heads of 64 numbers.
+HEAD_WIDTH = 64
 
 
 class Tokens(nn.Module):
@@ -31,10 +33,16 @@ class Tokens(nn.Module):
         width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
         count, depth = entries.shape("pos_embed", 3)[1], entries.count("blocks.{}.norm1.weight")
         self.grid = size[0] // patch, size[1] // patch
-        if count != 1 + self.grid[0] * self.grid[1] or size[0] % patch or size[1] % patch:
+        if count < 2 or count != 1 + self.grid[0] * self.grid[1] or size[0] % patch or size[1] % patch:
             raise ModelFileError(
                 f"{entries.name} has positions for {count - 1} patches of {patch} pixels; {size[0]} x {size[1]} pixels give "
                 f"{self.grid[0]} x {self.grid[1]}, so put the h and w that it was trained with into the opts.yaml beside it."
+            )
+        heads = _FSRA_HEADS if wide_scale else width // HEAD_WIDTH
+        if depth == 0 or heads == 0 or width % heads:
+            raise ModelFileError(
+                f"{entries.name} has {depth} blocks of the width {width}; expected at least one, and a width of "
+                f"{f'{_FSRA_HEADS} heads' if wide_scale else f'heads of {HEAD_WIDTH} numbers'}."
             )
         self.network = timm_networks.vision_transformer(
             width,
@@ -43,7 +51,7 @@ class Tokens(nn.Module):
             size,
             patch,
             "blocks.0.attn.qkv.bias" in entries.state,
-            _FSRA_HEADS if wide_scale else None,
+            heads,
         )
         entries.fill(self.network)
         self.channels = width
@@ -73,6 +81,10 @@ class TokenRegions(PartBranch):
         weight, bias = heads
         super().__init__(trunk.grid if len(bias) > 1 else (1, 1), weight)
         self.regions = len(bias) - 1
+        if self.regions > trunk.grid[0] * trunk.grid[1]:
+            raise ModelFileError(
+                f"The model has {self.regions} regions for {trunk.grid[0]} x {trunk.grid[1]} tokens; expected fewer regions."
+            )
         self.trunk, self.bias = trunk, nn.Buffer(bias)
         self.token = token % len(bias)
 

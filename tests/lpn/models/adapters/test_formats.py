@@ -217,5 +217,12 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
         opened(lacking, tmp_path)
     with pytest.raises(ModelFileError, match="multiples of 32"):
         opened(small_mccg(1), tmp_path, "h: 100\nw: 64")
+    odd = {
+        key: value[..., :40] if value.ndim and value.shape[-1] == 64 else value
+        for key, value in small_denseuav(0).items()
+    }
+    odd["backbone.backbone.patch_embed.proj.weight"] = torch.zeros(40, 3, 16, 16)
+    with pytest.raises(ModelFileError, match=r"1 blocks of the width 40; expected .* heads of 64 numbers"):
+        opened(odd, tmp_path)
     with pytest.raises(ModelFileError, match="head_pool: median; expected one of global"):
         opened(small_denseuav(0), tmp_path, "head_pool: median")

@@ -11,7 +11,9 @@ import torch
 import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models.adapters import timm_networks
-from lpn.models.adapters.recognise import KINDS, recognise
+from lpn.models.adapters.build import build
+from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.recognise import KINDS, Kind, recognise
 from tools.fixtures import published_models, small_worlds
 from tools.fixtures.published_models import small_denseuav, small_fsra, small_mccg, small_vector
 
@@ -75,6 +77,16 @@ def test_a_kind_that_is_named_must_exist_and_fit(tmp_path: Path) -> None:
     (tmp_path / "lpn.onnx").touch()
     with pytest.raises(InputError, match="leave --kind out"):
         lpn.load(tmp_path / "lpn.onnx", kind="fsra")
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "lpn"])
+def test_a_kind_that_does_not_fit_is_refused_in_one_sentence(kind: Kind) -> None:
+    for own, state in {"mccg": small_mccg(2), "denseuav": small_denseuav(3)}.items():
+        # DAC and CAMP need nothing that MCCG lacks.
+        if kind != own and not (own == "mccg" and kind in ("dac", "camp")):
+            with pytest.raises(ModelFileError) as caught:
+                build(kind, Entries("net.pth", state))
+            assert "\n" not in str(caught.value)
 
 
 def test_a_bare_network_of_timm_is_read_as_the_kind_that_is_named(tmp_path: Path) -> None:
