@@ -16,7 +16,7 @@ from typing import Any
 import viser
 
 from explorer.client_session import ClientSession, WorkspaceServices
-from explorer.opening import offered_flight, open_flight_over, open_indexed, open_model, open_saved
+from explorer.opening import offered_flight, open_arrays, open_flight_over, open_indexed, open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
@@ -29,6 +29,7 @@ from lpn.core.resources import ProviderName, limit_malloc_arenas, port_error, re
 from lpn.core.shutdown import writes_finished
 from lpn.index.task import DEPTH
 from lpn.models.base import Model
+from lpn.retrieval.plain_arrays import PlainArrays
 from lpn.retrieval.published_results import load_saved
 
 log = logging.getLogger(__name__)
@@ -288,6 +289,17 @@ def run_saved(
 ) -> None:
     """Serve the pictures and descriptors of a `pytorch_result.mat`, whose descriptors have `n_parts` parts, like `run`."""
     _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, authenticator)
+
+
+def run_arrays(
+    load: Callable[[], PlainArrays],
+    name: str,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    authenticator: Authenticator | None = None,
+) -> None:
+    """Serve plain arrays like `run`; see `opening.open_arrays`."""
+    _serve(lambda: open_arrays(load(), name), host, port, authenticator)
 
 
 def _serve(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_QUERY
 from lpn.core.errors import InputError
@@ -39,13 +39,20 @@ class Explore:
     """Second trained LPN to compare on every query (key Y, tab Two models), such as one with other parts."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    gallery: Path | None = None
+    """Descriptors of a gallery that any model made, as .npy, .npz, .mat, or .parquet; needs --query with those of the queries,
+    and no model."""
+    paths: Path | None = None
+    """With --gallery: list of the pictures, a .csv with file, side, label, latitude, longitude (docs/data.md)."""
+    order: Literal["parts-first", "parts-last"] = "parts-first"
+    """With --gallery: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, to explore in place of a model; needs --data."""
     n_parts: int | None = None
-    """Number of parts of the descriptors in --saved; 1 by default."""
+    """Number of parts of the descriptors in --saved, or in two-dimensional --gallery and --query; 1 by default."""
     query: str | None = None
     """Name of the query to open with, as the picker shows it, by default the first; with --index also a folder of pictures to
-    search for."""
+    search for; with --gallery the file of the queries' descriptors."""
     host: str = "127.0.0.1"
     """Address to listen on; on any other than 127.0.0.1, other machines can connect with the token in the printed link."""
     port: int = 8080
@@ -66,6 +73,13 @@ class Explore:
         if self.index is not None:
             self._explore_index(self.index, authenticator)
             return
+        if self.gallery is not None:
+            self._explore_arrays(self.gallery, authenticator)
+            return
+        if self.paths is not None or self.order != "parts-first":
+            raise InputError(
+                "A list of pictures and an order belong to plain arrays; give --gallery and --query with --paths and --order."
+            )
         if self.depth is not None:
             raise InputError("A gallery in memory is ranked in full; give --depth with --index only.")
         if self.map is not None or self.flight is not None:
@@ -105,6 +119,30 @@ class Explore:
             authenticator,
             self.provider,
             DEMO_FLIGHT if is_demo and DEMO_FLIGHT[0].is_file() else None,
+        )
+
+    def _explore_arrays(self, gallery: Path, authenticator: Authenticator) -> None:
+        from explorer.app import run_arrays
+        from lpn.retrieval.plain_arrays import load_arrays
+        from lpn.retrieval.published_results import check_n_parts
+
+        if self.query is None:
+            raise InputError(
+                "Plain arrays have two sides; give the descriptors of the queries as --query beside --gallery."
+            )
+        others = {"--model": self.model, "--saved": self.saved, "--beside": self.beside, "--depth": self.depth}
+        others |= {"--map": self.map, "--flight": self.flight}
+        if other := next((name for name, value in others.items() if value is not None), None):
+            raise InputError(f"Plain arrays are explored without a model, by their rows alone; leave {other} out.")
+        if self.provider != "auto" or not self.register:
+            raise InputError("Plain arrays need no network; leave --provider and --no-register out.")
+        query, n_parts = Path(self.query), None if self.n_parts is None else check_n_parts(self.n_parts)
+        run_arrays(
+            lambda: load_arrays(query, gallery, self.paths, n_parts, self.order, self.data),
+            query.name,
+            self.host,
+            self.port,
+            authenticator,
         )
 
     def _explore_index(self, where: str, authenticator: Authenticator) -> None:

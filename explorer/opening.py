@@ -15,6 +15,7 @@ import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import LazyWorkspace, Workspace
+from lpn.analysis.array_task import array_task
 from lpn.analysis.task import Task, gallery_geometry, offered_tasks, open_task
 from lpn.core.errors import DataError, LPNError
 from lpn.core.files import printable
@@ -32,6 +33,7 @@ from lpn.locate.task import flight_task
 from lpn.maps import open_map
 from lpn.models.base import Model
 from lpn.models.spec import Layout, ModelSpec
+from lpn.retrieval.plain_arrays import PlainArrays
 from lpn.retrieval.published_results import PublishedResult
 
 log = logging.getLogger(__name__)
@@ -150,6 +152,31 @@ def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> 
     rankings = [_begin_ranking(task)]
     workspace = Workspace(
         task.model_name, task.data_name, rankings, contract, map_sizes, None, _city(task), dataset.root
+    )
+    workspace.choose_first_query(query)
+    return workspace
+
+
+def open_arrays(arrays: PlainArrays, name: str, query: str | None = None) -> Workspace:
+    """Open the descriptors of any model on its pictures, without a network.
+
+    Args:
+        name: of the model, to display.
+        query: name of the query that a new browser shows first.
+
+    Raises:
+        LPNError: when there is no such query.
+    """
+    task = array_task(arrays, name)
+    workspace = Workspace(
+        task.model_name,
+        task.data_name,
+        [_begin_ranking(task)],
+        task.contract,
+        dict(task.map_sizes),
+        None,
+        _city(task),
+        task.root,
     )
     workspace.choose_first_query(query)
     return workspace

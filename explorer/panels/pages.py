@@ -18,9 +18,10 @@ SHIFT_NOTE = (
     "Shifts are in pixels of the network's input and follow the rotation. LPN assumes that the target is in the middle."
 )
 SAVED_NOTE = (
-    "This is a saved result without its network: queries cannot be rotated or uploaded, and there are no heatmaps. "
-    "Rings are drawn as published."
+    "These are descriptors without their network: queries cannot be rotated or uploaded, and there are no heatmaps."
 )
+RINGS_NOTE = "Rings are drawn as published."
+ARRAYS_NOTE = "Plain arrays do not tell where a part lies in a picture."
 PARTS_NOTE = "Switch parts off or weight them: the ranking follows at once. R@1 at the top right is always that of equal weights."
 
 

@@ -76,8 +76,9 @@ class QueryPanel:
         # Inputs are read in order. The search comes after the sliders, because it resets them when it finds a query.
         controls.bind("find", self.find_box, self._search)
         with gui.add_folder("Look"):
-            controls.checkbox(workspace.parts_word.capitalize(), "rings")
-            controls.checkbox("Take apart", "exploded")
+            fixed = any(workspace.contract.partition(view) is not None for view in workspace.contract.views)
+            controls.checkbox(workspace.parts_word.capitalize(), "rings", visible=has_model or fixed)
+            controls.checkbox("Take apart", "exploded", visible=has_model or fixed)
             has_places = any(task.geometry is not None for task in workspace.tasks.values())
             controls.checkbox("Map", "map", visible=has_places)
             self._city = controls.checkbox("City", "city", visible=False)
@@ -88,7 +89,8 @@ class QueryPanel:
             controls.dropdown("Heat of", "heat_part", parts, visible=has_cells)
             controls.slider("Opacity", "opacity", 0.0, 1.0, 0.05, visible=has_cells)
             if not has_model:
-                gui.add_html(pages.note(pages.SAVED_NOTE, "lpn-saved"))
+                more = pages.RINGS_NOTE if fixed else pages.ARRAYS_NOTE
+                gui.add_html(pages.note(f"{pages.SAVED_NOTE} {more}", "lpn-saved"))
             elif not has_cells:
                 gui.add_html(pages.note(workspace.without_cells, "lpn-without-cells"))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import lpn
 from lpn.core.errors import InputError
@@ -36,8 +36,17 @@ class EvaluateCommand:
     """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     saved: Path | None = None
     """Result of the published test code, pytorch_result.mat, in place of --data and --model."""
+    query: Path | None = None
+    """Descriptors of the queries that any model made, as .npy, .npz, .mat, or .parquet; with --gallery and --paths."""
+    gallery: Path | None = None
+    """Descriptors of the gallery, as for --query."""
+    paths: Path | None = None
+    """List of the pictures of --query and --gallery, a .csv with file, side, label (docs/data.md)."""
+    order: Literal["parts-first", "parts-last"] = "parts-first"
+    """With --gallery: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
     n_parts: int | None = None
-    """Number of parts of the descriptors in --saved; needed with --parts and --average-queries."""
+    """Number of parts of the descriptors in --saved, or in two-dimensional --query and --gallery; needed with --parts and
+    --average-queries."""
     task: TaskName | None = None
     """Views of query and gallery; by default the first task of the data set."""
     rotate: float = 0.0
@@ -91,7 +100,10 @@ class EvaluateCommand:
             self.average_queries,
             self.whole,
         )
-        title, result = self._evaluate_saved(self.saved, protocol) if self.saved else self._evaluate_model(protocol)
+        if self.query is not None or self.gallery is not None or self.paths is not None:
+            title, result = self._evaluate_arrays(protocol)
+        else:
+            title, result = self._evaluate_saved(self.saved, protocol) if self.saved else self._evaluate_model(protocol)
         _print_result(title, result)
         if self.json is not None:
             write_atomic(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
@@ -128,6 +140,26 @@ class EvaluateCommand:
             }
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_atomic(self.json, (json.dumps(_without_nan(result), indent=1) + "\n").encode())
+
+    def _evaluate_arrays(self, protocol: Protocol) -> tuple[str, Result]:
+        from lpn.retrieval.evaluate import evaluate_saved
+        from lpn.retrieval.plain_arrays import load_arrays
+
+        if self.query is None or self.gallery is None or self.paths is None:
+            raise InputError(
+                "Plain arrays are evaluated with their list of pictures; give --query, --gallery, and --paths."
+            )
+        others = {"--model": self.model, "--saved": self.saved, "--task": self.task}
+        if other := next((name for name, value in others.items() if value is not None), None):
+            raise InputError(f"Plain arrays are evaluated without a model, by their rows alone; leave {other} out.")
+        n_parts = None if self.n_parts is None else check_n_parts(self.n_parts)
+        arrays = load_arrays(self.query, self.gallery, self.paths, n_parts, self.order, self.data)
+        if not arrays.labelled.all():
+            raise InputError(
+                f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {self.paths.name}, so "
+                "nobody knows what is right; add their labels."
+            )
+        return f"{arrays.result.name} on {self.gallery.name}", evaluate_saved(arrays.result, protocol)
 
     def _evaluate_saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved

@@ -1,0 +1,363 @@
+"""Descriptors of any model as plain arrays, with a list of their pictures: evaluated and explored without a network.
+
+An array is (N, D), (N, n, D), or (N, D, n), floats of any precision, in one of these files:
+
+    .npy        the array
+    .npz        one array; or `query` and `gallery`, so that one file may hold both sides
+    .mat        MATLAB 5: query_f, query, gallery_f, gallery, descriptors, or features (extra `data`)
+    .parquet    one column of lists, such as `descriptor`; else all columns of numbers (pyarrow)
+
+The list (`paths.csv`) has a line for each row of both arrays, those of one side in the order of their rows:
+
+    file,side,label,latitude,longitude
+    query/0001.jpg,query,1,30.3201,120.3807
+    tiles/0001.png,gallery,1,30.3203,120.3806
+
+`file` is a path below the list's folder; a picture that is not there is drawn as a placeholder. `side` is query or gallery.
+`label` is any text, equal for pictures of one place; empty where it is unknown, and -1 for a gallery picture that is dropped from
+the ranking. Latitude and longitude, in degrees, may be empty. Only file and side are needed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import cv2
+import numpy as np
+
+from lpn.core.arrays import AnyArray, BoolArray, Float32Array, UInt8Array
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
+from lpn.core.views import View
+from lpn.datasets import Picture, Truth, matlab
+from lpn.datasets.base import checked_path, read_rows
+from lpn.datasets.geo import Position
+from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.ranks import JUNK
+
+log = logging.getLogger(__name__)
+
+Side = Literal["query", "gallery"]
+# The axis of the parts: (N, n, D) or (N, D, n).
+Order = Literal["parts-first", "parts-last"]
+_COLUMNS = ("file", "side", "label", "latitude", "longitude")
+_KEYS = {
+    "query": ("query_f", "query", "descriptors", "features"),
+    "gallery": ("gallery_f", "gallery", "descriptors", "features"),
+}
+# Norms of parts that differ by less than this share from 1/sqrt(n) are not worth a warning.
+_TOLERANCE = 0.01
+_PLACEHOLDER = 256
+
+
+@dataclass(frozen=True, eq=False)
+class PlainArrays:
+    """Descriptors of both sides with what the list tells about their pictures.
+
+    Attributes:
+        result: descriptors (parts of norm 1/sqrt(n)), labels, and paths.
+        root: the folder that paths are relative to.
+        queries, gallery: the pictures.
+        query_positions, positions: where they were taken; None for those that the list leaves out.
+        labelled: the queries with a label, (Q,).
+        identity: digest of the descriptors.
+    """
+
+    result: PublishedResult
+    root: Path
+    queries: list[Picture]
+    gallery: list[Picture]
+    query_positions: list[Position | None]
+    positions: list[Position | None]
+    labelled: BoolArray
+    identity: str
+
+    @property
+    def views(self) -> tuple[View, View]:
+        """The views of both sides, by folders such as query_drone; drone and satellite where these do not tell."""
+        return self.result.views or ("drone", "satellite")
+
+    def truth(self) -> list[Truth] | None:
+        """The true matches of each query where some queries have no label; None if labels tell everything."""
+        if self.labelled.all():
+            return None
+        junk = np.flatnonzero(self.result.gallery_labels == JUNK)
+        return [
+            Truth(np.flatnonzero(self.result.gallery_labels == label) if known else junk[:0], junk, bool(known))
+            for label, known in zip(self.result.query_labels, self.labelled, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class _Line:
+    file: str
+    label: str
+    position: Position | None
+
+
+def load_arrays(
+    query: str | Path,
+    gallery: str | Path,
+    paths: str | Path | None = None,
+    n_parts: int | None = None,
+    order: Order = "parts-first",
+    root: str | Path | None = None,
+) -> PlainArrays:
+    """Read the descriptors of queries and gallery, and the list of their pictures.
+
+    Args:
+        query, gallery: files of arrays, see the module; they may be the same `.npz` or `.mat`.
+        paths: the list; without it, rows are numbered, their places are unknown, and pictures are placeholders.
+        n_parts: number of parts of two-dimensional arrays, 1 by default; those of others must have as many.
+        order: "parts-first" for (N, n, D), and for rows that are n parts one after the other; "parts-last" for (N, D, n).
+        root: the folder that the list's paths are relative to; by default the list's.
+
+    Raises:
+        DataError: if a file is missing, damaged, or does not fit the others.
+        InputError: if an array does not consist of that many parts.
+    """
+    sides: dict[Side, Path] = {"query": Path(query), "gallery": Path(gallery)}
+    arrays = {side: _descriptors(_read(file, side), file, n_parts, order) for side, file in sides.items()}
+    if arrays["query"].shape[1:] != arrays["gallery"].shape[1:]:
+        raise DataError(
+            f"{_name(sides['query'])} has rows of {_shape(arrays['query'])}, and {_name(sides['gallery'])} of "
+            f"{_shape(arrays['gallery'])} (parts and numbers of a part); expected the same, from one model."
+        )
+    folder = Path(root) if root is not None else sides["query"].parent if paths is None else Path(paths).parent
+    if not folder.is_dir():
+        raise DataError(f"There is no folder of pictures at {printable(str(folder))}; check the path.")
+    lines = _numbered(arrays) if paths is None else _listed(Path(paths), arrays)
+    names = [line.label for side in lines.values() for line in side]
+    numbers = _label_numbers(names)
+    labels = {side: np.array([numbers[line.label] for line in of], np.int64) for side, of in lines.items()}
+    pictures = {
+        side: [_picture(folder, line, int(label)) for line, label in zip(of, labels[side], strict=True)]
+        for side, of in lines.items()
+    }
+    known = np.array([bool(line.label) for line in lines["query"]], bool)
+    listed = {side: tuple(line.file for line in of) for side, of in lines.items()}
+    result = PublishedResult(
+        _name(sides["query"]),
+        arrays["query"],
+        labels["query"],
+        arrays["gallery"],
+        labels["gallery"],
+        listed["query"],
+        listed["gallery"],
+    )
+    digest = hashlib.sha256(arrays["query"].tobytes() + b"|" + arrays["gallery"].tobytes()).hexdigest()
+    positions = {side: [line.position for line in of] for side, of in lines.items()}
+    return PlainArrays(
+        result, folder, pictures["query"], pictures["gallery"], positions["query"], positions["gallery"], known, digest
+    )
+
+
+def _name(file: Path) -> str:
+    return printable(file.name)
+
+
+def _shape(array: AnyArray) -> str:
+    return " x ".join(map(str, array.shape[1:]))
+
+
+def _read(file: Path, side: Side) -> AnyArray:
+    """Return the array of a side as it is in its file."""
+    if not file.is_file():
+        raise DataError(f"There is no file of {side} descriptors at {printable(str(file))}; check the path.")
+    readers = {".npy": _read_npy, ".npz": _read_npz, ".mat": _read_mat, ".parquet": _read_parquet}
+    reader = readers.get(file.suffix.lower())
+    if reader is None:
+        raise DataError(f"{_name(file)} is no array file; expected one that ends in {', '.join(readers)}.")
+    return reader(file, side)
+
+
+def _read_npy(file: Path, side: Side) -> AnyArray:
+    del side
+    try:
+        return cast(AnyArray, np.load(file, mmap_mode="r", allow_pickle=False))
+    except (OSError, ValueError, EOFError) as error:
+        raise DataError(
+            f"{_name(file)} is no array that NumPy saved ({printable(str(error))}); save it again."
+        ) from error
+
+
+def _read_npz(file: Path, side: Side) -> AnyArray:
+    try:
+        with np.load(file, allow_pickle=False) as archive:
+            names = list(archive.files)
+            chosen = names[0] if len(names) == 1 else next((key for key in _KEYS[side] if key in names), None)
+            if chosen is None:
+                raise DataError(
+                    f"{_name(file)} holds {', '.join(map(printable, names)) or 'nothing'}; expected one array, or {side}."
+                )
+            return cast(AnyArray, archive[chosen])
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise DataError(
+            f"{_name(file)} is no archive that NumPy saved ({printable(str(error))}); save it again."
+        ) from error
+
+
+def _read_mat(file: Path, side: Side) -> AnyArray:
+    keys = _KEYS[side]
+    found = matlab.load(file, (), f"a MATLAB 5 file with {' or '.join(keys)}", keys, simplify=False)
+    chosen = next((key for key in keys if key in found), None)
+    if chosen is None:
+        raise DataError(
+            f"{_name(file)} has none of the variables {', '.join(keys)}; save the descriptors as one of them."
+        )
+    return cast(AnyArray, np.asarray(found[chosen]))
+
+
+def _read_parquet(file: Path, side: Side) -> AnyArray:
+    del side
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(file)
+    except (OSError, pa.ArrowException) as error:
+        raise DataError(
+            f"{_name(file)} is no Parquet file ({printable(str(error).splitlines()[0])}); save it again."
+        ) from error
+    lists = [name for name in table.column_names if _is_list(table.schema.field(name).type, pa)]
+    if len(lists) == 1:
+        column = table.column(lists[0]).combine_chunks()
+        values = column.flatten().to_numpy(zero_copy_only=False)
+        if column.null_count or len(values) % max(len(column), 1):
+            raise DataError(
+                f"The lists in {lists[0]} of {_name(file)} differ in length; expected as many numbers in each row."
+            )
+        return cast(AnyArray, values.reshape(len(column), -1))
+    numbers = [name for name in table.column_names if pa.types.is_floating(table.schema.field(name).type)]
+    if lists or not numbers:
+        raise DataError(
+            f"{_name(file)} has {len(lists)} columns of lists; expected one, or a column of floats for each number of a "
+            "descriptor."
+        )
+    return cast(AnyArray, np.stack([table.column(name).to_numpy() for name in numbers], axis=1))
+
+
+def _is_list(kind: Any, pa: Any) -> bool:
+    return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
+
+
+def _descriptors(array: AnyArray, file: Path, n_parts: int | None, order: Order) -> Float32Array:
+    """Return descriptors (N, n, D) with parts of norm 1/sqrt(n)."""
+    name = _name(file)
+    if array.ndim not in (2, 3) or not array.size or not np.issubdtype(array.dtype, np.floating):
+        raise DataError(
+            f"The descriptors in {name} are {array.dtype} of shape {array.shape}; expected floats, (N, D), (N, n, D), or "
+            "(N, D, n)."
+        )
+    if array.ndim == 2:
+        count, length = array.shape
+        n = n_parts or 1
+        if length % n:
+            raise InputError(
+                f"The rows of {name} have {length} numbers, which are not {n} equal parts; check --n-parts."
+            )
+        array = array.reshape((count, n, length // n) if order == "parts-first" else (count, length // n, n))
+    parts = np.ascontiguousarray(array if order == "parts-first" else array.transpose(0, 2, 1), np.float32)
+    if n_parts is not None and parts.shape[1] != n_parts:
+        raise InputError(
+            f"{name} has {parts.shape[1]} parts of {parts.shape[2]} numbers with --order {order}; expected {n_parts} parts, so "
+            "check --n-parts and --order."
+        )
+    norms = np.linalg.norm(parts.astype(np.float64), axis=2) * np.sqrt(parts.shape[1])
+    bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)).all(axis=1))
+    if len(bad):
+        raise DataError(
+            f"{len(bad)} rows of {name}, the first being row {bad[0] + 1}, have values that are not finite or a part that is "
+            "zero; describe these pictures again."
+        )
+    if not (np.abs(norms - 1) <= _TOLERANCE).all():
+        log.warning("The parts in %s do not have norm 1/sqrt(%d); they are scaled to it.", name, parts.shape[1])
+    return cast(Float32Array, (parts / norms[..., None]).astype(np.float32))
+
+
+def _numbered(arrays: Mapping[Side, Float32Array]) -> dict[Side, list[_Line]]:
+    return {
+        side: [_Line(f"{side}/{row:0{len(str(len(array)))}d}", "", None) for row in range(1, len(array) + 1)]
+        for side, array in arrays.items()
+    }
+
+
+def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[_Line]]:
+    """Read the list of pictures."""
+    name = _name(file)
+    rows = read_rows(file, name)
+    _, first = next(rows, (0, []))
+    header = [column.strip().lower() for column in first]
+    unknown = set(header) - set(_COLUMNS)
+    if not {"file", "side"} <= set(header) or unknown or len(set(header)) < len(header):
+        raise DataError(
+            f"The first line of {name} is {printable(','.join(header)) or 'empty'}; expected file,side and, if known, "
+            "label,latitude,longitude."
+        )
+    found: dict[Side, list[_Line]] = {"query": [], "gallery": []}
+    for number, values in rows:
+        where = f"Line {number} of {name}"
+        if len(values) != len(header):
+            raise DataError(f"{where} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
+        row = {column: value.strip() for column, value in zip(header, values, strict=True)}
+        if row["side"] not in found:
+            raise DataError(f"{where} has the side {printable(row['side'])!r}; expected query or gallery.")
+        line = _Line(checked_path(row["file"], where), row.get("label", ""), _position(row, where))
+        found[cast(Side, row["side"])].append(line)
+    for side, lines in found.items():
+        if len(lines) != len(arrays[side]):
+            raise DataError(
+                f"{name} has {len(lines)} lines of the side {side}, and the array {len(arrays[side])} rows; expected as many."
+            )
+    return found
+
+
+def _position(row: Mapping[str, str], where: str) -> Position | None:
+    texts = [row.get(name, "") for name in ("latitude", "longitude")]
+    if not any(texts):
+        return None
+    try:
+        latitude, longitude = (float(text) for text in texts)
+    except ValueError:
+        latitude = longitude = float("nan")
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+        raise DataError(
+            f"{where} has the position {printable(', '.join(texts))!r}; expected latitude and longitude in degrees."
+        )
+    return Position(latitude, longitude)
+
+
+def _label_numbers(labels: Sequence[str]) -> dict[str, int]:
+    """Return a number for each label: itself where all are whole numbers; -1 for junk; a number of its own for none."""
+    distinct = list(dict.fromkeys(label for label in labels if label))
+    whole = all(label.removeprefix("-").isdecimal() and len(label) < 18 for label in distinct)
+    numbers = {label: int(label) if whole else number for number, label in enumerate(distinct)}
+    return numbers | {str(JUNK): JUNK, "": max(numbers.values(), default=0) + 1}
+
+
+def _picture(root: Path, line: _Line, label: int) -> Picture:
+    path = root / line.file
+    name = printable(Path(line.file).with_suffix("").as_posix())
+    if path.is_file():
+        return Picture(path, label, name)
+    return Picture(path, label, name, note="no picture", cut=_placeholder)
+
+
+def _placeholder() -> UInt8Array:
+    """Draw a grey square with a cross."""
+    drawn = np.full((_PLACEHOLDER, _PLACEHOLDER, 3), 96, np.uint8)
+    for start, end in (((0, 0), (_PLACEHOLDER, _PLACEHOLDER)), ((0, _PLACEHOLDER), (_PLACEHOLDER, 0))):
+        cv2.line(drawn, start, end, (120, 120, 120), 2, cv2.LINE_AA)
+    return drawn
+
+
+def places_of(positions: Sequence[Position | None]) -> list[Position] | None:
+    """Return positions if all are known, else None."""
+    known = [place for place in positions if place is not None]
+    return known if known and len(known) == len(positions) else None

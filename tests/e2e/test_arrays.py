@@ -1,0 +1,50 @@
+"""Exploring plain arrays: rankings, the laboratory, and the map, without any model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import BrowserContext, expect
+
+from tests.e2e.conftest import ExplorerPage, started
+from tools.fixtures import layouts, small_worlds
+
+
+def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Callable[[], BrowserContext]) -> None:
+    rng = np.random.default_rng(2)
+    places = rng.standard_normal((8, 2, 6))
+    query = places[:5] + 1.2 * rng.standard_normal((5, 2, 6))
+    np.save(tmp_path / "q.npy", query)
+    np.save(tmp_path / "g.npy", places)
+    lines = ["file,side,label,latitude,longitude"]
+    lines += [f"q/{row}.png,query,{row},46.000{row},7.0" for row in range(5)]
+    lines += [f"g/{row}.png,gallery,{row},46.000{row},7.0" for row in range(8)]
+    (tmp_path / "paths.csv").write_text("\n".join(lines) + "\n")
+    for row in range(0, 8, 2):  # the others are placeholders
+        small_worlds.write(tmp_path / "g" / f"{row}.png", layouts.small(row))
+    options = (
+        "--query",
+        str(tmp_path / "q.npy"),
+        "--gallery",
+        str(tmp_path / "g.npy"),
+        "--paths",
+        str(tmp_path / "paths.csv"),
+    )
+    with started(tmp_path, tmp_path, tmp_path / "cache", default=True, options=options) as running:
+        explorer = ExplorerPage(contexts().new_page())
+        explorer.open(running.url)
+        header = explorer.page.locator("#lpn-header")
+        for text in ("q.npy", "n = 2, no network", "5 queries", "8 tiles"):
+            expect(header).to_contain_text(text)
+        expect(explorer.page.locator("#lpn-saved")).to_contain_text("do not tell where a part lies")
+        expect(explorer.page.locator('label:text-is("Rings")')).to_have_count(0)
+        unit = [side / np.linalg.norm(side, axis=2, keepdims=True) for side in (query, places)]
+        order = np.argsort(-np.einsum("nd,gnd->g", unit[0][3], unit[1]), kind="stable")
+        explorer.fill("Find name", "q/3")
+        explorer.expect_status("name", "q/3")
+        for row, tile in zip(explorer.rows.all(), order, strict=False):
+            assert row.get_attribute("data-index") == str(tile)
+        explorer.key("b")
+        expect(explorer.page.locator("#lpn-lab-table")).to_contain_text("q/0")

@@ -1,0 +1,63 @@
+"""Plain arrays in the app: ranking, laboratory, and map without a model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explorer.opening import open_arrays
+from explorer.panels import answer_text, pages
+from explorer.session_state import SessionState
+from explorer.workspace import StateAnalyser
+from lpn.analysis import breakdown
+from lpn.cli.main import main
+from lpn.retrieval.plain_arrays import load_arrays
+
+
+def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    query, gallery = rng.standard_normal((6, 2, 5)), rng.standard_normal((9, 2, 5))
+    np.save(tmp_path / "q.npy", query)
+    np.save(tmp_path / "g.npy", gallery)
+    lines = ["file,side,label,latitude,longitude"]
+    lines += [f"q{row},query,{row},46.{row},7" for row in range(6)] + [
+        f"g{row},gallery,{row},46.{row},7" for row in range(9)
+    ]
+    (tmp_path / "paths.csv").write_text("\n".join(lines))
+    workspace = open_arrays(load_arrays(tmp_path / "q.npy", tmp_path / "g.npy", tmp_path / "paths.csv"), "q.npy", "q2")
+    (task,) = workspace.tasks.values()
+    assert workspace.first_query == 2
+    assert workspace.part_names == ["1", "2"]
+    assert "no network" in pages.header(workspace, task)
+    state = SessionState(task.name, 2, query=2)
+    unit = [side / np.linalg.norm(side, axis=2, keepdims=True) for side in (query, gallery)]
+    cosines = np.einsum("nd,gnd->gn", unit[0][2], unit[1])
+    for weights in ((True, True), (False, True)):
+        shown = workspace.supported_state(replace(state, enabled=weights, heat=True))
+        analysis = StateAnalyser(workspace).analyse(shown, 4)
+        expected = np.argsort(-(cosines @ np.array(weights, float)), kind="stable")[:4]
+        assert [match.index for match in analysis.matches] == expected.tolist()
+        assert answer_text.verdict(analysis, workspace.part_names)
+    assert workspace.areas(task.query_view) is None
+    assert workspace.mosaic(task).shape[2] == 3
+    pairs = breakdown.confusions(task.outcomes, task.query_labels, task.gallery_labels, task.table.rows())
+    assert sum(pair.count for pair in pairs) == int(task.outcomes.failed.sum())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--gallery", "g.npy"], "give the descriptors of the queries as --query"),
+        (["--gallery", "g.npy", "--query", "q.npy", "--model", "m.onnx"], "leave --model out"),
+        (["--paths", "paths.csv"], "belong to plain arrays"),
+        (["--gallery", "absent.npy", "--query", "absent.npy"], "no file of query descriptors at absent.npy"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused(
+    options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["explore", *options, "--port", "0"]) == 2
+    assert message in capsys.readouterr().err

@@ -1,0 +1,215 @@
+"""Plain arrays in every form, and what is said about those that do not fit."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import savemat
+
+from lpn.analysis.array_task import array_task
+from lpn.cli.main import main
+from lpn.core.errors import DataError, InputError, LPNError
+from lpn.retrieval import metrics
+from lpn.retrieval.plain_arrays import load_arrays
+from tools.fixtures import layouts, small_worlds
+
+Q, G, N, D = 5, 7, 3, 4
+
+
+@pytest.fixture
+def arrays() -> tuple[np.ndarray, np.ndarray]:
+    """Descriptors (Q, n, D) and (G, n, D) with parts of norm 1/sqrt(n)."""
+    rng = np.random.default_rng(0)
+    sides = (rng.standard_normal((Q, N, D)), rng.standard_normal((G, N, D)))
+    query, gallery = (
+        (side / np.linalg.norm(side, axis=2, keepdims=True) / np.sqrt(N)).astype(np.float32) for side in sides
+    )
+    return query, gallery
+
+
+def write_list(folder: Path, positions: bool = True, unlabelled: tuple[int, ...] = ()) -> Path:
+    """Write paths.csv; gallery row 6 is junk, and half of the pictures are there."""
+    lines = ["file,side,label,latitude,longitude"]
+    for row in range(Q):
+        label = "" if row in unlabelled else f"place {row}"
+        lines.append(f"q/{row}.png,query,{label},{f'46.{row}00,7.{row}' if positions else ','}")
+    for row in range(G):
+        label = "-1" if row == 6 else f"place {row % 5}"
+        lines.append(f"g/{row}.png,gallery,{label},{f'46.{row}01,7.{row}' if positions else ','}")
+        if row % 2:
+            small_worlds.write(folder / "g" / f"{row}.png", layouts.small(row))
+    (folder / "paths.csv").write_text("\n".join(lines) + "\n")
+    return folder / "paths.csv"
+
+
+def save(folder: Path, kind: str, side: str, array: np.ndarray) -> Path:
+    file = folder / f"{side}.{kind}"
+    if kind == "npy":
+        np.save(file, array)
+    elif kind == "npz":
+        np.savez(file, **{side: array})
+    elif kind == "mat":
+        savemat(file, {f"{side}_f": array})
+    else:
+        flat = array.reshape(len(array), -1)
+        pq.write_table(pa.table({"name": [str(i) for i in range(len(flat))], "descriptor": list(flat)}), file)
+    return file
+
+
+@pytest.mark.parametrize(
+    ("kind", "order"),
+    [
+        ("npy", "parts-first"),
+        ("npy", "parts-last"),
+        ("npz", "parts-last"),
+        ("mat", "parts-last"),
+        ("parquet", "parts-last"),
+    ],
+)
+def test_every_form_gives_the_same_descriptors(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], kind: str, order: str
+) -> None:
+    shaped = [side if order == "parts-first" else side.transpose(0, 2, 1) for side in arrays]
+    files = [save(tmp_path, kind, side, array.copy()) for side, array in zip(("query", "gallery"), shaped, strict=True)]
+    found = load_arrays(*files, write_list(tmp_path), N, order)  # type: ignore[arg-type]
+    for got, expected in zip((found.result.query, found.result.gallery), arrays, strict=True):
+        np.testing.assert_allclose(got, expected, atol=1e-7)
+    flat = [
+        save(tmp_path, kind, side, array.reshape(len(array), -1))
+        for side, array in zip(("query", "gallery"), shaped, strict=True)
+    ]
+    again = load_arrays(*flat, n_parts=N, order=order)  # type: ignore[arg-type]
+    np.testing.assert_allclose(again.result.gallery, arrays[1], atol=1e-7)
+
+
+def test_rows_are_scaled_and_ranked_by_label(tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]) -> None:
+    np.savez(tmp_path / "both.npz", query=3.0 * arrays[0].astype(np.float16), gallery=arrays[1].astype(np.float64))
+    both = tmp_path / "both.npz"
+    found = load_arrays(both, both, write_list(tmp_path))
+    norms = np.linalg.norm(found.result.query, axis=2)
+    np.testing.assert_allclose(norms, 1 / np.sqrt(N), rtol=1e-6)
+    task = array_task(found, "both.npz")
+    labels = np.array([0, 1, 2, 3, 4, 0, -1])
+    expected = metrics.evaluate(found.result.query, np.arange(5), found.result.gallery, labels)
+    assert task.metrics == expected
+    assert task.contract.claim == "parts only: the model gives no cells"
+    assert task.geometry is not None
+    order = np.argsort(-(found.result.query.reshape(Q, -1) @ found.result.gallery.reshape(G, -1).T)[:, :6], axis=1)
+    assert task.outcomes.answer.tolist() == order[:, 0].tolist()
+    assert len(task.table) == Q
+    assert (task.gallery[1].cut is None, task.gallery[0].note) == (True, "no picture")
+    assert task.gallery[0].load().shape == (256, 256, 3)
+
+
+def test_queries_without_a_label_are_ranked_and_not_counted(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]
+) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    found = load_arrays(*files, write_list(tmp_path, positions=False, unlabelled=(1, 4)))
+    task = array_task(found, "q.npy")
+    assert task.known is not None
+    assert task.known.tolist() == [True, False, True, True, False]
+    assert task.outcomes.failed.sum() + task.outcomes.found.sum() == 3
+    assert task.geometry is None
+    alone = array_task(load_arrays(*files), "q.npy")
+    assert alone.known is not None
+    assert not alone.known.any()
+    assert [picture.name for picture in alone.gallery][:2] == ["gallery/1", "gallery/2"]
+
+
+def test_the_command_evaluates_plain_arrays(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    given = ["evaluate", "--query", str(files[0]), "--gallery", str(files[1])]
+    out = tmp_path / "figures.json"
+    assert main([*given, "--paths", str(write_list(tmp_path)), "--json", str(out)]) == 0
+    expected = metrics.evaluate(arrays[0], np.arange(5), arrays[1], np.array([0, 1, 2, 3, 4, 0, -1]))
+    assert json.loads(out.read_text())["ap"] == pytest.approx(expected["ap"])
+    assert main([*given, "--paths", str(write_list(tmp_path, unlabelled=(2,)))]) == 2
+    assert "1 of 5 queries have no label" in capsys.readouterr().err
+    assert main(given) == 2
+    assert "give --query, --gallery, and --paths" in capsys.readouterr().err
+
+
+def rewrite(change: Callable[[str], str]) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        file = folder / "paths.csv"
+        file.write_text(change(file.read_text()))
+
+    return write
+
+
+def put(name: str, content: Callable[[], object]) -> Callable[[Path], None]:
+    def write(folder: Path) -> None:
+        value = content()
+        if isinstance(value, bytes):
+            (folder / name).write_bytes(value)
+        else:
+            np.save(folder / name, value)  # type: ignore[arg-type]
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (
+            rewrite(lambda text: text.replace("query,place 3", "quary,place 3")),
+            "Line 5 of paths.csv has the side 'quary'",
+        ),
+        (rewrite(lambda text: text.replace("file,side", "path,side")), "expected file,side"),
+        (rewrite(lambda text: text.replace("q/1.png", "../1.png")), "without '..'"),
+        (rewrite(lambda text: text.replace("46.100", "461")), "Line 3 of paths.csv has the position"),
+        (rewrite(lambda text: text + "g/8.png,gallery,1,,\n"), "8 lines of the side gallery, and the array 7 rows"),
+        (rewrite(lambda text: text + "g/8.png,gallery\n"), "has 2 values; expected 5"),
+        (put("query.npy", lambda: b"nonsense"), "query.npy is no array that NumPy saved"),
+        (put("query.npy", lambda: np.array([{}], object)), "query.npy is no array that NumPy saved"),
+        (put("query.npy", lambda: np.ones((Q, N, D), np.int64)), "int64 of shape"),
+        (put("query.npy", lambda: np.ones((Q, N, D + 1), np.float32)), "rows of 3 x 5, and gallery.npy of 3 x 4"),
+        (put("query.npy", lambda: np.zeros((Q, N, D), np.float32)), "5 rows of query.npy, the first being row 1"),
+        (put("query.npy", lambda: np.full((Q, N, D), np.nan, np.float32)), "not finite or a part that is zero"),
+    ],
+)
+def test_what_does_not_fit_is_told_in_one_sentence(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], harm: Callable[[Path], None], message: str
+) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    paths = write_list(tmp_path)
+    harm(tmp_path)
+    with pytest.raises(LPNError, match=message) as raised:
+        load_arrays(*files, paths)
+    assert "\n" not in str(raised.value)
+
+
+def test_other_files_and_wrong_numbers_of_parts_are_refused(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]
+) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    (tmp_path / "query.txt").write_text("1 2")
+    with pytest.raises(InputError, match=r"query.npy has 3 parts of 4 numbers .* expected 4 parts"):
+        load_arrays(*files, n_parts=4)
+    with pytest.raises(
+        DataError, match=r"query.txt is no array file; expected one that ends in .npy, .npz, .mat, .parquet"
+    ):
+        load_arrays(tmp_path / "query.txt", files[1])
+    with pytest.raises(DataError, match=r"no file of gallery descriptors at absent.npy"):
+        load_arrays(files[0], "absent.npy")
+    np.savez(tmp_path / "odd.npz", a=arrays[0], b=arrays[1])
+    with pytest.raises(DataError, match="holds a, b; expected one array, or query"):
+        load_arrays(tmp_path / "odd.npz", files[1])
+    savemat(tmp_path / "odd.mat", {"x": arrays[0]})
+    with pytest.raises(DataError, match="none of the variables query_f"):
+        load_arrays(tmp_path / "odd.mat", files[1])
+    pq.write_table(pa.table({"a": ["x"]}), tmp_path / "odd.parquet")
+    with pytest.raises(DataError, match="has 0 columns of lists"):
+        load_arrays(tmp_path / "odd.parquet", files[1])
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1nonsense")
+    with pytest.raises(DataError, match=r"bad.parquet is no Parquet file"):
+        load_arrays(tmp_path / "bad.parquet", files[1])
