@@ -11,16 +11,13 @@ from __future__ import annotations
 import hashlib
 import io
 import logging
-import zlib
 from collections.abc import Callable
 from pathlib import Path
-from tokenize import TokenError
-from zipfile import BadZipFile
 
 import numpy as np
 
 from lpn.analysis.task import Task
-from lpn.core.arrays import AnyArray
+from lpn.core.arrays import DAMAGED_ARRAY, AnyArray
 from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, write_atomic
 from lpn.retrieval import metrics
@@ -33,22 +30,6 @@ FORMAT = "lpn-ranking/1"
 # Queries ranked at a time; a ranking that is stopped loses the current step at most.
 STEP = 4096
 _COLUMNS = ("first", "true", "false", "precision")
-# Errors that NumPy raises for a damaged archive or array header.
-_DAMAGE = (
-    OSError,
-    ValueError,
-    KeyError,
-    TypeError,
-    EOFError,
-    BadZipFile,
-    zlib.error,
-    NotImplementedError,
-    SyntaxError,
-    TokenError,
-    OverflowError,
-    MemoryError,
-    RuntimeError,
-)
 
 
 class ResumableRanking:
@@ -134,7 +115,7 @@ def load(task: Task) -> Retrieval | None:
         with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as archive:
             columns = [archive[name] for name in _COLUMNS]
             gallery = int(archive["gallery"])
-    except _DAMAGE:
+    except DAMAGED_ARRAY:
         return None
     if not all(isinstance(column, np.ndarray) for column in columns):
         return None

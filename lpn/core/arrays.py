@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import zlib
+from tokenize import TokenError
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -19,3 +22,20 @@ Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 FloatingArray = npt.NDArray[np.floating]
 ObjectArray = npt.NDArray[np.object_]
+
+# Errors that NumPy raises for a damaged archive or array header.
+DAMAGED_ARRAY = (
+    OSError,
+    ValueError,
+    KeyError,
+    TypeError,
+    EOFError,
+    BadZipFile,
+    zlib.error,
+    NotImplementedError,
+    SyntaxError,
+    TokenError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+)

@@ -252,8 +252,11 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
         yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
-        queries, gallery = len(dataset.queries(query_view)), len(dataset.gallery(gallery_view))
-        yield f"lpn evaluate --task {task}: {queries} queries, {gallery} pictures in the gallery"
+        queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
+        asked = {picture.label for picture in queries}
+        kept = sum(picture.label in asked for picture in gallery)
+        without = f" ({kept} without distractors)" if dataset.truth(task) is None and 0 < kept < len(gallery) else ""
+        yield f"lpn evaluate --task {task}: {len(queries)} queries, {len(gallery)} pictures in the gallery{without}"
     if tables := _tables(dataset, places > 0):
         counts = [_count(dataset, name, pictures) for name, pictures in lists.items()]
         smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.published_sizes

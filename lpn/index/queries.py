@@ -69,7 +69,7 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
     name, folder, held = max(sides, key=lambda side: len(side[2]))
     view, model = views_of(name)[0], model.for_task(*views_of(name))
     queries, lists = dataset.queries(view), dataset.truth(name)
-    positions = geo.positions(dataset.root)
+    positions = dataset.positions()
     by_label: dict[int, list[str]] = {}
     for tile, (_, picture) in held.items():
         by_label.setdefault(picture.label, []).append(tile)

@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ from typing import Any, Literal, cast
 import cv2
 import numpy as np
 
-from lpn.core.arrays import AnyArray, BoolArray, Float32Array, UInt8Array
+from lpn.core.arrays import DAMAGED_ARRAY, AnyArray, BoolArray, Float32Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.views import View
@@ -180,11 +179,12 @@ def _read(file: Path, side: Side) -> AnyArray:
 def _read_npy(file: Path, side: Side) -> AnyArray:
     del side
     try:
-        return cast(AnyArray, np.load(file, mmap_mode="r", allow_pickle=False))
-    except (OSError, ValueError, EOFError) as error:
-        raise DataError(
-            f"{_name(file)} is no array that NumPy saved ({printable(str(error))}); save it again."
-        ) from error
+        found = np.load(file, mmap_mode="r", allow_pickle=False)
+        if not isinstance(found, np.ndarray):
+            raise ValueError("an archive")
+    except DAMAGED_ARRAY as error:
+        raise DataError(f"{_name(file)} is no array that NumPy saved, or damaged; save it again.") from error
+    return found
 
 
 def _read_npz(file: Path, side: Side) -> AnyArray:
@@ -196,11 +196,11 @@ def _read_npz(file: Path, side: Side) -> AnyArray:
                 raise DataError(
                     f"{_name(file)} holds {', '.join(map(printable, names)) or 'nothing'}; expected one array, or {side}."
                 )
-            return cast(AnyArray, archive[chosen])
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise DataError(
-            f"{_name(file)} is no archive that NumPy saved ({printable(str(error))}); save it again."
-        ) from error
+            return cast(AnyArray, np.asarray(archive[chosen]))
+    except DataError:
+        raise
+    except DAMAGED_ARRAY as error:
+        raise DataError(f"{_name(file)} is no archive that NumPy saved, or damaged; save it again.") from error
 
 
 def _read_mat(file: Path, side: Side) -> AnyArray:

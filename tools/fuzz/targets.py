@@ -120,7 +120,7 @@ def stores(folder: Path) -> list[FuzzCase]:
 
 
 def tables(folder: Path) -> list[FuzzCase]:
-    """geo.csv, pairs.csv, metadata.csv, CVUSA's lists, and the ground-truth files of landmarks."""
+    """geo.csv, pairs.csv, metadata.csv, and the lists of the published data sets."""
     from lpn.datasets import open_dataset
     from lpn.datasets.geo import read_positions
     from lpn.datasets.metadata import columns
@@ -148,7 +148,7 @@ def tables(folder: Path) -> list[FuzzCase]:
             file.write_bytes(data)
             try:
                 found = open_dataset(root)
-                _ = found.lists(), [found.truth(task) for task in found.tasks()]
+                _ = found.lists(), [found.truth(task) for task in found.tasks()], found.positions()
             finally:
                 file.write_bytes(whole)
 
@@ -162,7 +162,52 @@ def tables(folder: Path) -> list[FuzzCase]:
         FuzzCase([listed], dataset(pairs, pairs / "pairs.csv")),
         FuzzCase([split.read_bytes()], dataset(ground, split)),
     ]
-    return cases + [FuzzCase([file.read_bytes()], dataset(oxford, file)) for file in lists]
+    cases += [FuzzCase([file.read_bytes()], dataset(oxford, file)) for file in lists]
+    for root, names in (
+        (layouts.sues_raw(folder / "sues"), ("indexs.yaml",)),
+        (layouts.denseuav(folder / "denseuav"), ("Dense_GPS_ALL.txt",)),
+        (layouts.gta(folder / "gta"), ("cross-area-drone2sate-test.json",)),
+        (layouts.gta(folder / "visloc", degrees=True), ("cross-area-drone2sate-test.json",)),
+        (
+            layouts.vigor(folder / "vigor"),
+            ("splits/Seattle/satellite_list.txt", "splits/Seattle/same_area_balanced_test.txt"),
+        ),
+    ):
+        cases += [FuzzCase([(root / name).read_bytes()], dataset(root, root / name)) for name in names]
+    return cases
+
+
+def arrays(folder: Path) -> list[FuzzCase]:
+    """Plain arrays in each form, and the list of their pictures."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from lpn.analysis.array_task import array_task
+    from lpn.retrieval.plain_arrays import load_arrays
+
+    rng = np.random.default_rng(0)
+    query, gallery = (rng.standard_normal((count, 2, 3)).astype(np.float32) for count in (3, 4))
+    np.save(folder / "q.npy", query)
+    np.save(folder / "g.npy", gallery)
+    np.savez(folder / "q.npz", query=query, gallery=gallery)
+    pq.write_table(pa.table({"descriptor": list(query.reshape(3, -1))}), folder / "q.parquet")
+    lines = ["file,side,label,latitude,longitude"]
+    lines += [f"q{i}.png,query,{i},46.{i},7" for i in range(3)] + [f"g{i}.png,gallery,{i},46.{i},7" for i in range(4)]
+    (folder / "paths.csv").write_text("\n".join(lines))
+
+    def reader(name: str) -> Read:
+        def read(data: bytes) -> None:
+            (folder / f"damaged{Path(name).suffix}").write_bytes(data)
+            damaged = folder / f"damaged{Path(name).suffix}"
+            of_query, paths = (folder / "q.npy", damaged) if name == "paths.csv" else (damaged, folder / "paths.csv")
+            n_parts = 2 if name.endswith("parquet") else None
+            _ = array_task(load_arrays(of_query, folder / "g.npy", paths, n_parts), "q").metrics
+
+        return read
+
+    return [
+        FuzzCase([(folder / name).read_bytes()], reader(name)) for name in ("q.npy", "q.npz", "q.parquet", "paths.csv")
+    ]
 
 
 def matlab(folder: Path) -> list[FuzzCase]:
@@ -558,6 +603,7 @@ TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
         stores,
         tables,
         matlab,
+        arrays,
         onnx,
         safetensors,
         pth,

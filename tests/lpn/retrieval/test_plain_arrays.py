@@ -204,6 +204,12 @@ def test_other_files_and_wrong_numbers_of_parts_are_refused(
     np.savez(tmp_path / "odd.npz", a=arrays[0], b=arrays[1])
     with pytest.raises(DataError, match="holds a, b; expected one array, or query"):
         load_arrays(tmp_path / "odd.npz", files[1])
+    for kind, other in (("npy", "npz"), ("npz", "npy")):
+        (tmp_path / f"swapped.{kind}").write_bytes(
+            (tmp_path / ("odd.npz" if other == "npz" else "query.npy")).read_bytes()
+        )
+        with pytest.raises(DataError, match=rf"swapped.{kind} is no a\w+ that NumPy saved, or damaged"):
+            load_arrays(tmp_path / f"swapped.{kind}", files[1])
     savemat(tmp_path / "odd.mat", {"x": arrays[0]})
     with pytest.raises(DataError, match="none of the variables query_f"):
         load_arrays(tmp_path / "odd.mat", files[1])
