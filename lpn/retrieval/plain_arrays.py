@@ -196,7 +196,7 @@ def _read_npz(file: Path, side: Side) -> AnyArray:
                 raise DataError(
                     f"{_name(file)} holds {', '.join(map(printable, names)) or 'nothing'}; expected one array, or {side}."
                 )
-            return cast(AnyArray, np.asarray(archive[chosen]))
+            return np.asarray(archive[chosen])
     except DataError:
         raise
     except DAMAGED_ARRAY as error:
@@ -211,7 +211,7 @@ def _read_mat(file: Path, side: Side) -> AnyArray:
         raise DataError(
             f"{_name(file)} has none of the variables {', '.join(keys)}; save the descriptors as one of them."
         )
-    return cast(AnyArray, np.asarray(found[chosen]))
+    return np.asarray(found[chosen])
 
 
 def _read_parquet(file: Path, side: Side) -> AnyArray:
@@ -240,7 +240,7 @@ def _read_parquet(file: Path, side: Side) -> AnyArray:
             f"{_name(file)} has {len(lists)} columns of lists; expected one, or a column of floats for each number of a "
             "descriptor."
         )
-    return cast(AnyArray, np.stack([table.column(name).to_numpy() for name in numbers], axis=1))
+    return np.stack([table.column(name).to_numpy() for name in numbers], axis=1)
 
 
 def _is_list(kind: Any, pa: Any) -> bool:
@@ -309,7 +309,7 @@ def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[
         if row["side"] not in found:
             raise DataError(f"{where} has the side {printable(row['side'])!r}; expected query or gallery.")
         line = _Line(checked_path(row["file"], where), row.get("label", ""), _position(row, where))
-        found[cast(Side, row["side"])].append(line)
+        found[row["side"]].append(line)
     for side, lines in found.items():
         if len(lines) != len(arrays[side]):
             raise DataError(
