@@ -24,7 +24,7 @@ from lpn.drawing import captions, overlays, theme
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import Palette
 from lpn.explain import Evidence
-from lpn.retrieval import DescribedPicture, Match
+from lpn.retrieval import DescribedPicture, Match, scoring
 
 # Distance between the parts of an exploded picture, in stage units, if the pictures are side by side.
 _LIFT = 0.5
@@ -245,11 +245,14 @@ class Stage:
             maps = analysis.pair_evidence.evidence.cell_maps(state.heat_part)
             picture = overlays.with_evidence(picture, maps[side], overlays.evidence_limit(*maps), state.opacity)
         elif state.heat and described.activation is not None:
-            part = state.heat_part
-            inside = None if part is None or areas is None else areas.mask(part, picture.shape[:2])
+            part, activation, inside = state.heat_part, described.activation, None
+            if part is not None and areas is not None:
+                inside = areas.mask(part, picture.shape[:2])
+                trace = described.trace
+                activation = activation if trace is None else scoring.activation(trace.activation_of(part))
             # A part without a cell has no place to show.
-            inside = None if inside is None or not inside.any() else inside
-            picture = overlays.with_heat(picture, described.activation, inside, state.opacity)
+            if inside is None or inside.any():
+                picture = overlays.with_heat(picture, activation, inside, state.opacity)
         return overlays.with_parts(picture, areas, 3) if state.rings else picture
 
     def _query_caption(self, analysis: StateAnalysis) -> UInt8Array:

@@ -24,6 +24,8 @@ from lpn.models.partition import Partition
 Level = Literal["exact", "exact, with held", "parts only", "one vector"]
 Resize = Literal["bicubic", "linear"]
 Mirror = Literal["sum", "none"]
+# Parts, numbers of a part, height, and width far beyond any sensible network; a file that claims more would take all memory.
+_MAXIMA = (256, 1 << 17, 4096, 4096)
 # The branch of a model whose branches have roles: the first describes queries, the second the gallery.
 Role = Literal["query", "gallery"]
 
@@ -88,10 +90,11 @@ class Contract:
                 raise InputError(
                     f"The contract's {name} is {getattr(self, name)!r}; expected one of {', '.join(get_args(allowed))}."
                 )
-        sides = {"height": self.input_size[0], "width": self.input_size[1]}
-        for name, value in ({"parts": self.n_parts, "numbers of a part": self.embedding} | sides).items():
-            if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-                raise InputError(f"The contract's {name} is {value!r}; expected a whole number from 1.")
+        counts = {"parts": self.n_parts, "numbers of a part": self.embedding}
+        counts |= {"height": self.input_size[0], "width": self.input_size[1]}
+        for (name, value), most in zip(counts.items(), _MAXIMA, strict=True):
+            if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= most:
+                raise InputError(f"The contract's {name} is {value!r}; expected a whole number from 1 to {most}.")
         if len(self.mean) != 3 or len(self.std) != 3 or not all(value > 0 for value in self.std):
             raise InputError(f"The mean is {self.mean} and std {self.std}; expected three numbers each, std above 0.")
         if bool(self.held) != (self.level == "exact, with held"):

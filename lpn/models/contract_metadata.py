@@ -12,6 +12,8 @@ from lpn.core.images import MEAN, STD, Triple
 from lpn.models.contract import Contract
 
 FORMAT = "lpn-explorer-onnx/2"
+# Characters of a text that are kept.
+_SHOWN = 200
 REQUIRED = ("method", "views", "resize", "mirror")
 
 
@@ -65,18 +67,18 @@ def from_metadata(metadata: Mapping[str, str], name: str, shapes: Mapping[str, S
     names = [part.strip() for part in metadata["parts"].split(",")] if metadata.get("parts") else None
     title = metadata.get("title") or f"{metadata['method']}, n = {n}, {shapes['images'][2]} x {shapes['images'][3]}"
     values: dict[str, Any] = {
-        "method": printable(metadata["method"]),
-        "title": printable(title),
+        "method": printable(metadata["method"][:_SHOWN]),
+        "title": printable(title[:_SHOWN]),
         "views": views,
         "input_size": (int(shapes["images"][2]), int(shapes["images"][3])),
         "n_parts": int(n),
         "embedding": int(size),
         "level": level,
-        "held": printable(held),
+        "held": printable(held[:_SHOWN]),
         "groups": tuple(tuple(group.split()) for group in metadata.get("groups", "").split(",") if group.strip()),
         "mean": _triple(metadata, "mean", MEAN, name),
         "std": _triple(metadata, "std", STD, name),
-        "part_names": dict.fromkeys(views, tuple(map(printable, names))) if names else {},
+        "part_names": dict.fromkeys(views, tuple(printable(part[:_SHOWN]) for part in names)) if names else {},
     }
     values |= {key: metadata[key] for key in ("roles", "resize", "mirror") if metadata.get(key)}
     try:

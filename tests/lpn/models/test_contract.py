@@ -101,6 +101,13 @@ def test_a_part_without_cells_is_a_lump_and_has_no_area() -> None:
     np.testing.assert_array_equal(overlays.with_parts(grey, None), grey)
 
 
+def test_a_part_s_activation_is_of_its_own_map() -> None:
+    shared, own = trace_of(RegionModel()), trace_of(GateModel())
+    np.testing.assert_array_equal(shared.activation_of(2), shared.activation)
+    np.testing.assert_array_equal(own.activation_of(2), own.features[0, 2].sum(axis=0))
+    np.testing.assert_allclose(own.activation, own.features[0].sum(axis=(0, 1)), rtol=1e-5)
+
+
 def test_cells_that_parts_weigh_alike_are_no_part_s() -> None:
     areas = PartAreas.of(GATES, "drone", (8, 8), trace_of(GateModel()))
     assert areas is not None
@@ -199,6 +206,7 @@ def test_shapes_that_contradict_the_contract_are_refused_with_the_shapes(change:
         ({"part_names": {"drone": ["1"]}}, "The drone has 1 names of parts; expected 4"),
         ({"groups": (("drone",),)}, "do not hold each of the views"),
         ({"n_parts": 0}, "parts is 0; expected a whole number"),
+        ({"n_parts": 1 << 30, "part_names": {}}, "expected a whole number from 1 to 256"),
         ({"std": (1.0, 0.0, 1.0)}, "std above 0"),
         ({"resize": "area"}, "resize is 'area'; expected one of bicubic, linear"),
         ({"partitions": {"drone": ModelSpec().partition("drone")}, "n_parts": 3, "part_names": {}}, "has 4 parts; expected 3"),
