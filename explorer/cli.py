@@ -6,12 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+import lpn
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
+    from lpn.models.base import Model
 
 
 @dataclass
@@ -24,6 +27,8 @@ class Explore:
     """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
+    kind: Kind | None = None
+    """With --data: method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     map: Path | None = None
     """Map under a flight: a folder of lpn map, or a georeferenced picture; needs --flight and --model."""
     flight: Path | None = None
@@ -70,6 +75,10 @@ class Explore:
         from lpn.retrieval.published_results import check_n_parts
 
         authenticator = make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
+        if self.kind is not None and (self.model is None or self.data is None or self.index is not None):
+            raise InputError(
+                "The kind is that of a model on a data set; give --kind with --model and --data, or lpn export the model first."
+            )
         if self.index is not None:
             self._explore_index(self.index, authenticator)
             return
@@ -110,7 +119,7 @@ class Explore:
         is_demo = self.data is None and self.model is None
         run(
             self.data or DEMO,
-            self.model or DEMO / "lpn.onnx",
+            self._model(),
             query,
             self.host,
             self.port,
@@ -144,6 +153,12 @@ class Explore:
             self.port,
             authenticator,
         )
+
+    def _model(self) -> Path | Model:
+        """Return the model to explore; a file is opened later, unless its kind is named."""
+        if self.model is None or self.kind is None:
+            return self.model or DEMO / "lpn.onnx"
+        return lpn.load(self.model, self.provider, kind=self.kind)
 
     def _explore_index(self, where: str, authenticator: Authenticator) -> None:
         from explorer.app import run_index

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 import explorer.app
 import explorer.cli
@@ -16,7 +17,9 @@ from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.task import Task
+from lpn.core.errors import InputError
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
+from tools.fixtures.published_models import small_vector
 
 PATIENCE = 120.0
 
@@ -112,3 +115,14 @@ def test_the_demo_offers_its_baseline_where_the_file_is_there(
     Explore(model=tmp_path / "other.onnx").run()
     Explore(data=tmp_path, model=tmp_path / "other.onnx").run()
     assert [arguments[6] for arguments in given] == [baseline if there else None, None, None]
+
+
+def test_a_model_whose_kind_is_named_is_opened_before_the_app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Any] = []
+    monkeypatch.setattr(explorer.app, "run", lambda *arguments: given.append(arguments[1]))
+    state = {key: value for key, value in small_vector("camp").items() if key.startswith("model_1.convnext.")}
+    torch.save(state, tmp_path / "weights.pth")
+    Explore(data=tmp_path, model=tmp_path / "weights.pth", kind="camp").run()
+    assert [model.contract.method for model in given] == ["CAMP"]
+    with pytest.raises(InputError, match="give --kind with --model and --data"):
+        Explore(model=tmp_path / "weights.pth", kind="camp").run()
