@@ -20,6 +20,7 @@ from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.retrieval.published_results import PublishedResult
 from tools.fixtures import small_worlds
+from tools.fixtures.published_results import save_result
 
 
 def ranked(name: str, seed: int, queries: int = 30, places: int = 12, gallery: int = 40) -> RankedModel:
@@ -155,6 +156,11 @@ def test_models_and_saved_results_compare_on_one_gallery(
     assert [one["name"] for one in found["models"]] == [f"{model_file.parent.name}/model.onnx", "other/model.onnx"]
     assert main(["compare", str(model_file), str(second), "--data", str(root), "--gallery", "without-distractors"]) == 0
     assert "without distractors, 5" in capsys.readouterr().out
+    save_result(tmp_path / "result.mat", root, model_file)
+    assert main(["compare", str(model_file), str(tmp_path / "result.mat"), *options]) == 0
+    found = json.loads(outputs[2].read_text())
+    assert [one["name"] for one in found["models"]] == ["model.onnx", "result.mat"]
+    assert (found["tests"][0]["only_first"], found["tests"][0]["only_second"]) == (0, 0)
     dataset = open_dataset(root)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")[1:]
     drawn = np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32)
