@@ -207,7 +207,7 @@ def _print_result(title: str, result: Result) -> None:
     table = Table(title=title)
     names = [f"recall@{k}" for k in result.recall]
     for name in ("task", *([result.group_name] if result.groups else []), "queries", "gallery", *names, "ap"):
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", no_wrap=True)
     for group, galleries in rows:
         for figures in galleries:
             facts = (result.task, *([group] if result.groups else []), str(figures.queries), figures.name)

@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+
+log = logging.getLogger(__name__)
 
 Area = Literal["same", "cross"]
 AREAS: tuple[Area, ...] = ("same", "cross")
@@ -36,5 +39,11 @@ def choose_area(root: Path, there: Sequence[Area], wanted: Area | None, missing:
         raise DataError(
             f"{printable(root.name)} has the lists of {has}; expected {f'{wanted}-area' if wanted else missing}, so unpack it "
             "there."
+        )
+    if wanted is None and len(there) > 1:
+        log.warning(
+            "%s has two splits; this is %s-area, and %s/%s-area the other.",
+            printable(root.name),
+            *(there[0], root, there[1]),
         )
     return wanted or there[0]

@@ -163,7 +163,7 @@ class TilePairs(ListedDataset):
         return geo.Positions(
             self.root,
             dict(zip(geo.names_below(self.root, pictures), places, strict=True)),
-            f"{self._area}-area test list",
+            f"{_list(self.root, self._area, 'test').name} and the tiles' names",
         )
 
     def _truth(self, pair: _Pair) -> Truth:

@@ -237,7 +237,7 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
         known.of(pictures)
     except DataError as error:
         return geo.NAME, str(error)
-    return f"{known.source} has a position for each of the {len(pictures)} test pictures.", None
+    return f"Each of the {len(pictures)} test pictures has a position, by {known.source}.", None
 
 
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:

@@ -59,7 +59,7 @@ def test_denseuav_has_positions_of_its_folders_and_old_tiles(tmp_path: Path) -> 
     np.testing.assert_allclose(places, np.stack([np.full(30, 30.32), 120.38 + 0.0002 * labels], axis=1))
     report = check_dataset(dataset)
     assert report.healthy, report
-    assert report.positions == "Dense_GPS_ALL.txt has a position for each of the 72 test pictures."
+    assert report.positions == "Each of the 72 test pictures has a position, by Dense_GPS_ALL.txt."
     (tmp_path / "DenseUAV" / "Dense_GPS_ALL.txt").unlink()
     assert open_dataset(tmp_path / "DenseUAV").coordinates(dataset.queries("drone")).shape == (9, 2)
 
@@ -126,9 +126,14 @@ def test_visloc_in_gta_form_has_degrees(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("outer", [False, True])
-def test_vigor_has_areas_cities_and_half_true_tiles(tmp_path: Path, outer: bool) -> None:
+def test_vigor_has_areas_cities_and_half_true_tiles(
+    tmp_path: Path, outer: bool, caplog: pytest.LogCaptureFixture
+) -> None:
     root = layouts.vigor(tmp_path / "VIGOR", outer=outer)
     same, cross = open_dataset(root), open_dataset(root / "cross-area")
+    assert [line.getMessage() for line in caplog.records] == [
+        f"VIGOR has two splits; this is same-area, and {root}/cross-area the other."
+    ]
     assert open_dataset(root / "same-area").queries("street") == same.queries("street")
     assert (same.kind, same.tasks()) == ("VIGOR", ["street-to-satellite"])
     assert [len(one.queries("street")) for one in (same, cross)] == [8, 4]

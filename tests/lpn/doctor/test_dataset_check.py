@@ -69,7 +69,7 @@ def test_broken_and_missing_pictures_are_named_and_end_with_status_1(
 def test_positions_are_checked(tmp_path: Path) -> None:
     root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=2, test=3))
     status, found = doctor(root, tmp_path)
-    assert (status, found["positions"]) == (0, "geo.csv has a position for each of the 12 test pictures.")
+    assert (status, found["positions"]) == (0, "Each of the 12 test pictures has a position, by geo.csv.")
     lines = (root / "geo.csv").read_text().splitlines()
     (root / "geo.csv").write_text("\n".join(lines[:-1]))
     status, found = doctor(root, tmp_path)
