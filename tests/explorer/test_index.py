@@ -11,6 +11,7 @@ import pytest
 from explorer import reports
 from explorer.compute import ranking_job
 from explorer.explain_window import comparison, evidence
+from explorer.explain_window.sweep_request import SweepRequest
 from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.map_page import MapPage
@@ -21,6 +22,7 @@ from explorer.panels import answer_text, pages
 from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
 from lpn.cli.main import main
 from lpn.core.errors import InputError
@@ -28,6 +30,7 @@ from lpn.flights import write_flight
 from lpn.index.task import IndexTask
 from lpn.maps import NamedWindow
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
+from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
 DEPTH = 10
@@ -82,6 +85,44 @@ def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, 
     assert "searched exactly to depth 10 of 14 tiles" in header
     assert "AP: not defined to a depth" in header
     assert "no map" in header
+
+
+def test_regions_turns_and_own_pictures_are_searched_as_in_memory(
+    workspace: Workspace, data: Path, model_file: Path
+) -> None:
+    live = open_model(data, model_file)
+    own = OwnPicture("mine", small_worlds.place(9))
+    rows, columns = live.map_sizes["drone"]
+    cells = tuple(range(rows * columns // 2))
+    states = [
+        replace(_state(2), region=cells, enabled=(True, True, False, True)),
+        replace(_state(3), angle=40.0, zoom=1.2),
+        replace(_state(), upload=own),
+    ]
+    for state in states:
+        one, other = (StateAnalyser(shown).analyse(state, 10) for shown in (workspace, live))
+        names = [[analysis.task.gallery[m.index].name for m in analysis.matches] for analysis in (one, other)]
+        assert names[0] == names[1]
+        for match, expected in zip(one.matches, other.matches, strict=True):
+            np.testing.assert_allclose(match.shares, expected.shares, atol=1e-5)
+            assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)
+
+
+def test_a_sweep_searches_at_every_step(workspace: Workspace, data: Path, model_file: Path) -> None:
+    live = open_model(data, model_file)
+    ends = []
+    for shown in (workspace, live):
+        assert shown.model is not None
+        analysis = StateAnalyser(shown).analyse(_state(4), 10)
+        *_, last = SweepRequest("zoom", analysis).run(shown, shown.model)
+        assert last.ended
+        ends.append(last.points)
+    assert len(ends[0]) == len(ends[1]) > 5
+    for one, other in zip(*ends, strict=True):
+        assert one.rank == min(other.rank, DEPTH + 1)
+        assert one.score == pytest.approx(other.score, abs=1e-5)
+        assert one.top_score == pytest.approx(other.top_score, abs=1e-5)
+    assert max(point.rank for point in ends[1]) > 1
 
 
 def test_a_link_names_a_tile_as_the_index_does(workspace: Workspace) -> None:
