@@ -73,6 +73,12 @@ class IndexGallery(Sequence[Picture]):
         """Return a tile's name in the index."""
         return self._names[place]
 
+    def degrees_of(self, place: int) -> Float64Array:
+        """Return a tile's latitude and longitude, (2,), NaN where unknown."""
+        with self._lock:
+            found: Float64Array = self._degrees[place].copy()
+        return found
+
     def labels(self) -> Int64Array:
         """Return the label of each tile, (G,)."""
         with self._lock:

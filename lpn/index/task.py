@@ -242,7 +242,10 @@ def index_task(
     def make_picture(name: str, place: int) -> Picture:
         if (listed := queries.tiles.get(name)) is not None:
             return listed
-        return tile_picture(name, _NO_PLACE + place, queries.root, queries.folders, town, max(model.input_size))
+        side = max(model.input_size)
+        return tile_picture(
+            name, _NO_PLACE + place, queries.root, queries.folders, town, side, lambda: gallery.degrees_of(place)
+        )
 
     gallery = IndexGallery(make_picture)
     none = np.zeros(0, np.int64)

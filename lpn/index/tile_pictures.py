@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Picture
@@ -23,20 +23,25 @@ _PLACEHOLDER = 256
 
 @dataclass(frozen=True)
 class TilePlaceholder:
-    """Stands for the picture of a tile that is not at hand: plain grey with the tile's name.
+    """Stands for the picture of a tile that is not at hand: plain grey with the tile's name and position.
 
     Attributes:
         reason: why there is no picture, as a sentence.
+        position: returns the tile's latitude and longitude, (2,), NaN where they are unknown.
     """
 
     name: str
     reason: str
+    position: Callable[[], Float64Array]
 
     def __call__(self) -> UInt8Array:
         """Draw the placeholder, (256, 256, 3)."""
         image, draw = captions.caption(_PLACEHOLDER, _PLACEHOLDER)
         draw.rectangle((0, 0, _PLACEHOLDER, _PLACEHOLDER), fill=(60, 60, 60))
         lines = ["no picture", *(self.name[i : i + 22] for i in range(0, min(len(self.name), 66), 22))]
+        latitude, longitude = self.position()
+        if np.isfinite(latitude) and NamedWindow.parse(self.name) is None:
+            lines.append(f"{latitude:.5f}, {longitude:.5f}")
         for i, line in enumerate(lines):
             draw.text(
                 (128, 128 + 26 * (i - (len(lines) - 1) / 2)), line, (190, 190, 190), captions.font(20), anchor="mm"
@@ -44,8 +49,23 @@ class TilePlaceholder:
         return np.asarray(image)
 
 
-def tile_picture(name: str, label: int, root: Path, folders: Sequence[Path], town: Map | None, pixels: int) -> Picture:
-    """Return the picture of a tile that no data set lists: cut from the map, read from a folder, or a placeholder."""
+def tile_picture(
+    name: str,
+    label: int,
+    root: Path,
+    folders: Sequence[Path],
+    town: Map | None,
+    pixels: int,
+    position: Callable[[], Float64Array],
+) -> Picture:
+    """Return the picture of a tile that no data set lists: cut from the map, read from a folder, or a placeholder.
+
+    Args:
+        root: a folder for the paths of pictures that are no files.
+        folders: where files of the tile's name are looked for, in this order.
+        pixels: side of a picture that is cut from the map.
+        position: see `TilePlaceholder`.
+    """
     window, shown = NamedWindow.parse(name), printable(name)
     if window is not None and town is not None:
         place = window.on(town.frame)
@@ -60,4 +80,4 @@ def tile_picture(name: str, label: int, root: Path, folders: Sequence[Path], tow
                 if (file := folder / checked_path(name, "The index")).is_file():
                     return Picture(file, label, shown)
         reason = "no file of this name is at hand; give the folder that was described as --data."
-    return Picture(root / "index" / str(label), label, shown, cut=TilePlaceholder(shown, reason))
+    return Picture(root / "index" / str(label), label, shown, cut=TilePlaceholder(shown, reason, position))

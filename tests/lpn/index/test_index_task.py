@@ -18,6 +18,7 @@ from lpn.index import Engine, Kind, SearchResult, create_index
 from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask, index_task
+from lpn.index.tile_pictures import TilePlaceholder
 from lpn.models.base import Model
 from tools.fixtures import small_worlds
 
@@ -184,6 +185,9 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
     assert (found.positive, found.ranking.relevant, found.errors_m, found.pair_evidence) == (None, None, None, None)
     assert "give the folder" in found.task.without_picture(found.chosen.index)
     assert found.tile.picture.shape == (256, 256, 3)
+    plain = TilePlaceholder("0001.png", "", lambda: np.full(2, np.nan))
+    placed = TilePlaceholder("0001.png", "", lambda: np.array([48.1, 9.2]))
+    assert (plain() != placed()).any()
     np.testing.assert_allclose(found.tile.descriptor, index.read([found.task.gallery[found.chosen.index].name])[0][0])
     assert found.chosen.shares.sum() == pytest.approx(found.chosen.distance2, abs=1e-5)
     assert not task.metrics["queries"]
