@@ -94,12 +94,8 @@ class QueuedModel(Model):
         self.model, self._scheduler, self._context = model, scheduler, context
         self._background, self._cancellable = background, cancellable
         self.contract, self.spec, self.fingerprint = model.contract, model.spec, model.fingerprint
-        self.precision, self.batch, self.means, self.branches = (
-            model.precision,
-            model.batch,
-            model.means,
-            model.branches,
-        )
+        self.precision, self.batch, self.branches = model.precision, model.batch, model.branches
+        self.means, self.whitening = model.means, model.whitening
 
     def cancellable(self) -> QueuedModel:
         """Return a copy of this model whose requests a newer state may supersede.

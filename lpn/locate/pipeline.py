@@ -35,7 +35,7 @@ from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.retrieval import field_metrics
 
-FORMAT = "lpn-locate/4"
+FORMAT = "lpn-locate/5"
 STAGES = ("retrieval", "sequence", "registration")
 # The stage of a track that has the places of corrected frames.
 BY_HAND = "by hand"
@@ -58,6 +58,8 @@ _MAP_PIXELS, _MAP_METRES = 3.0, 1.0
 _SWAY = 0.1
 _UNKNOWN = (math.nan, math.nan)
 _TOP = 5
+# Windows of a frame are kept whose centres lie so far apart, as a share of their side: overlapping ones show one place.
+_APART = 0.5
 # Seconds from one answer of a registration that goes on to the next.
 _PARTIAL_INTERVAL = 3.0
 
@@ -73,10 +75,10 @@ class LocateOptions:
         map_error: 1-sigma error of the map's places in metres, along each axis; None takes `default_map_error`.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
-        centre: whether descriptors are centred by view.
+        centre: whether descriptors are centred by view, and whitened.
         temperature, floor: of the emissions.
         speed: of the motion model, metres a second.
-        top: windows that are kept for each frame.
+        top: windows that are kept for each frame, of places apart.
     """
 
     sequence: bool = True
@@ -87,7 +89,7 @@ class LocateOptions:
     sizes: tuple[float, ...] | None = None
     overlap: float = 0.75
     centre: bool = True
-    temperature: float = 0.05
+    temperature: float = 0.025
     floor: float = 1e-4
     speed: float = 15.0
     top: int = _TOP
@@ -280,7 +282,8 @@ class LocatedFlight:
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
-        A window is a hit if it holds that place. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
+        A window is a hit if it holds that place. Recall@5 apart is that of the windows that the registration searches: centres of
+        two lie at least half of a side apart. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
         retrieval or such places.
         """
         if self.retrieval is None:
@@ -288,23 +291,28 @@ class LocatedFlight:
         depth = min(10, len(self.retrieval.windows))
         rows: list[Float64Array] = []
         hits: list[BoolArray] = []
+        apart: list[bool] = []
         for i, located in enumerate(self.frames):
             if (truth := located.truth(False)) is None:
                 continue
             if i in self.retrieval.broken:
                 rows.append(np.full(depth, np.inf))
                 hits.append(np.zeros(depth, bool))
+                apart.append(False)
                 continue
-            order = np.argsort(-self.retrieval.scores(i), kind="stable")[:depth]
-            off = self.retrieval.places[order] - truth
-            rows.append(np.linalg.norm(off, axis=1))
-            hits.append(np.all(np.abs(off) <= self.retrieval.sizes[order, None] / 2, axis=1))
+            off = self.retrieval.places - truth
+            holds = np.all(np.abs(off) <= self.retrieval.sizes[:, None] / 2, axis=1)
+            order = self.retrieval.first(i, depth)
+            rows.append(np.linalg.norm(off[order], axis=1))
+            hits.append(holds[order])
+            apart.append(bool(holds[self.retrieval.first(i, _TOP, _APART)].any()))
         if not rows:
             return {}
         distances = np.array(rows)
         read = distances[np.isfinite(distances).all(axis=1)]
         depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
         found = {f"recall@{k}": field_metrics.recall_at(hits, k) for k in depths}
+        found[f"recall@{_TOP} apart"] = 100 * float(np.mean(apart))
         found |= {f"sdm@{k}": float(field_metrics.sdm_gta_uav(distances, k).mean()) for k in depths}
         if len(read):
             found |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
@@ -515,7 +523,7 @@ def _ranked(found: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
         if i in found.broken:
             located.stages["retrieval"] = StageRecord("refused", found.broken[i])
             continue
-        top = found.top(i, max(k, 2))
+        top = found.top(i, max(k, 2), _APART)
         located.windows = [
             WindowRecord(
                 float(found.places[w, 0]),

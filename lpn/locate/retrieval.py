@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, cut_size, cut_square
 from lpn.maps import Map, Window
-from lpn.models.base import Model
+from lpn.models.base import Model, normalise, whitened
 from lpn.retrieval import scoring
 
 # Windows and pictures of one file in the cache, which is what a killed run loses.
@@ -39,6 +39,10 @@ _TURNS = 8
 # Distinct frames that centring needs, for the mean of few holds what tells them apart. Frames of a greater cosine are alike.
 _MIN_DISTINCT = 20
 _ALIKE = 0.99
+# Standard deviations of a frame's scores by which a heading must be better than that of the aircraft.
+_OTHER_TURN = 2.0
+# Added to the variances that whitening divides by, as a share of their mean: few samples tell the small ones badly.
+_SHRINKAGE = 1.0
 _FORMAT = "lpn-locate-descriptors/1"
 
 
@@ -78,6 +82,8 @@ class MapRetrieval:
         means: the mean descriptor that was subtracted from each view's, (n, D); empty if they were not centred.
         broken: the error of each frame that cannot be read.
         notes: sentences about how they were described.
+        whitening: the matrix that multiplied each part after the mean was subtracted, (n, D, D); None if they were not whitened.
+        by_aircraft: frames whose first heading is an aircraft's, which is the picture's more often than any other.
     """
 
     windows: list[Window]
@@ -92,9 +98,14 @@ class MapRetrieval:
     means: dict[View, Float32Array]
     broken: dict[int, str]
     notes: list[str] = field(default_factory=list)
+    whitening: Float32Array | None = None
+    by_aircraft: frozenset[int] = frozenset()
 
     def scores(self, frame: int) -> Float64Array:
-        """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score."""
+        """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score.
+
+        Headings other than an aircraft's count with two standard deviations of the frame's scores less.
+        """
         return self._scored(frame)[0]
 
     def best_turn(self, frame: int) -> int:
@@ -108,16 +119,30 @@ class MapRetrieval:
             return np.zeros(len(self.windows)), np.zeros(len(self.windows), np.int64)
         flat = self.windows_described.reshape(len(self.windows), -1)
         scores = (flat @ described.reshape(len(described), -1).T).astype(np.float64)
+        if frame in self.by_aircraft:
+            scores[:, 1:] -= _OTHER_TURN * scores.std()
         best = scores.argmax(axis=1)
         values = scores.max(axis=1)
         other = np.zeros(len(values), bool) if np.isnan(self.levels[frame]) else self.sizes != self.levels[frame]
         values[other] = values.min()
         return values, best
 
-    def top(self, frame: int, k: int) -> RankedWindows:
-        """Return the k best windows of a frame with the contributions of their parts."""
+    def first(self, frame: int, k: int, apart: float = 0.0) -> Int64Array:
+        """Return the k best windows of a frame, best first; none overlaps a better one by more than 1 - `apart` of its side."""
+        order = np.argsort(-self.scores(frame), kind="stable")
+        kept: list[int] = []
+        for i in order.tolist():
+            near = np.abs(self.places[kept] - self.places[i]).max(axis=1, initial=0)
+            if (near >= apart * np.maximum(self.sizes[kept], self.sizes[i])).all():
+                kept.append(i)
+            if len(kept) == k:
+                break
+        return np.array(kept, np.int64)
+
+    def top(self, frame: int, k: int, apart: float = 0.0) -> RankedWindows:
+        """Return the windows of `first` with the contributions of their parts."""
         values, best = self._scored(frame)
-        order = np.argsort(-values, kind="stable")[:k]
+        order = self.first(frame, k, apart)
         described = self.frames_described[frame]
         n = self.windows_described.shape[1]
         if described is None:
@@ -164,7 +189,8 @@ def retrieve(
         sizes: sides of windows in metres; by default those of `pyramid_sizes`.
         overlap: share of a window's side that its neighbour covers, too.
         centre: subtract the mean descriptor of the windows and that of the frames, part by part, which makes up for a difference
-            of views that the model has not seen. With fewer than 20 distinct frames nothing is centred, and a note says so.
+            of views that the model has not seen, and whiten the parts, see `whitening_of`. With fewer than 20 distinct frames
+            neither is done, and a note says so.
         on_progress: called with "windows" or "frames", the number described, and the total.
 
     Raises:
@@ -211,12 +237,16 @@ def retrieve(
     owner = np.array([job[0] for job in jobs], np.int64)
     notes: list[str] = []
     means: dict[View, Float32Array] = {}
+    whitening = None
     if centre:
         first = np.unique(owner[good], return_index=True)[1]
         if (distinct := _distinct(queries[good][first])) >= _MIN_DISTINCT:
             of_tiles, of_queries = tiles.mean(axis=0), queries[good].mean(axis=0)
             means = {"satellite": of_tiles} | ({} if query == "satellite" else {query: of_queries})
-            tiles, queries = _centred(tiles, of_tiles), _centred(queries, of_queries)
+            whitening = whitening_of(tiles - of_tiles, queries[good] - of_queries)
+            tiles, queries = (
+                normalise(whitened(a - b, whitening)) for a, b in ((tiles, of_tiles), (queries, of_queries))
+            )
         else:
             notes.append(
                 f"Descriptors were not centred by view: that needs {_MIN_DISTINCT} distinct frames, and the flight has "
@@ -225,7 +255,42 @@ def retrieve(
     found = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
     places = np.array([(window.x, window.y) for window in windows])
     window_sizes = np.array([window.size for window in windows])
-    return MapRetrieval(windows, places, window_sizes, tiles, found, headings, levels, shares, side, means, bad, notes)
+    by_aircraft = frozenset(i for i, frame in enumerate(flight.frames) if frame.heading_source == "aircraft")
+    return MapRetrieval(
+        windows,
+        places,
+        window_sizes,
+        tiles,
+        found,
+        headings,
+        levels,
+        shares,
+        side,
+        means,
+        bad,
+        notes,
+        whitening,
+        by_aircraft,
+    )
+
+
+def whitening_of(*views: Float32Array) -> Float32Array:
+    """Return the matrices that whiten the parts of centred descriptors, (n, D, D), symmetric.
+
+    Directions in which windows and frames of one place differ as much as those of others count less then. Each part is
+    multiplied by (C + s I)^(-1/2). C is the covariance of the parts at norm 1, of all views together, and s its mean variance.
+
+    Args:
+        views: of each view, (N, n, D).
+    """
+    parts = np.concatenate(views).astype(np.float64)
+    parts /= np.maximum(np.linalg.norm(parts, axis=2, keepdims=True), 1e-12)
+    found = []
+    for of_part in parts.transpose(1, 0, 2):
+        variances, axes = np.linalg.eigh(of_part.T @ of_part / len(of_part))
+        scales = 1 / np.sqrt(np.maximum(variances, 0) + _SHRINKAGE * max(variances.mean(), 1e-12))
+        found.append((axes * (scales / scales.max())) @ axes.T)
+    return np.stack(found).astype(np.float32)
 
 
 def frame_identity(frame: Frame) -> list[Any]:
@@ -294,10 +359,3 @@ def _distinct(described: Float32Array) -> int:
         if len(kept) < _MIN_DISTINCT and all(float(one @ other) < _ALIKE for other in kept):
             kept.append(one)
     return len(kept)
-
-
-def _centred(descriptors: Float32Array, mean: Float32Array) -> Float32Array:
-    """Subtract a mean descriptor (n, D) and scale each part to norm 1/sqrt(n) again."""
-    moved = descriptors - mean
-    norms = np.linalg.norm(moved, axis=2, keepdims=True) * np.float32(np.sqrt(descriptors.shape[1]))
-    return cast(Float32Array, moved / np.maximum(norms, np.float32(1e-12)))

@@ -45,7 +45,7 @@ _VERDICTS = {
 def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
-    Scores are those of the retrieval. Where it centred the descriptors, the task's model centres them too
+    Scores are those of the retrieval. Where it centred and whitened the descriptors, the task's model does so too
     (`Model.centred`). Where a frame was described at several headings, the query is the frame at the heading of its best
     window; its ranking below that window is the one at this heading.
 
@@ -71,7 +71,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(found.windows_described).tobytes()).hexdigest()
     return Task(
         name=TASK,
-        model=model.centred(found.means) if found.means else model,
+        model=model.centred(found.means, found.whitening) if found.means else model,
         model_name=printable(model_name),
         data_name=printable(f"{located.flight.name} over {located.town.name}"),
         root=root,

@@ -8,18 +8,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Self, cast
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 
 from lpn.core import images as pictures
-from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
+from lpn.core.arrays import AnyArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.views import View
 from lpn.models.contract import Contract, ForwardPass, Heads, Role, check_parts
 from lpn.models.spec import ModelSpec
 
 _CHUNK = 16
+Floats = TypeVar("Floats", Float32Array, Float64Array)
 
 
 class Model(ABC):
@@ -36,6 +37,7 @@ class Model(ABC):
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
         means: the mean descriptor of a view, (n, D), that is subtracted from each of its descriptors; see `centred`.
+        whitening: the matrix that multiplies each part after that, (n, D, D); None for none.
         branches: the role of each view in the task of `for_task`; empty before.
     """
 
@@ -46,6 +48,7 @@ class Model(ABC):
     parallel: bool = False
     batch: int = 4
     means: Mapping[View, Float32Array] = MappingProxyType({})
+    whitening: Float32Array | None = None
     branches: Mapping[View, Role] = MappingProxyType({})
 
     @cached_property
@@ -177,21 +180,24 @@ class Model(ABC):
         raw = self.part_embeddings(images, view)
         if mirror and self.contract.mirror == "sum":
             raw = raw + self.part_embeddings(np.ascontiguousarray(self._batch(images, view)[..., ::-1]), view)
-        return normalise(raw + self.centring(raw, view))
+        return normalise(whitened(raw + self.centring(raw, view), self.whitening))
 
-    def centred(self, means: Mapping[View, Float32Array]) -> Self:
+    def centred(self, means: Mapping[View, Float32Array], whitening: Float32Array | None = None) -> Self:
         """Return this model with descriptors from which the mean of their view is subtracted, part by part.
 
-        The parts are scaled to norm 1/sqrt(n) again. The fingerprint changes with the means.
+        The parts are whitened then, and scaled to norm 1/sqrt(n) again. The fingerprint changes with means and whitening.
 
         Args:
             means: mean descriptors (n, D) by view; a view without one is not centred.
+            whitening: a matrix for each part of all views, (n, D, D); None for none.
         """
         moved = copy.copy(self)
-        moved.means = dict(means)
+        moved.means, moved.whitening = dict(means), whitening
         digest = hashlib.sha256(self.fingerprint.encode())
         for view in sorted(means):
             digest.update(view.encode() + np.ascontiguousarray(means[view], np.float32).tobytes())
+        if whitening is not None:
+            digest.update(np.ascontiguousarray(whitening, np.float32).tobytes())
         moved.fingerprint = digest.hexdigest()
         return moved
 
@@ -249,6 +255,13 @@ def as_array(values: Any) -> AnyArray:
         return np.asarray(values)
     except ValueError as error:
         raise InputError("The rows have unequal lengths; expected rows of one length.") from error
+
+
+def whitened(raw: Floats, whitening: Float32Array | None) -> Floats:
+    """Multiply each part of (..., n, D) by its matrix of (n, D, D); None changes nothing."""
+    if whitening is None:
+        return raw
+    return cast(Floats, np.matmul(raw[..., None, :], whitening.swapaxes(-1, -2))[..., 0, :].astype(raw.dtype))
 
 
 def normalise(raw: Float32Array) -> Float32Array:

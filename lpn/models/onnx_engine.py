@@ -143,7 +143,8 @@ class Engine(Model):
         if self.parallel or self.device != "cpu":
             return self
         twin = Engine(self._path, threads=1)
-        twin.means, twin.branches, twin.fingerprint = self.means, self.branches, self.fingerprint
+        twin.means, twin.whitening = self.means, self.whitening
+        twin.branches, twin.fingerprint = self.branches, self.fingerprint
         return twin
 
     def calibration_providers(self) -> list[tuple[str, dict[str, str]]]:

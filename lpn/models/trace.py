@@ -10,7 +10,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.views import View
-from lpn.models.base import Model
+from lpn.models.base import Model, whitened
 from lpn.models.contract import ForwardPass, check_pass
 
 
@@ -19,13 +19,14 @@ class Trace:
     """The intermediate results from which exact evidence is computed, in the terms of `lpn.models.contract`.
 
     Attributes:
-        embedding: part embeddings, the mirror's and `Model.centring` added, (n, D).
+        embedding: part embeddings, the mirror's and `Model.centring` added, and whitened, (n, D).
         features: the map of each of P passes, (P, C, h, w), or of each part of each pass, (P, n, C, h, w); the mirror's flipped
             back.
         cells: the weight of each cell in each part of each pass, (P, n, h, w).
         weight: the heads, (n, D, C); None for the identity.
         slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
-        constants: what the sum over cells lacks, all passes and the subtracted mean of the view together, (n, D) float64.
+        constants: what the sum over cells lacks, all passes and the view's subtracted mean together, whitened, (n, D) float64.
+        whitening: the matrix of each part after the heads, (n, D, D); None for the identity.
     """
 
     embedding: Float32Array
@@ -34,6 +35,7 @@ class Trace:
     weight: Float32Array | None
     slopes: Float32Array | None
     constants: Float64Array
+    whitening: Float32Array | None = None
 
     @classmethod
     def from_pass(cls, model: Model, outputs: ForwardPass, view: View) -> Trace:
@@ -66,12 +68,13 @@ class Trace:
         each = np.zeros(outputs.parts.shape) if added is None else np.broadcast_to(added, outputs.parts.shape)
         each = each if outputs.slopes is None else outputs.slopes * each
         return cls(
-            (embedding + constants).astype(np.float32),
+            whitened((embedding + constants).astype(np.float32), model.whitening),
             _upright(features),
             _upright(cells),
             heads.weight,
             outputs.slopes,
-            constants + each.sum(axis=0, dtype=np.float64),
+            whitened(constants + each.sum(axis=0, dtype=np.float64), model.whitening),
+            model.whitening,
         )
 
     @property
@@ -100,6 +103,8 @@ class Trace:
         """Split the inner product of the embedding with a direction (n, D) into cells (n, h, w) and constants (n,)."""
         direction = direction.astype(np.float32)
         constants = np.einsum("nd,nd->n", direction, self.constants, dtype=np.float64)
+        if self.whitening is not None:
+            direction = whitened(direction, self.whitening.swapaxes(-1, -2))
         turned = np.broadcast_to(direction, (len(self.cells), *direction.shape))
         turned = turned if self.slopes is None else turned * self.slopes
         pulled = turned
@@ -125,6 +130,7 @@ class Trace:
             added = added if self.slopes is None else added * self.slopes[number, part][:, None]
             total = added if total is None else total + added
         assert total is not None
+        total = total if self.whitening is None else self.whitening[part] @ total
         return total.T if only is None else total[:, 0]
 
     def errors(self) -> Float64Array:

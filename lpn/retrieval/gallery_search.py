@@ -11,7 +11,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.models.base import Model, normalise
+from lpn.models.base import Model, normalise, whitened
 from lpn.models.contract import check_parts
 from lpn.models.trace import Trace
 from lpn.retrieval import scoring
@@ -156,7 +156,8 @@ def describe_picture(
     if not model.contract.has_cells:
         check_parts(model.contract, outputs.parts, len(outputs.parts))
         raw = cast(Float32Array, outputs.parts.sum(axis=0))
-        return DescribedPicture(shown, normalise(raw + model.centring(raw, view)), None, None)
+        centred = whitened(raw + model.centring(raw, view), model.whitening)
+        return DescribedPicture(shown, normalise(centred), None, None)
     trace = Trace.from_pass(model, outputs, view)
     return DescribedPicture(shown, normalise(trace.embedding), scoring.activation(trace.activation), trace)
 

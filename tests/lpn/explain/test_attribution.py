@@ -105,8 +105,9 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
         assert np.abs(found.query.constants).max() > 1e-3
 
 
+@pytest.mark.parametrize("whiten", [False, True])
 @pytest.mark.parametrize("name", ["leaky", "safa"])
-def test_the_mean_of_a_view_is_one_more_constant(name: str) -> None:
+def test_the_mean_of_a_view_is_one_more_constant_and_whitening_goes_through_the_cells(name: str, whiten: bool) -> None:
     plain = TorchModel(network(SPECS[name]), "fingerprint")
     rng = np.random.default_rng(5)
     shape = (plain.n_parts, plain.embedding)
@@ -115,12 +116,17 @@ def test_the_mean_of_a_view_is_one_more_constant(name: str) -> None:
         "satellite": (0.02 * rng.standard_normal(shape)).astype(np.float32),
         query_view: (0.02 * rng.standard_normal(shape)).astype(np.float32),
     }
-    model = plain.centred(means)
-    assert model.fingerprint != plain.fingerprint
+    matrices = None
+    if whiten:
+        matrices = rng.standard_normal((*shape, shape[1])).astype(np.float32)
+    model = plain.centred(means, matrices)
+    assert len({model.fingerprint, plain.fingerprint, plain.centred(means).fingerprint}) == (3 if whiten else 2)
     assert not plain.means
     query, tile = pair(model)
     before, _ = pair(plain)
     moved = before.descriptor - means[query_view]
+    if matrices is not None:
+        moved = np.stack([matrix @ part for matrix, part in zip(matrices, moved, strict=True)])
     expected = moved / np.linalg.norm(moved, axis=1, keepdims=True) / np.sqrt(plain.n_parts)
     np.testing.assert_allclose(query.descriptor, expected, atol=1e-6)
     image = model.prepare(before.picture, query_view)[None]
@@ -129,6 +135,15 @@ def test_the_mean_of_a_view_is_one_more_constant(name: str) -> None:
     cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
     for side in (found.query, found.tile):
         np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, cosines, atol=1e-4)
+    assert query.trace is not None
+    assert query.trace.errors().max() < 1e-4
+    if whiten:
+        # Cells have their share of the whitened embedding, rather than the constant.
+        other = tile.descriptor.astype(np.float64) / np.linalg.norm(tile.descriptor, axis=1, keepdims=True)
+        norms = np.linalg.norm(query.trace.embedding, axis=1)
+        for part in range(model.n_parts):
+            cells = query.trace.vectors(part) @ other[part] / norms[part]
+            np.testing.assert_allclose(found.query.cells[part].ravel(), cells, atol=1e-4)
     assert not np.allclose(cosines, evidence(*pair(plain)).cosines, atol=1e-3)
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from lpn.flights import Flight, Frame
-from lpn.locate.retrieval import MapRetrieval, retrieve
+from lpn.locate.retrieval import MapRetrieval, retrieve, whitening_of
 from lpn.maps import Map
+from lpn.models.base import normalise, whitened
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
 
 SIZE = (64, 64)
@@ -67,7 +68,44 @@ def test_many_distinct_frames_are_centred(town: Map, tmp_path: Path) -> None:
     assert not found.notes
     described = np.concatenate([one for one in found.frames_described if one is not None])
     np.testing.assert_allclose(np.linalg.norm(described, axis=2), 1 / np.sqrt(2), rtol=1e-5)
-    assert np.abs(found.windows_described.mean(axis=0)).max() < 0.02
+    assert found.whitening is not None
+    assert found.whitening.shape == (2, 16, 16)
+    plain = retrieve(GridModel(), town, _flight(tmp_path / "many", places), overlap=0.88, centre=False)  # type: ignore[arg-type]
+    expected = normalise(whitened(plain.windows_described - found.means["satellite"], found.whitening))
+    np.testing.assert_allclose(found.windows_described, expected, atol=1e-6)
+
+
+def test_whitening_evens_out_what_all_pictures_share() -> None:
+    rng = np.random.default_rng(0)
+    # One direction varies ten times as much as the others, and says nothing of the place.
+    places = rng.normal(size=(300, 2, 32))
+    tiles, queries = (places + 0.3 * rng.normal(size=places.shape) for _ in range(2))
+    for view in (tiles, queries):
+        view[:, :, 0] = 10 * rng.normal(size=(300, 2))
+    matrices = whitening_of(tiles.astype(np.float32), queries.astype(np.float32))
+    np.testing.assert_allclose(matrices, matrices.swapaxes(1, 2), atol=1e-6)
+
+    def right(a: np.ndarray, b: np.ndarray) -> float:
+        a, b = (normalise(view.astype(np.float32)).reshape(300, -1) for view in (a, b))
+        return float(((a @ b.T).argmax(axis=1) == np.arange(300)).mean())
+
+    assert right(queries, tiles) < 0.3
+    assert right(whitened(queries, matrices), whitened(tiles, matrices)) > 0.7
+
+
+def test_the_best_windows_of_places_apart(town: Map, tmp_path: Path) -> None:
+    found = _retrieved(GridModel(), town, _flight(tmp_path / "one", [(-40.0, 10.0)]))
+    order = np.argsort(-found.scores(0), kind="stable")
+    np.testing.assert_array_equal(found.first(0, 7), order[:7])
+    chosen = found.first(0, 4, 0.5)
+    assert chosen[0] == order[0]
+    expected: list[int] = []
+    for i in order.tolist():
+        off = np.abs(found.places[expected] - found.places[i]).max(axis=1, initial=0)
+        if (off >= found.sizes[0] / 2).all():
+            expected.append(i)
+    np.testing.assert_array_equal(chosen, expected[:4])
+    np.testing.assert_array_equal(found.top(0, 4, 0.5).indices, chosen)
 
 
 def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path) -> None:
@@ -83,6 +121,27 @@ def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path
     assert second.broken[1]
     assert second.frames_described[1] is None
     np.testing.assert_array_equal(second.scores(2), found.scores(2))
+
+
+def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: Map, tmp_path: Path) -> None:
+    flight = _flight(tmp_path / "wing", [(-40.0, 10.0)])
+    frame = replace(flight.frames[0], heading_source="aircraft")
+    found = _retrieved(GridModel(), town, replace(flight, frames=(frame,)))
+    assert found.by_aircraft == {0}
+    flat = found.windows_described.reshape(len(found.windows), -1)
+    described = found.frames_described[0]
+    assert described is not None
+    scores = (flat @ described.reshape(8, -1).T).astype(np.float64)
+    free = replace(found, by_aircraft=frozenset())
+    np.testing.assert_allclose(free.scores(0), scores.max(axis=1))
+    scores[:, 1:] -= 2 * scores.std()
+    np.testing.assert_allclose(found.scores(0), scores.max(axis=1))
+    assert found.scores(0).argmax() == free.scores(0).argmax()
+    # Turned by 90 degrees, the picture is still found.
+    turned = replace(frame, heading=270.0)
+    found = _retrieved(GridModel(), town, replace(flight, frames=(turned,)))
+    assert found.top(0, 1).headings[0] == 0
+    assert _off(found, 0, (-40.0, 10.0)) < 10
 
 
 def test_a_course_is_one_of_several_turns(town: Map, tmp_path: Path) -> None:
