@@ -40,7 +40,7 @@ _TURNS = 8
 _MIN_DISTINCT = 20
 _ALIKE = 0.99
 # Standard deviations of a frame's scores by which a heading must be better than that of the aircraft.
-_OTHER_TURN = 2.0
+_OTHER_TURN = 1.5
 # Added to the variances that whitening divides by, as a share of their mean: few samples tell the small ones badly.
 _SHRINKAGE = 1.0
 _FORMAT = "lpn-locate-descriptors/1"
@@ -104,7 +104,7 @@ class MapRetrieval:
     def scores(self, frame: int) -> Float64Array:
         """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score.
 
-        Headings other than an aircraft's count with two standard deviations of the frame's scores less.
+        Headings other than an aircraft's count with 1.5 standard deviations of the frame's scores less.
         """
         return self._scored(frame)[0]
 

@@ -89,8 +89,8 @@ def test_whitening_evens_out_what_all_pictures_share() -> None:
         a, b = (normalise(view.astype(np.float32)).reshape(300, -1) for view in (a, b))
         return float(((a @ b.T).argmax(axis=1) == np.arange(300)).mean())
 
-    assert right(queries, tiles) < 0.3
-    assert right(whitened(queries, matrices), whitened(tiles, matrices)) > 0.7
+    assert right(queries, tiles) < 0.5
+    assert right(whitened(queries, matrices), whitened(tiles, matrices)) > 0.9
 
 
 def test_the_best_windows_of_places_apart(town: Map, tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: 
     scores = (flat @ described.reshape(8, -1).T).astype(np.float64)
     free = replace(found, by_aircraft=frozenset())
     np.testing.assert_allclose(free.scores(0), scores.max(axis=1))
-    scores[:, 1:] -= 2 * scores.std()
+    scores[:, 1:] -= 1.5 * scores.std()
     np.testing.assert_allclose(found.scores(0), scores.max(axis=1))
     assert found.scores(0).argmax() == free.scores(0).argmax()
     # Turned by 90 degrees, the picture is still found.
