@@ -48,7 +48,7 @@ class LocateCommand:
     speed: float = 15.0
     """Metres a second that the flight moves, one standard deviation."""
     centre: bool = True
-    """Subtract the mean descriptor of each view, which helps a model that has not seen the place."""
+    """Subtract the mean descriptor of each view, and whiten, which helps a model that has not seen the place."""
     corrections: bool = True
     """Take a frame's position from corrections.csv in the flight's folder where a person corrected it."""
     limit: int | None = None
