@@ -37,6 +37,8 @@ from lpn.retrieval import DescribedPicture
 
 # Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
 TILES = 48
+# A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so that few of its tiles are kept.
+TILE_BYTES = 400_000_000
 # Number of card pictures in the cache, 0.15 MB each.
 CARDS = 256
 # Side of a thumbnail in pixels.
@@ -91,7 +93,9 @@ class Workspace:
         self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None
         self.part_names = self._part_names()
-        self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(TILES)
+        self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(
+            TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
+        )
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)

@@ -15,10 +15,15 @@ class SingleFlightCache(Generic[K, V]):
     """A thread-safe LRU cache of at most `size` values that computes each value once (single flight).
 
     `functools.lru_cache` would compute a value in every thread that misses it.
+
+    Args:
+        budget: the most bytes that all values together take, by `bytes_of`; the newest value is kept even if it takes more.
+        bytes_of: the bytes of a value.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, budget: int = 0, bytes_of: Callable[[V], int] = lambda _: 0) -> None:
         self._size, self._lock = size, threading.Lock()
+        self._budget, self._bytes_of, self._bytes = budget, bytes_of, 0
         self._values: OrderedDict[K, V] = OrderedDict()
         self._in_flight: dict[K, threading.Event] = {}
 
@@ -38,8 +43,9 @@ class SingleFlightCache(Generic[K, V]):
             value = compute()
             with self._lock:
                 self._values[key] = value
-                if len(self._values) > self._size:
-                    self._values.popitem(last=False)
+                self._bytes += self._bytes_of(value)
+                while len(self._values) > self._size or (len(self._values) > 1 and self._bytes > self._budget):
+                    self._bytes -= self._bytes_of(self._values.popitem(last=False)[1])
             return value
         finally:
             with self._lock:

@@ -83,6 +83,11 @@ class Trace:
         return self.features.shape[-2], self.features.shape[-1]
 
     @property
+    def nbytes(self) -> int:
+        """The bytes of the maps and cells, without the heads, which traces share."""
+        return self.features.nbytes + self.cells.nbytes
+
+    @property
     def activation(self) -> Float32Array:
         """The channel sum of the picture's map, (h, w); of a map for each part, the sum over the parts that hold the cell."""
         total = self.part_totals

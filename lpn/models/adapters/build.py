@@ -6,7 +6,7 @@ import logging
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import torch
@@ -40,10 +40,12 @@ class PublishedParts:
     Attributes:
         contract: what the model says of itself.
         branches: by view, or by role where the contract's roles are "role".
+        length: of a descriptor that the released test code writes.
     """
 
     contract: Contract
     branches: Mapping[View | Role, PartBranch]
+    length: float = 1.0
 
 
 def build(kind: Kind, entries: Entries) -> PublishedParts:
@@ -251,7 +253,10 @@ def _denseuav(entries: Entries) -> PublishedParts:
             {"level": "exact"} if pool == "avg" else {"level": "exact, with held", "held": "the cells of the maxima"}
         )
         level = {"level": "one vector"} if pool == "global" else level
-    return _by_view(entries, lambda _: branch, "DenseUAV", backbone, size, names=names, **level)
+    made = _by_view(entries, lambda _: branch, "DenseUAV", backbone, size, names=names, **level)
+    # The released code divides k + 1 parts by sqrt(k).
+    parts = made.contract.n_parts
+    return replace(made, length=math.sqrt(parts / (parts - 1))) if parts > 1 else made
 
 
 def _by_view(

@@ -140,6 +140,10 @@ def test_denseuav_with_the_head_of_fsra(regions: int, tmp_path: Path) -> None:
     assert model.contract.names("drone")[0] == "1 class token"
     raw, mirror = (published_models.denseuav(state, p, regions=regions) for p in (pictures, pictures[..., ::-1].copy()))
     check(model, "satellite", pictures, raw, mirror)
+    total = (raw + mirror).numpy()
+    # Each part is divided by its norm times the root of the number of regions.
+    rows = (total / np.linalg.norm(total, axis=2, keepdims=True) / regions**0.5).transpose(0, 2, 1).reshape(1, -1)
+    assert relative(model.released_descriptors(pictures, "satellite"), rows) < TOLERANCE
 
 
 @pytest.mark.parametrize("side", [16, 24, 32])
