@@ -27,8 +27,8 @@ from lpn.retrieval.metrics import Retrieval
 
 _CHUNK_BYTES = 64_000_000
 # Columns of every table besides `margin_1` .. `margin_n`. A task without positions has no `distance`, and one without measured
-# footprints no `overlap`.
-OUTCOME_COLUMNS = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance", "overlap")
+# footprints no `overlap`, and one without semi-positives no `semi`.
+OUTCOME_COLUMNS = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance", "overlap", "semi")
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,12 +197,20 @@ def table(
     return Table(paths, columns).with_columns(metadata.columns(root, paths, [column.name for column in columns]))
 
 
-def overlaps(outcomes: Outcomes, truth: Sequence[Truth] | None) -> list[Column]:
-    """The column `overlap` of the answers with the queries' footprints, 0 .. 1; empty where no overlap is known."""
-    if truth is None or all(lists.overlaps is None for lists in truth):
-        return []
-    found = [lists.overlap(answer) for lists, answer in zip(truth, outcomes.answer.tolist(), strict=True)]
-    return [number_column("overlap", found)]
+def listed_columns(outcomes: Outcomes, truth: Sequence[Truth] | None) -> list[Column]:
+    """Columns of what lists tell about the answers, without those of which they tell nothing.
+
+    Columns:
+        overlap: of the answer with the query's footprint, 0 .. 1.
+        semi: "yes" if the answer is half-true (a semi-positive), else "no".
+    """
+    answers = list(zip(truth or (), outcomes.answer.tolist(), strict=truth is not None))
+    columns = []
+    if any(lists.overlaps is not None for lists, _ in answers):
+        columns.append(number_column("overlap", [lists.overlap(answer) for lists, answer in answers]))
+    if any(len(lists.semi) for lists, _ in answers):
+        columns.append(text_column("semi", ["yes" if answer in lists.semi else "no" for lists, answer in answers]))
+    return columns
 
 
 def picture_columns(table: Table) -> list[Column]:

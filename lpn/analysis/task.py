@@ -153,7 +153,7 @@ class Task:
 
     def tabulate(self, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
         """One row per query, without tags and notes; see `query_outcomes.table`."""
-        columns = [*self.columns, *query_outcomes.overlaps(outcomes, self.truth)]
+        columns = [*self.columns, *query_outcomes.listed_columns(outcomes, self.truth)]
         return query_outcomes.table(self.root, self.queries, self.gallery, outcomes, part_names, self.geometry, columns)
 
     @property

@@ -280,10 +280,11 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
     back = evaluate(model, dataset, "satellite-to-drone", read=read_drawn)
     assert (back.queries, back.gallery) == (3, 2)
     outcomes = query_outcomes.build(query[:, None], tiles[:, None], None, None, dataset.truth("drone-to-satellite"))
-    (column,) = query_outcomes.overlaps(outcomes, dataset.truth("drone-to-satellite"))
+    column, semi = query_outcomes.listed_columns(outcomes, dataset.truth("drone-to-satellite"))
     names = [gallery[answer].name for answer in outcomes.answer]
     known = [{"4_0_0_0": 0.7, "5_0_1_1": 0.45, "4_0_1_0": 0.2}, {"4_0_1_1": 0.5}]
     if not degrees:
+        assert semi.values.tolist() == ["yes" if name == "4_0_1_0" and i == 0 else "no" for i, name in enumerate(names)]
         assert column.values.tolist() == [of.get(name, 0.0) for of, name in zip(known, names, strict=True)]
 
 
@@ -301,3 +302,9 @@ def test_vigor_has_a_hit_rate_and_a_row_for_each_city(tmp_path: Path, model_file
         scores[lists.semi] = -np.inf
         hits += int(np.argmax(scores)) in lists.good
     assert found.measures == {"hit rate": pytest.approx(100 * hits / 8)}
+    truth = dataset.truth("street-to-satellite") or []
+    outcomes = query_outcomes.build(query[:, None], tiles[:, None], None, None, truth)
+    (semi,) = query_outcomes.listed_columns(outcomes, truth)
+    assert semi.values.tolist() == [
+        "yes" if answer in lists.semi else "no" for answer, lists in zip(outcomes.answer, truth, strict=True)
+    ]
