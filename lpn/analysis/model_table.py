@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,9 +21,10 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.core.files import printable
 from lpn.core.tables import escape_formula
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, Picture, geo
+from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.descriptors import Reader, cached_descriptors
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
@@ -236,8 +238,7 @@ def rank_model(
     model = model.for_task(*views)
     queries, tiles = dataset.queries(views[0]), dataset.gallery(views[1])
     sides = read(model, queries, views[0], UNCHANGED.for_picture(queries[0])), read(model, tiles, views[1], UNCHANGED)
-    labels = tuple(np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, tiles))
-    return _ranked(name, dataset, task, gallery, (queries, tiles), sides, (labels[0], labels[1]))
+    return _ranked(name, dataset, task, gallery, (queries, tiles), sides, _labels(queries, tiles), dataset.truth(task))
 
 
 def rank_saved(
@@ -246,14 +247,48 @@ def rank_saved(
     """Rank a task by the descriptors of a published result.
 
     Raises:
-        InputError: when the result is of another task, or the gallery has no distractors to leave out.
+        InputError: when the result is of another task, names a picture twice, or the gallery has no distractors to leave out.
         DataError: when its pictures are not in the data set.
     """
     views, queries, tiles = saved.pictures(dataset)
     if (found := "-to-".join(views)) != task:
         raise InputError(f"{name} is a result of {found}; expected {task}, so choose it with --task.")
-    labels = saved.query_labels, saved.gallery_labels
-    return _ranked(name, dataset, task, gallery, (queries, tiles), (saved.query, saved.gallery), labels)
+    for side in (queries, tiles):
+        if repeated := _repeated([picture.path.as_posix() for picture in side]):
+            raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
+    truth = _truth_of_rows(dataset, task, queries, tiles)
+    labels = (saved.query_labels, saved.gallery_labels) if truth is None else _labels(queries, tiles)
+    return _ranked(name, dataset, task, gallery, (queries, tiles), (saved.query, saved.gallery), labels, truth)
+
+
+def _labels(queries: Sequence[Picture], gallery: Sequence[Picture]) -> tuple[Int64Array, Int64Array]:
+    of_query, of_gallery = (np.array([one.label for one in side], np.int64) for side in (queries, gallery))
+    return of_query, of_gallery
+
+
+def _repeated(names: Sequence[str]) -> str:
+    """Return the first name that occurs twice, or ""."""
+    return next((name for name, count in Counter(names).items() if count > 1), "")
+
+
+def _truth_of_rows(
+    dataset: Dataset, task: str, queries: Sequence[Picture], gallery: Sequence[Picture]
+) -> list[Truth] | None:
+    """Return the data set's true matches for queries and gallery pictures of it in another order; None without lists."""
+    truth = dataset.truth(task)
+    if truth is None:
+        return None
+    views = views_of(task)
+    of_query = {picture.path: lists for picture, lists in zip(dataset.queries(views[0]), truth, strict=True)}
+    rows = {picture.path: row for row, picture in enumerate(gallery)}
+    row_of = np.array([rows.get(picture.path, -1) for picture in dataset.gallery(views[1])], np.int64)
+    return [_in_rows(of_query[picture.path], row_of) for picture in queries]
+
+
+def _in_rows(lists: Truth, row_of: Int64Array) -> Truth:
+    """Return true matches and junk as rows; `row_of` has the row of each gallery position, -1 for those without one."""
+    good, junk = (np.sort(rows[rows >= 0]) for rows in (row_of[lists.good], row_of[lists.junk]))
+    return Truth(good, junk, lists.known, lists.trapezoid)
 
 
 def _ranked(
@@ -264,8 +299,9 @@ def _ranked(
     pictures: tuple[Sequence[Picture], Sequence[Picture]],
     sides: tuple[Any, Any],
     labels: tuple[Int64Array, Int64Array],
+    truth: Sequence[Truth] | None,
 ) -> RankedModel:
-    truth, of_gallery = dataset.truth(task), labels[1]
+    of_gallery = labels[1]
     kept = np.ones(len(of_gallery), bool)
     if gallery != "full":
         if truth is not None:

@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +18,10 @@ from scipy.stats import binomtest, chi2
 from lpn.analysis.model_table import RankedModel, compare, intervals, mcnemar, rank_saved
 from lpn.cli.main import main
 from lpn.core.errors import InputError
+from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.retrieval.published_results import PublishedResult
-from tools.fixtures import small_worlds
+from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
 
@@ -174,3 +176,36 @@ def test_models_and_saved_results_compare_on_one_gallery(
         compare([whole, smaller])
     with pytest.raises(InputError, match="expected satellite-to-drone"):
         rank_saved(saved, "r.mat", dataset, "satellite-to-drone")
+
+
+@pytest.mark.parametrize("make", [layouts.vigor, layouts.gta])
+def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
+    tmp_path: Path, make: Callable[[Path], Path]
+) -> None:
+    dataset = open_dataset(make(tmp_path / "set"))
+    task = dataset.tasks()[0]
+    query_view, gallery_view = views_of(task)
+    sides = dataset.queries(query_view), dataset.gallery(gallery_view)
+    truth = dataset.truth(task)
+    assert truth is not None
+    perfect = np.zeros((len(sides[0]), 1, len(sides[1])), np.float32)
+    for row, lists in enumerate(truth):
+        perfect[row, 0, lists.good] = 1
+    orders = [np.random.default_rng(3).permutation(len(side)) for side in sides]
+    tiles = np.eye(len(sides[1]), dtype=np.float32)[:, None]
+    paths = [tuple(str(side[i].path) for i in order) for side, order in zip(sides, orders, strict=True)]
+    labels = [np.arange(len(side)) for side in sides]
+    rows = perfect[orders[0]], tiles[orders[1]]
+    saved = PublishedResult("r.mat", rows[0], labels[0], rows[1], labels[1], paths[0], paths[1])
+    found = rank_saved(saved, "r.mat", dataset, task)
+    assert found.first.tolist() == [0] * len(sides[0])
+    assert found.labels.tolist() == [sides[0][i].label for i in orders[0]]
+    fewer = replace(
+        saved, gallery=rows[1][1:], gallery_labels=labels[1][1:], gallery_paths=paths[1][1:], name="fewer.mat"
+    )
+    kept = orders[1][1:]
+    expected = [0 if set(truth[i].good) & set(kept) else -1 for i in orders[0]]
+    assert rank_saved(fewer, "fewer.mat", dataset, task).first.tolist() == expected
+    twice = replace(saved, gallery_paths=(paths[1][1], *paths[1][1:]))
+    with pytest.raises(InputError, match="twice"):
+        rank_saved(twice, "twice.mat", dataset, task)
