@@ -71,7 +71,9 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
         f"{_before(profile, best)}."
     ]
     if (depth := analysis.task.depth) is not None:
-        sentences.append(f"A search tells {depth} ranks; a tile beyond them is drawn as the {ordinal(depth + 1)}.")
+        sentences.append(
+            f"A search tells {depth} ranks; a tile that it does not return is drawn as the {ordinal(depth + 1)}."
+        )
     if ranked.rank < best.rank:
         sentences.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
     if best.true is not None and over != "rotation":

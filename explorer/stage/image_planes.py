@@ -10,6 +10,7 @@ import viser
 from lpn.core.arrays import UInt8Array
 from lpn.drawing import captions, theme
 from lpn.drawing.theme import Palette
+from lpn.retrieval import Match
 
 # A quaternion (w, x, y, z).
 Rotation = tuple[float, float, float, float]
@@ -49,6 +50,11 @@ class Plane:
         if self._shown.shape != picture.shape or not np.array_equal(self._shown, picture):
             self._shown = picture
             self.handle.image = picture
+
+
+def rank_title(match: Match) -> str:
+    """Return the rank of a compared tile as a headline."""
+    return match.rank_text.upper() if match.missed else f"RANK {match.rank_text}"
 
 
 def title(headline: str, text: str, true: bool | None, palette: Palette, distance2: float | None = None) -> UInt8Array:

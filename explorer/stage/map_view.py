@@ -11,7 +11,7 @@ import viser
 
 from explorer.session_state import SessionState
 from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_PICTURE, Viewpoint, oblique_view
-from explorer.stage.image_planes import Plane, Rotation
+from explorer.stage.image_planes import Plane, Rotation, rank_title
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
@@ -245,8 +245,8 @@ class GalleryMap:
             anchor="lm",
         )
         draw.text((438, 186), "›", palette.dim, captions.font(34), anchor="rm")
-        draw.text((412, 186), f"RANK {chosen.rank_text}", palette.text, captions.font(30), anchor="rm")
-        left = 412 - draw.textlength(f"RANK {chosen.rank_text}", font=captions.font(30))
+        draw.text((412, 186), rank_title(chosen), palette.text, captions.font(30), anchor="rm")
+        left = 412 - draw.textlength(rank_title(chosen), font=captions.font(30))
         captions.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
         tile = captions.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
         draw.text((412, 222), tile, palette.dim, captions.font(24), anchor="rm")

@@ -14,7 +14,7 @@ from explorer.layout import CAPTION, Layout, Point
 from explorer.session_state import SessionState
 from explorer.stage.camera import Viewpoint
 from explorer.stage.cards import SHOWN, Cards
-from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, title
+from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, rank_title, title
 from explorer.stage.map_view import GalleryMap
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
@@ -266,7 +266,7 @@ class Stage:
         chosen = analysis.chosen
         name = analysis.task.gallery[chosen.index].name
         text, palette = f"{analysis.task.gallery_view} {name}", analysis.state.palette
-        return title(f"RANK {chosen.rank_text}", text, chosen.true, palette, chosen.distance2)
+        return title(rank_title(chosen), text, chosen.true, palette, chosen.distance2)
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
         """Draw the part bars in a column, between pictures side by side."""

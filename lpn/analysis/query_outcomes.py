@@ -23,6 +23,7 @@ from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.datasets import Picture, Truth, metadata
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.retrieval import metrics, scoring
+from lpn.retrieval.gallery_search import NOT_RETURNED
 from lpn.retrieval.metrics import Retrieval
 
 _CHUNK_BYTES = 64_000_000
@@ -48,6 +49,8 @@ class Outcomes:
         weights: the part weights, summing to one, (n,).
         known: the queries whose truth is known, (Q,).
         depth: number of tiles that were ranked for each query; None for all.
+        missed: the queries whose first true match an approximate search may have missed, (Q,); their `rank` is `depth` and may be
+            any. None for none.
     """
 
     rank: Int64Array
@@ -60,6 +63,7 @@ class Outcomes:
     weights: Float64Array
     known: BoolArray
     depth: int | None = None
+    missed: BoolArray | None = None
 
     @property
     def failed(self) -> BoolArray:
@@ -157,7 +161,8 @@ def table(
 
     Columns, followed by those of the metadata:
         name: of the query.
-        rank: from 1; unknown without a true match; beyond the searched depth it is told as "> depth", and counts as depth + 1.
+        rank: from 1; unknown without a true match; beyond the searched depth it is told as "> depth", or as "not returned" where
+            a search missed the tile; both count as depth + 1.
         margin: in d².
         part: the deciding part.
         truth, answer, false: names of the nearest positive, the nearest tile, and the hardest negative.
@@ -181,9 +186,12 @@ def table(
     # Position -1 stands for none. It indexes the last entry, which is empty.
     parts = np.array([*(part_names or [str(i + 1) for i in range(n)]), ""], object)
     tiles = np.array([*(tile.name for tile in gallery), ""], object)
+    missed = {} if outcomes.missed is None else dict.fromkeys(np.flatnonzero(outcomes.missed).tolist(), NOT_RETURNED)
     columns = [
         text_column("name", [query.name for query in queries]),
-        number_column("rank", np.where(outcomes.rank < 0, np.nan, outcomes.rank + 1.0), limit=outcomes.depth),
+        number_column(
+            "rank", np.where(outcomes.rank < 0, np.nan, outcomes.rank + 1.0), limit=outcomes.depth, texts=missed
+        ),
         number_column("margin", outcomes.margin),
         Column("part", "text", parts[outcomes.deciding_part]),
         Column("truth", "text", tiles[outcomes.true]),

@@ -14,9 +14,10 @@ import csv
 import io
 import operator
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -55,6 +56,7 @@ class Column:
         values: (N,) float64, NaN if unknown, or (N,) object of str, "" if unknown.
         unit: of numbers, such as "m"; may be empty.
         limit: a number above it is only known to be above it; None for no limit.
+        texts: what is told in place of the numbers of some rows, which are sorted and compared by their numbers all the same.
     """
 
     name: str
@@ -62,9 +64,12 @@ class Column:
     values: AnyArray
     unit: str = ""
     limit: float | None = None
+    texts: Mapping[int, str] = field(default_factory=dict)
 
     def text(self, row: int) -> str:
         """Return a value as text: numbers with up to four decimals, "" if unknown."""
+        if (told := self.texts.get(int(row))) is not None:
+            return told
         value = self.values[row]
         if self.kind == "text":
             return str(value)
@@ -92,9 +97,15 @@ class Column:
         return np.where(self.known, order, np.nan)
 
 
-def number_column(name: str, values: npt.ArrayLike, unit: str = "", limit: float | None = None) -> Column:
-    """Return a column of numbers (N,), NaN if unknown; those above a limit are only known to be above it."""
-    return Column(name, "number", np.asarray(values, np.float64), unit, limit)
+def number_column(
+    name: str,
+    values: npt.ArrayLike,
+    unit: str = "",
+    limit: float | None = None,
+    texts: Mapping[int, str] = MappingProxyType({}),
+) -> Column:
+    """Return a column of numbers (N,), NaN if unknown; for the rest see `Column`."""
+    return Column(name, "number", np.asarray(values, np.float64), unit, limit, texts)
 
 
 def text_column(name: str, values: Iterable[str]) -> Column:
@@ -185,7 +196,7 @@ class Table:
         """
         columns = list(self.columns.values())
         cells = [
-            [_csv_number(v, column.limit) for v in column.values[rows].tolist()]
+            [column.texts.get(row) or _csv_number(column.values[row], column.limit) for row in rows.tolist()]
             if column.kind == "number"
             else [escape_formula(text) for text in column.values[rows]]
             for column in columns

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import BoolArray, Float64Array
 from lpn.retrieval import scoring
 from lpn.retrieval.metrics import Retrieval
 
@@ -22,9 +22,11 @@ class IndexRetrieval(Retrieval):
 
     Attributes:
         parts: each part's term of the margin in d², (Q, n); NaN without a true or a false tile.
+        missed: queries whose first true match an approximate search may have missed, so that its rank may be any, (Q,).
     """
 
     parts: Float64Array
+    missed: BoolArray
 
 
 class IndexRanking:
@@ -35,7 +37,7 @@ class IndexRanking:
 
     def __init__(self, task: IndexTask) -> None:
         self._task = task
-        self._rows: list[tuple[int, int, int, Float64Array]] = []
+        self._rows: list[tuple[int, int, int, bool, Float64Array]] = []
 
     def finish(self, progress: Callable[[int, int], None]) -> IndexRetrieval:
         """Search for the queries that have not been searched for.
@@ -51,15 +53,16 @@ class IndexRanking:
             progress(len(self._rows), total)
             self._rows.append(self._ranked(len(self._rows)))
         first, true, false = (np.array([row[i] for row in self._rows], np.int64) for i in range(3))
-        parts = np.array([row[3] for row in self._rows], np.float64).reshape(total, self._task.contract.n_parts)
+        parts = np.array([row[4] for row in self._rows], np.float64).reshape(total, self._task.contract.n_parts)
+        missed = np.array([row[3] for row in self._rows], bool)
         unknown = np.full(total, np.nan)
         depth: int | None = self._task.search_depth
         if depth == self._task.tiles and not (first == depth).any():
             depth = None
-        return IndexRetrieval(first, true, false, unknown, self._task.tiles, depth=depth, parts=parts)
+        return IndexRetrieval(first, true, false, unknown, self._task.tiles, depth=depth, parts=parts, missed=missed)
 
-    def _ranked(self, query: int) -> tuple[int, int, int, Float64Array]:
-        """Return rank from 0, nearest positive, hardest negative, and the parts of the margin of a query."""
+    def _ranked(self, query: int) -> tuple[int, int, int, bool, Float64Array]:
+        """Return rank from 0, nearest positive, hardest negative, `missed`, and the parts of the margin of a query."""
         task = self._task
         weights = scoring.part_weights(task.contract.n_parts, task.weights)
         ranking = task.search(query, task.query_descriptors[query], weights, background=True)
@@ -69,13 +72,14 @@ class IndexRanking:
             parts = 2 * weights.astype(np.float64) * (positive.cosines.astype(np.float64) - negative.cosines)
         if positive is not None:
             first = task.search_depth if positive.beyond else positive.rank - 1
+            missed = positive.missed or (positive.beyond and positive.rank <= task.search_depth)
         else:  # where true tiles cannot be listed, one may follow beyond the depth
             listed = task.contains is None or ranking.relevant is None or ranking.depth is None
-            first = -1 if listed else task.search_depth
-        missing = -1
+            first, missed = -1 if listed else task.search_depth, not listed and task.approximate
         return (
             first,
-            missing if positive is None else positive.index,
-            missing if negative is None else negative.index,
+            -1 if positive is None else positive.index,
+            -1 if negative is None else negative.index,
+            missed,
             parts,
         )

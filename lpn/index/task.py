@@ -2,7 +2,8 @@
 
 The gallery is that of the tiles that searches have returned (`IndexGallery`). A ranking holds the `depth` nearest tiles in
 order. Behind them it holds the query's true tiles as far as they are known, and the tile that is compared: their scores are
-exact, as their descriptors are read by name, and their ranks are only known to be beyond the depth.
+exact, as their descriptors are read by name. Their ranks are only known to be beyond the depth. Those of nearer tiles,
+which an approximate search misses, are not known at all.
 """
 
 from __future__ import annotations
@@ -92,8 +93,13 @@ class IndexTask(Task):
         return self.search_depth
 
     @property
+    def approximate(self) -> bool:
+        """True if a search may leave out tiles that are nearer than those it returns."""
+        return not self.index.index.exhaustive
+
+    @property
     def gallery_description(self) -> str:
-        name = "exactly" if self.index.index.exhaustive else f"approximately ({self.index.index.engine})"
+        name = f"approximately ({self.index.index.engine})" if self.approximate else "exactly"
         return f"searched {name} to depth {self.search_depth} of {self.tiles:,} tiles"
 
     def current(self) -> Task:
@@ -166,7 +172,7 @@ class IndexTask(Task):
             relevant[good] = True
             if self.contains is not None:
                 relevant[places] = self.contains(query, [self.seen.name_of(i) for i in places.tolist()])
-        return Ranking(cosines, weights, all_scores, places, relevant, lengths, depth)
+        return Ranking(cosines, weights, all_scores, places, relevant, lengths, depth, self.approximate)
 
     @cached_property
     def outcomes(self) -> Outcomes:
@@ -182,7 +188,8 @@ class IndexTask(Task):
 
     def outcomes_of(self, ranking: Retrieval) -> Outcomes:
         assert isinstance(ranking, IndexRetrieval)
-        return query_outcomes.outcomes_from_parts(ranking, ranking.parts, self.weights, self.known)
+        outcomes = query_outcomes.outcomes_from_parts(ranking, ranking.parts, self.weights, self.known)
+        return replace(outcomes, missed=ranking.missed)
 
     def effect(self, before: npt.ArrayLike | None, after: npt.ArrayLike) -> Effect:
         del before, after

@@ -17,6 +17,9 @@ from lpn.models.trace import Trace
 from lpn.retrieval import scoring
 from lpn.retrieval.metrics import JUNK
 
+# Stands in place of a rank that may be any.
+NOT_RETURNED = "not returned"
+
 
 @dataclass(frozen=True)
 class DescribedPicture:
@@ -41,7 +44,8 @@ class Match:
     """One ranked tile.
 
     Attributes:
-        rank: 1 for the nearest; for a tile `beyond` the searched depth, the lowest rank that it can have.
+        rank: 1 for the nearest; for a tile `beyond` the searched depth, that depth + 1, which is the lowest rank that it can have
+            unless it is `missed`.
         index: position in the gallery.
         score: weighted mean cosine, -1 .. 1.
         distance2: squared distance 2 - 2 score.
@@ -49,7 +53,9 @@ class Match:
         cosines: of each part, (n,).
         shares: each part's exact contribution to distance2, (n,).
         true: True for a tile of the query's place; None if the place is not known.
-        beyond: the tile lies beyond the depth that was searched, so its rank is not known.
+        beyond: the search did not return the tile, so its rank is not known.
+        missed: the tile is `beyond`, but nearer than the last tile that an approximate search returned, so that its rank may be
+            any.
     """
 
     rank: int
@@ -61,10 +67,13 @@ class Match:
     shares: Float32Array
     true: bool | None
     beyond: bool = False
+    missed: bool = False
 
     @property
     def rank_text(self) -> str:
-        """The rank in figures, such as "12", or "> 100" beyond a depth of 100."""
+        """The rank in figures, such as "12", or "> 100" beyond a depth of 100, or "not returned"."""
+        if self.missed:
+            return NOT_RETURNED
         return f"> {self.rank - 1}" if self.beyond else str(self.rank)
 
 
@@ -82,6 +91,7 @@ class Ranking:
             are then n times inner products.
         depth: number of tiles in `order` whose ranks are known; those behind them are ranked among themselves only, and scores of
             all other tiles are not a number. None if all ranks are known.
+        approximate: the search may leave out tiles that are nearer than those it returns.
     """
 
     cosines: Float32Array
@@ -91,12 +101,14 @@ class Ranking:
     relevant: BoolArray | None
     lengths: Float32Array | None = None
     depth: int | None = None
+    approximate: bool = False
 
     def match(self, position: int) -> Match:
         """The match at a 0-based position of the order."""
         index = int(self.order[position])
         depth = len(self.order) if self.depth is None else self.depth
         beyond, last = position >= depth, position + 1 >= depth
+        leads = beyond and (not depth or bool(self.scores[index] > self.scores[self.order[depth - 1]]))
         return Match(
             rank=min(position, depth) + 1,
             index=index,
@@ -107,6 +119,7 @@ class Ranking:
             shares=scoring.contributions(self.cosines[index], self.weights, self.lengths),
             true=None if self.relevant is None else bool(self.relevant[index]),
             beyond=beyond,
+            missed=self.approximate and leads,
         )
 
     def top(self, k: int) -> list[Match]:

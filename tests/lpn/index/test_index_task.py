@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import lpn
@@ -242,6 +243,42 @@ def test_an_index_of_other_tiles_leaves_the_places_unknown(tmp_path: Path, whole
     index.close()
 
 
+def _ranks(task: IndexTask) -> npt.NDArray[np.object_]:
+    table = task.current().tabulate(task.outcomes, task.part_names)
+    told = np.array([table.columns["rank"].text(i) for i in range(len(table))], object)
+    lines = table.to_csv(table.rows()).decode().splitlines()[1:]
+    assert [line.split(",")[2] for line in lines] == told.tolist()
+    return told
+
+
+def test_a_tile_that_an_approximate_search_misses_is_not_said_to_be_beyond_the_depth(
+    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    index = _index(tmp_path / "index", whole)
+    search, lost = SharedIndex.search, 3
+
+    def poor(self: SharedIndex, query: object, weights: object, k: int, background: bool = False) -> SearchResult:
+        """Lose the nearest, as an approximate search could."""
+        found = search(self, query, weights, k + lost, background)  # type: ignore[arg-type]
+        return SearchResult(found.ids[lost:], found.scores[lost:], found.vectors[lost:], found.positions[lost:])
+
+    monkeypatch.setattr(SharedIndex, "search", poor)
+    monkeypatch.setattr(type(index.index), "exhaustive", False)
+    task = index_task(model, "m", index, dataset_queries(model, open_dataset(whole.root), index), DEPTH)
+    ranks = np.asarray(whole.outcomes.rank)
+    expected = [
+        "not returned" if rank < lost else "> 12" if rank >= DEPTH + lost else str(rank + 1 - lost) for rank in ranks
+    ]
+    assert {"not returned", "> 12"} < set(expected)
+    assert _ranks(task).tolist() == expected
+    for rank in (ranks.min(), ranks.max()):
+        query = int(np.flatnonzero(ranks == rank)[0])
+        positive = _analyser(model).analyse(task, QueryRequest(query), 10).positive
+        assert positive is not None
+        assert positive.rank_text == expected[query]
+    index.close()
+
+
 def test_a_search_that_returns_fewer_tiles_than_its_depth_invents_no_rank(
     tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -255,13 +292,20 @@ def test_a_search_that_returns_fewer_tiles_than_its_depth_invents_no_rank(
         return SearchResult(found.ids[1::2], found.scores[1::2], found.vectors[1::2], found.positions[1::2])
 
     monkeypatch.setattr(SharedIndex, "search", poor)
+    monkeypatch.setattr(type(index.index), "exhaustive", False)
     ranks = np.asarray(whole.outcomes.rank)
     returned = (ranks < DEPTH) & (ranks % 2 == 1)
     assert returned.any()
     np.testing.assert_array_equal(task.outcomes.rank, np.where(returned, ranks // 2, DEPTH))
+    # A row of the table cannot say that it is beyond twelve, as six are returned.
+    assert not _ranks(task)[~returned].tolist().count("> 12")
+    far = int(np.flatnonzero(ranks >= DEPTH)[0])
+    analysis = _analyser(model).analyse(task, QueryRequest(far), 10)
+    assert analysis.positive is not None
+    assert analysis.positive.rank_text == "> 6"
     missed = int(np.flatnonzero(ranks == 0)[0])
     analysis = _analyser(model).analyse(task, QueryRequest(missed), 10)
     assert analysis.positive is not None
-    assert analysis.positive.rank_text == "> 6"
+    assert analysis.positive.rank_text == "not returned"
     assert verdicts.verdict(analysis.matches[0], analysis.positive, None, "abcd")[1].startswith("Missed")
     index.close()
