@@ -9,55 +9,41 @@ import pytest
 import torch
 
 import lpn
+from lpn.models.base import Model
 from lpn.models.export import export
 from lpn.models.trace import Trace
 from tools.fixtures import seeded
-from tools.fixtures.published_models import (
-    State,
-    distinct,
-    relative,
-    small_denseuav,
-    small_fsra,
-    small_mccg,
-)
-
-CASES: dict[str, tuple[State, str]] = {
-    "fsra": (small_fsra(2), "h: 256\nw: 256\n"),
-    "mccg": (small_mccg(2), "h: 64\nw: 96\n"),
-    "denseuav": (small_denseuav(0), "head_pool: avg+max\n"),
-}
+from tools.fixtures.published_models import State, distinct, relative, small_fsra, small_mccg
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
-def test_an_exported_model_answers_alike(case: str, tmp_path: Path) -> None:
-    state, options = CASES[case]
-    torch.save(state, tmp_path / "net_119.pth")
-    (tmp_path / "opts.yaml").write_text(options)
-    (file,) = export(tmp_path / "net_119.pth", tmp_path / "model.onnx")
-    model, exported = lpn.load(tmp_path / "net_119.pth", "cpu"), lpn.load(file, "cpu")
-    assert exported.contract == model.contract
-    assert exported.map_size("drone") == model.map_size("drone")
-    pictures = seeded.pictures(12, 3, *model.input_size)
-    expected = model.descriptors(pictures, "drone")
-    assert relative(exported.descriptors(pictures, "drone"), expected) < 2e-5
-    if model.contract.has_cells:
-        found, own = (
-            Trace.from_pass(one, one.run(one.with_mirror(pictures[1]), "satellite"), "satellite")
-            for one in (exported, model)
-        )
+def exported(state: State, options: str, folder: Path, names: list[str]) -> tuple[Model, Model]:
+    """Return a model of PyTorch, and what is opened from its export."""
+    torch.save(state, folder / "net_119.pth")
+    (folder / "opts.yaml").write_text(options)
+    files = export(folder / "net_119.pth", folder / "model.onnx")
+    assert [file.name for file in files] == names
+    model, again = lpn.load(folder / "net_119.pth", "cpu"), lpn.load(files[0], "cpu")
+    assert again.contract == model.contract
+    return model, again
+
+
+def answer_alike(model: Model, again: Model) -> None:
+    pictures = seeded.pictures(12, 2, *model.input_size)
+    for view in model.views:
+        assert again.map_size(view) == model.map_size(view)
+        assert relative(again.descriptors(pictures, view), model.descriptors(pictures, view)) < 2e-5
+        found, own = (Trace.from_pass(one, one.run(one.with_mirror(pictures[1]), view), view) for one in (again, model))
         assert found.errors().max() < 1e-5
         np.testing.assert_allclose(found.cells, own.cells, atol=1e-7)
         assert relative(found.constants, own.constants) < 2e-5
 
 
 @pytest.mark.slow
-def test_a_street_with_weights_of_its_own_gets_a_file_of_its_own(tmp_path: Path) -> None:
-    torch.save(distinct(small_fsra(2, 2), "model_2."), tmp_path / "net_119.pth")
-    files = export(tmp_path / "net_119.pth", tmp_path / "model.onnx", storage="float16")
-    assert [file.name for file in files] == ["model.onnx", "model.street.onnx"]
-    model, exported = lpn.load(tmp_path / "net_119.pth", "cpu"), lpn.load(files[0], "cpu")
-    pictures = seeded.pictures(13, 1, 256, 256)
-    for view in model.views:
-        similarity = (model.descriptors(pictures, view) * exported.descriptors(pictures, view)).sum()
-        assert similarity > 0.99
+def test_regions_of_tokens_and_a_street_with_weights_of_its_own(tmp_path: Path) -> None:
+    state = distinct(small_fsra(2, 2), "model_2.")
+    answer_alike(*exported(state, "views: 3\n", tmp_path, ["model.onnx", "model.street.onnx"]))
+
+
+@pytest.mark.slow
+def test_maps_under_gates(tmp_path: Path) -> None:
+    answer_alike(*exported(small_mccg(2), "h: 64\nw: 96\n", tmp_path, ["model.onnx"]))
