@@ -80,7 +80,7 @@ def test_a_smaller_file_hardly_changes_the_answer(
     assert found.dtype == np.float32
     assert 0 < np.abs(found - expected).max() < error * np.abs(expected).max()
     # It still explains itself exactly: its heads are those it computes with.
-    parts, features, _ = small.run(pictures, "drone")
+    parts, features, *_ = small.run(pictures, "drone")
     heads = small.heads("drone")
     pooled = np.einsum("phw,bchw->bpc", heads.cells, features)
     close(np.einsum("pdc,bpc->bpd", heads.weight, pooled) + heads.bias, parts)
@@ -96,7 +96,7 @@ def test_an_exported_file_names_no_path_of_the_machine_that_made_it(model_file: 
 def test_heads_and_cells_rebuild_the_embedding(model_file: Path) -> None:
     engine = lpn.load(model_file)
     pictures = seeded.pictures(5, 2, 64, 64)
-    parts, features, _ = engine.run(pictures, "drone")
+    parts, features, *_ = engine.run(pictures, "drone")
     heads = engine.heads("drone")
     pooled = np.einsum("nhw,bchw->bnc", heads.cells, features)
     close(np.einsum("ndc,bnc->bnd", heads.weight, pooled) + heads.bias, parts)
