@@ -69,7 +69,9 @@ class RankedModel:
         return np.asarray((self.first >= 0) & (self.first < depth))
 
     def in_order(self, queries: Sequence[str]) -> RankedModel:
-        """Return the ranking with its queries in another order; they must be the same."""
+        """Return the ranking with its queries in another order; they must be the same, and each of them once."""
+        if self.queries == tuple(queries):
+            return self
         at = {query: row for row, query in enumerate(self.queries)}
         rows = np.array([at[query] for query in queries], np.int64)
         sides = self.labels[rows], self.first[rows], self.precision[rows]
@@ -335,7 +337,8 @@ def compare(models: Sequence[RankedModel], seed: int = 0, resamples: int = RESAM
     """Compare two or more models.
 
     Raises:
-        InputError: when there are fewer than two, names repeat, or tasks, galleries, or queries differ.
+        InputError: when there are fewer than two, names repeat, tasks, galleries, or queries differ, or a repeated query has
+            another place in the order of one of them.
     """
     if len(models) < 2:
         raise InputError(f"A comparison takes two models or more; found {len(models)}.")
@@ -357,10 +360,15 @@ def compare(models: Sequence[RankedModel], seed: int = 0, resamples: int = RESAM
                 f"{'' if other.gallery_name != first.gallery_name else ' of other pictures'}; figures on two galleries do not "
                 "compare."
             )
-        if set(other.queries) != set(first.queries) or len(other.queries) != len(first.queries):
+        if Counter(other.queries) != Counter(first.queries):
             raise InputError(
                 f"{first.name} has {len(first.queries)} queries, and {other.name} {len(other.queries)}, which are not the same; "
                 "compare models on the same queries."
+            )
+        if other.queries != first.queries and (repeated := _repeated(first.queries)):
+            raise InputError(
+                f"{first.name} and {other.name} have their queries in different orders, and {printable(repeated)} is among them "
+                "more than once; save both in one order."
             )
     ordered = tuple(one.in_order(first.queries) for one in models)
     return ModelTable(first.task, first.gallery_name, ordered, seed, resamples)

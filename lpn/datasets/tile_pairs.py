@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -72,7 +73,7 @@ class TilePairs(ListedDataset):
         area: "same" or "cross"; by default the one whose test list is there, the same area first.
 
     Raises:
-        DataError: if a list is missing or malformed, or a tile's name does not tell its position.
+        DataError: if a list is missing or malformed, or names a test picture twice.
     """
 
     kind = "GTA-UAV"
@@ -88,6 +89,12 @@ class TilePairs(ListedDataset):
         if len(folders) != 1:
             raise DataError(
                 f"The test list of {printable(root.name)} names {len(folders)} folders of tiles; expected one."
+            )
+        listed = Counter(pair.file for pair in test)
+        if repeated := next((file for file, times in listed.items() if times > 1), None):
+            raise DataError(
+                f"{_list(root, area, 'test').name} has {listed[repeated]} objects of {printable(repeated)}; expected one "
+                "for each drone picture."
             )
         folder = folders.pop()
         files = [file.relative_to(root).as_posix() for file in files_below(root / folder)]

@@ -118,6 +118,19 @@ def test_a_comparison_counts_what_only_one_model_finds() -> None:
     assert "seed 4" in page
 
 
+def test_repeated_queries_are_each_counted_and_never_mixed() -> None:
+    names = ("a", "a", "b", "c")
+    one = replace(ranked("one", 1, queries=4), queries=names, first=np.array([0, 5, 5, 5]))
+    other = replace(one, name="other", first=np.array([5, 0, 5, 5]))
+    found = compare([one, other], resamples=10)
+    assert [figures["R@1"].value for figures in found.figures] == [25.0, 25.0]
+    assert (found.tests[0].only_first, found.tests[0].only_second) == (1, 1)
+    with pytest.raises(InputError, match="a is among them more than once"):
+        compare([one, replace(other, queries=("a", "b", "a", "c"))])
+    with pytest.raises(InputError, match="not the same"):
+        compare([one, replace(other, queries=("a", "b", "b", "c"))])
+
+
 def test_galleries_tasks_and_queries_are_never_mixed() -> None:
     one = ranked("a", 1)
     other = ranked("b", 2)

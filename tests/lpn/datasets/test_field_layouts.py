@@ -180,6 +180,11 @@ def edit(path: str, change: Callable[[str], str]) -> Callable[[Path], None]:
     return write
 
 
+def doubled(text: str) -> str:
+    entries = json.loads(text)
+    return json.dumps([*entries, entries[0]])
+
+
 def without_key(text: str) -> str:
     entries = json.loads(text)
     del entries[1]["pair_pos_sate_img_list"]
@@ -202,6 +207,7 @@ def without_key(text: str) -> str:
         (layouts.gta, edit("cross-area-drone2sate-test.json", lambda t: t[:-9]), "is not JSON"),
         (layouts.gta, edit("cross-area-drone2sate-test.json", without_key), "Object 2 of cross.*has no pair_pos_sate_img_list"),
         (layouts.gta, edit("cross-area-drone2sate-test.json", lambda t: t.replace("0.7, 0.45]", "0.7]", 1)), "1 weights"),
+        (layouts.gta, edit("cross-area-drone2sate-test.json", doubled), "has 2 objects of drone/images/200_0001_0000000001.png"),
         (layouts.vigor, spoil("splits"), "VIGOR's pictures and no folder splits"),
         (layouts.vigor, spoil("splits/*/*.txt"), "has the lists of none"),
         (layouts.vigor, spoil("splits/Seattle/satellite_list.txt"), "splits/Seattle/satellite_list.txt cannot be read"),
