@@ -50,6 +50,8 @@ _KEYS = {
     "query": ("query_f", "query", "descriptors", "features"),
     "gallery": ("gallery_f", "gallery", "descriptors", "features"),
 }
+# Columns of floats that are no numbers of a descriptor.
+_PLACES = frozenset({"latitude", "longitude", "lat", "lon", "lng", "altitude", "height", "heading"})
 # Norms of parts that differ by less than this share from 1/sqrt(n) are not worth a warning.
 _TOLERANCE = 0.01
 _PLACEHOLDER = 256
@@ -217,6 +219,7 @@ def _read_mat(file: Path, side: Side) -> AnyArray:
 def _read_parquet(file: Path, side: Side) -> AnyArray:
     del side
     import pyarrow as pa
+    import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     try:
@@ -228,17 +231,24 @@ def _read_parquet(file: Path, side: Side) -> AnyArray:
     lists = [name for name in table.column_names if _is_list(table.schema.field(name).type, pa)]
     if len(lists) == 1:
         column = table.column(lists[0]).combine_chunks()
-        values = column.flatten().to_numpy(zero_copy_only=False)
-        if column.null_count or len(values) % max(len(column), 1):
+        lengths = pc.unique(pc.list_value_length(column)).to_pylist()
+        if len(lengths) != 1 or not lengths[0]:
+            found = " and ".join("none" if length is None else str(length) for length in lengths[:2]) or "no"
             raise DataError(
-                f"The lists in {lists[0]} of {_name(file)} differ in length; expected as many numbers in each row."
+                f"The rows of {printable(lists[0])} in {_name(file)} have {found} numbers; expected as many in each row, at "
+                "least one."
             )
-        return cast(AnyArray, values.reshape(len(column), -1))
+        return cast(AnyArray, column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), lengths[0]))
     numbers = [name for name in table.column_names if pa.types.is_floating(table.schema.field(name).type)]
     if lists or not numbers:
         raise DataError(
             f"{_name(file)} has {len(lists)} columns of lists; expected one, or a column of floats for each number of a "
             "descriptor."
+        )
+    if places := [name for name in numbers if name.strip().lower() in _PLACES]:
+        raise DataError(
+            f"{_name(file)} has the columns {printable(', '.join(places))} among the numbers of the descriptors; leave them out, "
+            "and give positions in the list of pictures."
         )
     return np.stack([table.column(name).to_numpy() for name in numbers], axis=1)
 

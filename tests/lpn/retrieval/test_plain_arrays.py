@@ -216,6 +216,18 @@ def test_other_files_and_wrong_numbers_of_parts_are_refused(
     pq.write_table(pa.table({"a": ["x"]}), tmp_path / "odd.parquet")
     with pytest.raises(DataError, match="has 0 columns of lists"):
         load_arrays(tmp_path / "odd.parquet", files[1])
+    for rows, message in (
+        ([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0, 7.0, 8.0]], "have 3 and 5 numbers"),
+        ([[1.0, 2.0], None], "have 2 and none numbers"),
+        ([[], []], "have 0 numbers"),
+        ([], "have no numbers"),
+    ):
+        pq.write_table(pa.table({"descriptor": pa.array(rows, pa.list_(pa.float32()))}), tmp_path / "odd.parquet")
+        with pytest.raises(DataError, match=message):
+            load_arrays(tmp_path / "odd.parquet", files[1])
+    pq.write_table(pa.table({"d0": [1.0], "d1": [2.0], "Latitude": [46.0]}), tmp_path / "odd.parquet")
+    with pytest.raises(DataError, match="has the columns Latitude among the numbers"):
+        load_arrays(tmp_path / "odd.parquet", files[1])
     (tmp_path / "bad.parquet").write_bytes(b"PAR1nonsense")
     with pytest.raises(DataError, match=r"bad.parquet is no Parquet file"):
         load_arrays(tmp_path / "bad.parquet", files[1])
