@@ -115,13 +115,14 @@ def load_arrays(
     Args:
         query, gallery: files of arrays, see the module; they may be the same `.npz` or `.mat`.
         paths: the list; without it, rows are numbered, their places are unknown, and pictures are placeholders.
-        n_parts: number of parts of two-dimensional arrays, 1 by default; those of others must have as many.
+        n_parts: number of parts of two-dimensional arrays, 1 by default; those of others must have as many, and without it no
+            more than numbers of a part.
         order: "parts-first" for (N, n, D), and for rows that are n parts one after the other; "parts-last" for (N, D, n).
         root: the folder that the list's paths are relative to; by default the list's.
 
     Raises:
         DataError: if a file is missing, damaged, or does not fit the others.
-        InputError: if an array does not consist of that many parts.
+        InputError: if an array does not consist of that many parts, or seems to be in the other order.
     """
     sides: dict[Side, Path] = {"query": Path(query), "gallery": Path(gallery)}
     arrays = {side: _descriptors(_read(file, side), file, n_parts, order) for side, file in sides.items()}
@@ -278,6 +279,12 @@ def _descriptors(array: AnyArray, file: Path, n_parts: int | None, order: Order)
         raise InputError(
             f"{name} has {parts.shape[1]} parts of {parts.shape[2]} numbers with --order {order}; expected {n_parts} parts, so "
             "check --n-parts and --order."
+        )
+    if array.ndim == 3 and n_parts is None and parts.shape[1] > parts.shape[2]:
+        other = "parts-last" if order == "parts-first" else "parts-first"
+        raise InputError(
+            f"{name} has, with --order {order}, {parts.shape[1]} parts of {parts.shape[2]} numbers; give --order {other} if "
+            f"these are {parts.shape[2]} parts of {parts.shape[1]}, else --n-parts {parts.shape[1]}."
         )
     norms = np.linalg.norm(parts.astype(np.float64), axis=2) * np.sqrt(parts.shape[1])
     bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)).all(axis=1))

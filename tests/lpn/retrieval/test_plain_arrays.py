@@ -188,6 +188,17 @@ def test_what_does_not_fit_is_told_in_one_sentence(
     assert "\n" not in str(raised.value)
 
 
+def test_more_parts_than_numbers_of_a_part_must_be_meant(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    for side in ("query", "gallery"):
+        np.save(tmp_path / f"{side}.npy", rng.standard_normal((Q, 64, 4)).astype(np.float32))
+    files = tmp_path / "query.npy", tmp_path / "gallery.npy"
+    with pytest.raises(InputError, match=r"64 parts of 4 numbers; give --order parts-last .* else --n-parts 64"):
+        load_arrays(*files)
+    assert load_arrays(*files, order="parts-last").result.query.shape == (Q, 4, 64)
+    assert load_arrays(*files, n_parts=64).result.query.shape == (Q, 64, 4)
+
+
 def test_other_files_and_wrong_numbers_of_parts_are_refused(
     tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]
 ) -> None:
