@@ -73,7 +73,7 @@ class TilePairs(ListedDataset):
         area: "same" or "cross"; by default the one whose test list is there, the same area first.
 
     Raises:
-        DataError: if a list is missing or malformed, or names a test picture twice.
+        DataError: if a list is missing or malformed, or names a test picture twice, or two tiles have one name.
     """
 
     kind = "GTA-UAV"
@@ -102,7 +102,13 @@ class TilePairs(ListedDataset):
             raise DataError(
                 f"{printable(root.name)} has no tiles in {folder}, which its lists name; unpack them there."
             )
-        numbers = {Path(file).name: number for number, file in enumerate(files)}
+        numbers: dict[str, int] = {}
+        for number, file in enumerate(files):
+            if (other := numbers.setdefault(Path(file).name, number)) != number:
+                raise DataError(
+                    f"{printable(root.name)} has the tiles {printable(files[other])} and {printable(file)}, and its lists name "
+                    "tiles by their file names alone; leave one of them out."
+                )
         gallery = [Picture(root / file, number, Path(file).stem) for number, file in enumerate(files)]
         left_out: dict[str, LeftOut] = {}
         self._pairs: list[_Pair] = []
@@ -116,6 +122,8 @@ class TilePairs(ListedDataset):
                         left_out[name] = LeftOut(f"{folder}/{name}", "is not there")
                 if not (root / pair.file).is_file():
                     left_out[pair.file] = LeftOut(pair.file, "is not there")
+                elif pair.true and not true:
+                    left_out[pair.file] = LeftOut(pair.file, "has none of its true tiles")
                 elif true:
                     best = max(true, key=lambda name: pair.true[name])
                     lists[split].append(Picture(root / pair.file, numbers[best], Path(pair.file).stem))
@@ -240,7 +248,7 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
     if missing:
         raise DataError(f"{where} has no {', '.join(missing)}; expected the keys of GTA-UAV's lists.")
     try:
-        first, second = (float(value) for value in entry[key])
+        first, second = (float(value) for value in _values(entry[key], key))
         true, listed = (_weighted(entry, kind) for kind in ("pos", "pos_semipos"))
     except (TypeError, ValueError) as error:
         raise DataError(
@@ -254,11 +262,18 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
 
 def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:
     """Return the overlap of each tile; NaN for those without a weight."""
-    names, weights = entry[_TILES.format(kind)], entry.get(_WEIGHTS.format(kind))
-    weights = [math.nan] * len(names) if weights is None else weights
+    key, of_weights = _TILES.format(kind), _WEIGHTS.format(kind)
+    names, weights = _values(entry[key], key), entry.get(of_weights)
+    weights = [math.nan] * len(names) if weights is None else _values(weights, of_weights)
     if len(names) != len(weights):
         raise ValueError(f"{len(names)} tiles and {len(weights)} weights")
     return {Path(str(name)).name: float(weight) for name, weight in zip(names, weights, strict=True)}
+
+
+def _values(value: Any, key: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError(f"{key} is no list")
+    return value
 
 
 def _metres_of_tile(file: Path) -> tuple[float, float]:

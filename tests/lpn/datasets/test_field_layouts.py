@@ -185,6 +185,16 @@ def doubled(text: str) -> str:
     return json.dumps([*entries, entries[0]])
 
 
+def with_text(text: str) -> str:
+    entries = json.loads(text)
+    entries[1]["pair_pos_sate_img_list"] = "4_0_1_1.png"
+    return json.dumps(entries)
+
+
+def tile_of_the_same_name(root: Path) -> None:
+    layouts.small_worlds.write(root / "satellite" / "old" / "4_0_0_0.png", layouts.small(9))
+
+
 def without_key(text: str) -> str:
     entries = json.loads(text)
     del entries[1]["pair_pos_sate_img_list"]
@@ -207,6 +217,8 @@ def without_key(text: str) -> str:
         (layouts.gta, edit("cross-area-drone2sate-test.json", lambda t: t[:-9]), "is not JSON"),
         (layouts.gta, edit("cross-area-drone2sate-test.json", without_key), "Object 2 of cross.*has no pair_pos_sate_img_list"),
         (layouts.gta, edit("cross-area-drone2sate-test.json", lambda t: t.replace("0.7, 0.45]", "0.7]", 1)), "1 weights"),
+        (layouts.gta, edit("cross-area-drone2sate-test.json", with_text), "malformed: pair_pos_sate_img_list is no list"),
+        (layouts.gta, tile_of_the_same_name, "tiles satellite/4_0_0_0.png and satellite/old/4_0_0_0.png"),
         (layouts.gta, edit("cross-area-drone2sate-test.json", doubled), "has 2 objects of drone/images/200_0001_0000000001.png"),
         (layouts.vigor, spoil("splits"), "VIGOR's pictures and no folder splits"),
         (layouts.vigor, spoil("splits/*/*.txt"), "has the lists of none"),
@@ -236,6 +248,17 @@ def test_missing_pictures_are_left_out_and_named(tmp_path: Path) -> None:
         dataset = open_dataset(root)
         assert [item.file for item in dataset.left_out] == [lost]
         assert not check_dataset(dataset, decode=False).healthy
+
+
+def test_a_query_whose_true_tiles_are_missing_is_left_out_and_named(tmp_path: Path) -> None:
+    root = layouts.gta(tmp_path / "GTA")
+    (root / "satellite" / "4_0_1_1.png").unlink()
+    dataset = open_dataset(root)
+    assert [(item.file, item.why) for item in dataset.left_out] == [
+        ("satellite/4_0_1_1.png", "is not there"),
+        ("drone/images/200_0001_0000000002.png", "has none of its true tiles"),
+    ]
+    assert [picture.path.name for picture in dataset.queries("drone")] == ["200_0001_0000000001.png"]
 
 
 def test_an_area_that_is_not_there_is_refused(tmp_path: Path) -> None:
