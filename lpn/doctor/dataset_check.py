@@ -90,8 +90,8 @@ class DataSetReport:
         lacking: places and queries without their counterpart.
         duplicates: groups of files of one list with equal content and different labels.
         shared: places in both train and test.
-        positions: what geo.csv covers; None without one.
-        gap: what is wrong with geo.csv, or None.
+        positions: what the positions cover, and where they are from; None without any.
+        gap: what is wrong with them, or None.
         runs: what can be run, one sentence each.
     """
 
@@ -225,19 +225,23 @@ def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[
 
 
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
-    """Return what `geo.csv` covers, and what is wrong with it."""
+    """Return what the positions cover, and what is wrong with them."""
     try:
         known = dataset.positions()
-        if known is None:
+        if known is None and dataset.measured_by is None:
             return None, None
         tasks = [views_of(task) for task in dataset.tasks()]
         queries = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
         tiles = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
         pictures = list({picture.path: picture for picture in queries + tiles}.values())
-        known.of(pictures)
+        if dataset.measured_by is not None:
+            dataset.coordinates(pictures)
+        if known is not None:
+            known.of(pictures)
     except DataError as error:
         return geo.NAME, str(error)
-    return f"Each of the {len(pictures)} test pictures has a position, by {known.source}.", None
+    source = "by the lists and the tiles' names" if known is None else f"by {known.source}"
+    return f"Each of the {len(pictures)} test pictures has a position, {source}.", None
 
 
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:

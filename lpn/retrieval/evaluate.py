@@ -303,7 +303,7 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     Raises:
         InputError: when the data set does not offer one of the tasks.
         PictureError: when a picture of the split is damaged.
-        DataError: when the test split is incomplete, or its `geo.csv` does not cover it.
+        DataError: when the test split is incomplete, or a picture lacks the position that its metrics take.
     """
     missing = [task for task in tasks if task not in dataset.tasks()]
     if missing:
@@ -314,9 +314,11 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
     positions = dataset.positions()
-    if positions is not None:
-        for pictures in lists.values():
+    for pictures in lists.values():
+        if positions is not None:
             positions.of(pictures)
+        if dataset.measured_by is not None:
+            dataset.coordinates(pictures)
 
 
 def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:

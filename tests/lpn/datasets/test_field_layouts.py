@@ -13,6 +13,7 @@ import pytest
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.doctor.dataset_check import check_dataset
+from lpn.retrieval.evaluate import check_test_split
 from tools.fixtures import layouts
 
 
@@ -93,7 +94,9 @@ def test_gta_uav_has_lists_of_true_and_half_true_tiles_with_overlaps(tmp_path: P
         picture.label for picture in dataset.train("satellite")
     ]
     assert dataset.positions() is None
-    assert check_dataset(dataset, decode=False).healthy
+    report = check_dataset(dataset, decode=False)
+    assert report.healthy
+    assert report.positions == "Each of the 8 test pictures has a position, by the lists and the tiles' names."
 
 
 def test_the_published_example_of_a_tile_is_where_the_readme_says(tmp_path: Path) -> None:
@@ -259,6 +262,18 @@ def test_a_query_whose_true_tiles_are_missing_is_left_out_and_named(tmp_path: Pa
         ("drone/images/200_0001_0000000002.png", "has none of its true tiles"),
     ]
     assert [picture.path.name for picture in dataset.queries("drone")] == ["200_0001_0000000001.png"]
+
+
+def test_a_tile_without_a_position_in_its_name_is_found_before_long_work(tmp_path: Path) -> None:
+    for degrees in (False, True):
+        root = layouts.gta(tmp_path / f"GTA {degrees}", degrees=degrees)
+        layouts.small_worlds.write(root / "satellite" / "overview.png", layouts.small(9))
+        dataset = open_dataset(root)
+        with pytest.raises(DataError, match=r"overview.png has no position in its name"):
+            check_test_split(dataset, ["drone-to-satellite"])
+        report = check_dataset(dataset, decode=False)
+        assert not report.healthy
+        assert "overview.png has no position in its name" in (report.gap or "")
 
 
 def test_an_area_that_is_not_there_is_refused(tmp_path: Path) -> None:
