@@ -215,7 +215,8 @@ class ClientSession:
                 self._show_other(self, other, search)
                 return
             before = self._state
-            state, problems = self._url_state.read(search, before)
+        state, problems = self._url_state.read(search, before)
+        with self._lock:
             self.change(lambda _: replace(state, page=state.query // PAGE_SIZE))
             if self._state is before:  # otherwise `change` has woken the worker
                 self._worker.wake()

@@ -11,6 +11,7 @@ from urllib.parse import parse_qsl, quote, urlencode
 from explorer import session_state
 from explorer.session_state import POSITIVE, SessionState, with_field
 from explorer.workspace import Workspace
+from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.index.task import IndexTask
 
@@ -86,6 +87,8 @@ class UrlState:
     def read(self, text: str, state: SessionState) -> tuple[SessionState, list[str]]:
         """Return the state that a query string describes, and a sentence about each value that is invalid.
 
+        The name of a tile is looked up in its index, which may take seconds; a tile that cannot be looked up is invalid.
+
         Args:
             text: untrusted; unknown keys are ignored.
             state: supplies what the query string leaves out.
@@ -157,7 +160,10 @@ class UrlState:
         task = self._workspace.tasks[state.task]
         gallery = task.gallery
         if isinstance(task, IndexTask):
-            tile = None if value in (OWN, POSITIVE) else task.find_tile(value)
+            try:
+                tile = None if value in (OWN, POSITIVE) else task.find_tile(value)
+            except LPNError as error:
+                raise UnusableError(str(error)) from error
         else:
             tile = self._position(state, "gallery", len(gallery), value)
         if tile is not None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from explorer import reports
+from explorer.client_session import ClientSession
 from explorer.compute import ranking_job
 from explorer.explain_window import comparison, evidence
 from explorer.explain_window.sweep_request import SweepRequest
@@ -25,8 +28,9 @@ from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
 from lpn.cli.main import main
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, StoreError
 from lpn.flights import write_flight
+from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask
 from lpn.maps import NamedWindow
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
@@ -140,7 +144,30 @@ def test_a_link_names_a_tile_as_the_index_does(workspace: Workspace) -> None:
         assert "no such tile" in problems[0]
 
 
-def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace) -> None:
+def test_a_link_to_a_tile_shows_the_rest_while_the_index_is_away(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = Mock(_lock=threading.Lock(), _greeted=False, _search=None, _url_state=UrlState(workspace))
+    session._url_state.other_workspace = lambda _: None
+    session._state = _state()
+    session.change = lambda change: setattr(session, "_state", change(session._state))
+
+    def away(*_: object) -> None:
+        assert not session._lock.locked()
+        raise StoreError("The index is away; start its server.")
+
+    monkeypatch.setattr(SharedIndex, "holds", away)
+    ClientSession._on_greeting(session, {"search": "?with=nobody-saw-it.png&angle=30"})
+    assert (session._state.selected, session._state.angle) == (None, 30)
+    assert "The index is away" in session._panels.notify_error.call_args[0][1]
+
+
+def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Every second query is turned round, so that its true tile is among the farthest.
+    signs = np.where(np.arange(len(_task(workspace).queries)) % 2, -1, 1).astype(np.float32)[:, None, None]
+    task = replace(_task(workspace), query_descriptors=_task(workspace).query_descriptors * signs)
+    monkeypatch.setitem(workspace.tasks, TASK, task)
+    monkeypatch.setitem(workspace.rankings, TASK, ranking_job.RankingJob(task))
     service = FailureLab(workspace)
     assert service.build(TASK, "test").wait(60)
     findings = service.findings(TASK)
@@ -150,7 +177,8 @@ def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace) -> None:
     rows = lab_state.sorted_rows(findings, lab)
     html = lab_table.table(findings, lab, workspace, rows, 0)
     far = np.flatnonzero(findings.outcomes.rank == DEPTH)
-    assert ("&gt; 10" in html) == bool(len(far))
+    assert 0 < len(far) < len(task.queries)
+    assert "&gt; 10" in html
     assert lab_state.confusions(findings, lab) is not None
     drawn, final = MapPage(service, "test").page(findings, lab, 0, rows, (760, 400))
     assert final
