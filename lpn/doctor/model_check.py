@@ -14,7 +14,8 @@ from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture
 from lpn.drawing import verdicts
 from lpn.models.base import Model
-from lpn.retrieval import DescribedPicture, describe_picture
+from lpn.models.trace import Trace
+from lpn.retrieval import describe_picture
 
 # The largest error of cells and constants as a share of the part's largest value.
 TOLERANCE = 1e-5
@@ -28,7 +29,8 @@ class ModelFinding:
 
     Attributes:
         healthy: True if nothing contradicts the contract.
-        error: the largest error of cells and constants as a share of the largest value; None without cells.
+        error: the largest error of cells and constants as a share of the part's largest value; None without cells, or where
+            another fault was found first.
         message: one sentence about it.
     """
 
@@ -40,6 +42,8 @@ class ModelFinding:
 
 def check_model(model: Model, pictures: Mapping[View, Sequence[tuple[str, UInt8Array]]]) -> Iterator[ModelFinding]:
     """Describe pictures in each view of a model, and compare cells and constants with the parts.
+
+    Where the level is "exact", they are also compared between the pictures, as nothing may be chosen for each of them.
 
     Args:
         pictures: by view, names and pictures, (H, W, 3) uint8.
@@ -80,7 +84,10 @@ def noise() -> list[tuple[str, UInt8Array]]:
 def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Array]]) -> ModelFinding:
     contract, names = model.contract, model.contract.names(view)
     worst, without_cells = (0.0, "", ""), set(range(model.n_parts))
-    for name, picture in pictures:
+    first: Trace | None = None
+    on = f"on {len(pictures)} pictures"
+    # Cells of one picture cannot tell whether those of another differ.
+    for name, picture in pictures if len(pictures) > 1 else [*pictures, noise()[0]]:
         try:
             described = describe_picture(model, picture, view)
         except LPNError as failure:
@@ -88,30 +95,52 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
         if described.trace is None:
             continue
         without_cells &= {part for part in range(model.n_parts) if not described.trace.cells[:, part].any()}
-        worst = max(worst, _worst(described, name, names))
-    on = f"on {len(pictures)} pictures"
+        worst = max(worst, _worst(described.trace, name, names))
+        first = first or described.trace
+        if contract.level == "exact" and (differing := _differing(described.trace, first)):
+            return ModelFinding(
+                view,
+                False,
+                None,
+                f"The {differing} of {printable(name)} are not those of {printable(pictures[0][0])}, but the contract says "
+                "'exact', that nothing is chosen for each picture; name in held what is.",
+            )
     if not contract.has_cells:
         return ModelFinding(
             view, True, None, f"It gives {model.n_parts} x {model.embedding} numbers {on}, and no cells to prove."
         )
     error, part, name = worst
+    if not np.isfinite(error):
+        message = f"The sum of cells and constants of part {part} is no finite number on {printable(name)}; use smaller numbers."
+        return ModelFinding(view, False, None, message)
     if error > TOLERANCE:
         return ModelFinding(
             view,
             False,
             error,
-            f"Cells and constants of part {part} miss it by {error:.1g} of the largest value on {printable(name)}, and may by "
+            f"Cells and constants of part {part} miss it by {error:.1g} of its largest value on {printable(name)}, and may by "
             f"{TOLERANCE:g}; the contract leaves something out, such as a bias, a scale, or a layer that is not linear.",
         )
     proof = (
-        f"Cells and constants add up to each part {on}, to {error:.1g} of the largest value (allowed: {TOLERANCE:g})."
+        f"Cells and constants add up to each part {on}, to {error:.1g} of its largest value (allowed: {TOLERANCE:g})."
     )
     lumps = verdicts.describe_lumps([names[part] for part in sorted(without_cells)])
     return ModelFinding(view, True, error, f"{proof} {lumps}".rstrip())
 
 
-def _worst(described: DescribedPicture, name: str, names: Sequence[str]) -> tuple[float, str, str]:
-    assert described.trace is not None
-    errors = described.trace.errors()
+def _worst(trace: Trace, name: str, names: Sequence[str]) -> tuple[float, str, str]:
+    errors = trace.errors()
     part = int(np.argmax(errors))
     return float(errors[part]), names[part], name
+
+
+def _differing(trace: Trace, first: Trace) -> str:
+    """Return which of cells, slopes, and constants differ between two pictures; empty if none do."""
+    for name in ("cells", "slopes", "constants"):
+        found, expected = getattr(trace, name), getattr(first, name)
+        if found is None and expected is None:
+            continue
+        largest = max(float(np.abs(expected).max()), 1e-30)
+        if found.shape != expected.shape or float(np.abs(found - expected).max()) > TOLERANCE * largest:
+            return name
+    return ""

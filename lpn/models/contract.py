@@ -15,6 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
+import numpy as np
+
 from lpn.core.arrays import AnyArray, Float32Array
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.images import MEAN, STD, Triple
@@ -182,10 +184,10 @@ def check_parts(contract: Contract, parts: Float32Array, count: int) -> None:
 
 
 def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
-    """Refuse a forward pass of a model with cells whose shapes contradict its contract.
+    """Refuse a forward pass of a model with cells whose shapes contradict its contract, or whose numbers are not finite.
 
     Raises:
-        ModelFileError: with the shapes that were found and those that were expected.
+        ModelFileError: with the shapes that were found and those that were expected, or with what is not finite.
     """
     n, size, count = contract.n_parts, contract.embedding, len(outputs.parts)
     if outputs.features is None:
@@ -207,6 +209,12 @@ def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
         ("the heads' bias", heads.bias, (n, size)),
     ]
     _check_shapes(contract, expected)
+    for name, array in [*((name, array) for name, array, _ in expected), ("the heads' cells", heads.cells)]:
+        if array is not None and not np.isfinite(array).all():
+            raise ModelFileError(
+                f"{contract.method} gives {name} with values that are not finite, so its weights are damaged or its code divides "
+                "by zero; mend it, or use another model."
+            )
 
 
 def _check_shapes(contract: Contract, expected: Sequence[tuple[str, AnyArray | None, tuple[int, ...]]]) -> None:

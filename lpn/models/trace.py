@@ -139,11 +139,16 @@ class Trace:
         return total.T if only is None else total[:, 0]
 
     def errors(self) -> Float64Array:
-        """Return by how much cells plus constants miss each part at most, as a share of the largest value of all parts, (n,)."""
+        """Return by how much cells plus constants miss each part at most, as a share of the part's largest value, (n,).
+
+        The share is infinite where a sum is no finite number.
+        """
         everywhere = np.ones(self.size, bool)
-        sums = np.stack([self.vectors(part, everywhere) for part in range(len(self.embedding))])
-        missed = np.abs(sums + self.constants - self.embedding).max(axis=1)
-        return cast(Float64Array, missed / max(float(np.abs(self.embedding).max()), 1e-30))
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.stack([self.vectors(part, everywhere) for part in range(len(self.embedding))])
+            missed = np.abs(sums + self.constants - self.embedding).max(axis=1)
+            share = missed / np.maximum(np.abs(self.embedding).max(axis=1).astype(np.float64), 1e-30)
+        return np.where(np.isfinite(share), share, np.inf)
 
     def region(self, cells: BoolArray, weights: Float32Array) -> Float32Array:
         """Return the query of a region, (n, D), which ranks a gallery by the region's contribution to the scores.
