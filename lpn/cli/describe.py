@@ -37,6 +37,9 @@ class DescribeCommand:
     """Map whose windows are described in place of pictures: a folder of lpn map, or a georeferenced picture."""
     view: View | None = None
     """The view the pictures show; of a map satellite by default."""
+    role: Literal["query", "gallery"] | None = None
+    """Role of the pictures, for a model with one branch for queries and one for the gallery; by default the satellite is the
+    gallery. An index holds a gallery."""
     size: tuple[float, ...] = ()
     """With --map: sides of the windows in metres, such as 70 100 140; by default five, of up to 300 m or 0.6 of the map."""
     overlap: float | None = None
@@ -80,8 +83,7 @@ class DescribeCommand:
         if self.map is not None:
             return self._windows(self.map)
         images, view = self._pictures()
-        model, root, out = lpn.load(self.model, self.provider, self.compile, self.kind), Path(images), Path(self.out)
-        model.check_view(view)
+        model, root, out = self._model(view), Path(images), Path(self.out)
         files = descriptors.pictures_below(root)
         self._report(descriptors.describe(model, files, view, out, root=root, precision=self.precision), model)
         return 0
@@ -93,7 +95,8 @@ class DescribeCommand:
 
         if self.images is not None:
             raise InputError("A map's windows are described in place of pictures; give either --map or --images.")
-        model, town = lpn.load(self.model, self.provider, self.compile, self.kind), open_map(where)
+        view = self.view or "satellite"
+        model, town = self._model(view), open_map(where)
         sizes = self.size or pyramid_sizes(town, [])
         windows = town.pyramid(sizes, 0.5 if self.overlap is None else self.overlap)
         if not windows:
@@ -101,10 +104,11 @@ class DescribeCommand:
                 f"No window of {min(sizes):.0f} m or more fits on the map {printable(town.name)}; give smaller ones as --size."
             )
         named = NamedWindow.all_of(windows, town.frame)
-        self._report(
-            describe_windows(model, town, named, self.out, self.view or "satellite", self.precision), model, "windows"
-        )
+        self._report(describe_windows(model, town, named, self.out, view, self.precision), model, "windows")
         return 0
+
+    def _model(self, view: View) -> Model:
+        return lpn.load(self.model, self.provider, self.compile, self.kind).in_role(view, self.role)
 
     def _report(self, store: Store, model: Model, rows: str = "pictures") -> None:
         shape = " x ".join(map(str, store.descriptors.shape))
@@ -144,6 +148,7 @@ class DescribeCommand:
             threads=1 if self.threads is None else self.threads,
             shard=self.shard,
             positions=self.positions,
+            role=self.role,
             say=lambda line: print(line, flush=True),
         )
         broken = len(summary.broken)

@@ -123,7 +123,8 @@ class SearchCommand:
         if self.json is not None:
             check_writable(self.json)
         model = lpn.load(self.model, self.provider, kind=self.kind)
-        model.check_view(self.view)
+        # An index holds a gallery (`lpn.index.tiles`).
+        model = model.in_role(self.view, "query" if model.contract.roles == "role" else None)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
         with open_index(self.index, model.fingerprint, self.effort, self.depth) as index:
             query = retrieval.describe_picture(

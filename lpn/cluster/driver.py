@@ -47,6 +47,7 @@ from lpn.core.views import View
 from lpn.datasets import geo
 from lpn.descriptors import Box
 from lpn.descriptors.store import float_box
+from lpn.models.contract import Role
 from lpn.models.onnx_engine import Engine, graph_files
 
 # Seconds between two lines of progress.
@@ -88,6 +89,7 @@ def describe_shards(
     boxes: Mapping[str, Box] | None = None,
     say: Callable[[str], None] = print,
     worker: type[DescribeWorker] = DescribeWorker,
+    role: Role | None = None,
 ) -> Summary:
     """Describe all pictures below a folder or prefix into shards, skipping those that are there already.
 
@@ -108,6 +110,7 @@ def describe_shards(
         boxes: crop boxes of pictures, by their names below `pictures`.
         say: called with each line of progress.
         worker: the worker's class.
+        role: of the branch, see `Model.in_role`.
 
     Raises:
         InputError: when an option is invalid, there is no such cluster, or `positions` match the pictures ambiguously.
@@ -120,11 +123,11 @@ def describe_shards(
     for name, number in (("workers", workers), ("threads", threads), ("pictures of a shard", shard)):
         if number is not None and number < 1:
             raise InputError(f"The number of {name} is {number}; expected 1 or more.")
-    engine = Engine(model, threads=1)
-    engine.check_view(view)
+    engine = Engine(model, threads=1).in_role(view, role)
     source, target = Storage(pictures), Storage(out)
     items = _items(source, positions, boxes or {})
-    wanted = Plan(engine.fingerprint, view, engine.n_parts, engine.embedding, precision, 1, shard=shard)
+    role = engine.role(view) if engine.contract.roles == "role" else None
+    wanted = Plan(engine.fingerprint, view, engine.n_parts, engine.embedding, precision, 1, shard=shard, role=role)
     files = {path.name: path.read_bytes() for path in graph_files(model, list(engine.contract.groups))}
     del engine
     if target.folder is None:

@@ -189,7 +189,8 @@ def to_store(shards: Shards, out: str | Path) -> Store:
         raise StoreError(f"The shards in {shards.storage.where} hold no picture, all being broken; see {BROKEN} there.")
     rows.sort(key=lambda row: row.file.split("/"))
     position = {row: i for i, row in enumerate(rows)}
-    manifest = Manifest(plan.fingerprint, plan.view, 0.0, plan.n_parts, plan.embedding, tuple(rows), plan.precision)
+    size = plan.n_parts, plan.embedding
+    manifest = Manifest(plan.fingerprint, plan.view, 0.0, *size, tuple(rows), plan.precision, role=plan.role)
 
     def fill(unfinished: PartialStore) -> None:
         for partition in partitions:

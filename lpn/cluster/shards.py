@@ -33,6 +33,7 @@ from lpn.core.arrays import AnyArray, Float32Array
 from lpn.core.errors import StoreError
 from lpn.core.formats import decode_json
 from lpn.descriptors import Row
+from lpn.models.contract import Role
 
 FORMAT = "lpn-shards/2"
 PLAN = "plan.json"
@@ -99,6 +100,7 @@ class Plan:
         finished: the last run finished, so all shards are of one state of the pictures.
         contents: see the function `contents`; None until a run finishes.
         shard: average number of pictures of a shard, at most.
+        role: of the branch, where branches have roles.
     """
 
     fingerprint: str
@@ -111,6 +113,7 @@ class Plan:
     finished: bool = field(default=False, compare=False)
     contents: str | None = field(default=None, compare=False)
     shard: _Positive | None = field(default=None, compare=False)
+    role: Role | None = None
 
     @classmethod
     def read(cls, storage: Storage) -> Plan | None:

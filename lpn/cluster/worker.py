@@ -59,7 +59,8 @@ class DescribeWorker:
         with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
             for name, data in ray.get(files).items():
                 Path(folder, name).write_bytes(data)
-            self.model = Engine(Path(folder, task.model), threads=1)
+            model = Engine(Path(folder, task.model), threads=1)
+            self.model = model.in_role(cast(View, task.plan.view), task.plan.role)
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, list[Any]]:
         """Process Ray Data's batch of one partition; the result is one row, in which an error is a sentence."""

@@ -28,6 +28,7 @@ from lpn.core.formats import is_newer, newer_version
 from lpn.core.views import View
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
+from lpn.models.contract import Role
 
 FORMAT = "lpn-descriptors/2"
 Precision = Literal["float32", "float16", "int8"]
@@ -67,6 +68,7 @@ class Manifest:
         scale: factor by which the pictures were zoomed.
         down: pixels of the network's input by which the pictures were shifted down; written only if not zero.
         around: the pictures are panoramas, rotated by rolling their columns; written only if true.
+        role: of the branch, where branches have roles; written only if there is one.
         checksums: None before the store is complete.
     """
 
@@ -81,6 +83,7 @@ class Manifest:
     scale: float = 1.0
     down: int = 0
     around: bool = False
+    role: Role | None = None
     format: str = FORMAT
     checksums: Checksums | None = field(default=None, compare=False)
 
@@ -91,7 +94,8 @@ class Manifest:
         """Return the manifest of files that a model describes."""
         transform = (change.shift, change.scale, change.down, change.around)
         n, embedding = model.n_parts, model.embedding
-        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform)
+        role = model.role(view) if model.contract.roles == "role" else None
+        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform, role)
 
     @property
     def change(self) -> Change:
@@ -122,7 +126,7 @@ class Manifest:
     def _values(self) -> dict[str, Any]:
         values = asdict(self)
         del values["checksums"]
-        for optional in ("down", "around"):
+        for optional in ("down", "around", "role"):
             if not values[optional]:
                 del values[optional]
         for row in values["rows"]:

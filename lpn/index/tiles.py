@@ -15,6 +15,7 @@ from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.index.base import Kind, check_names
 from lpn.maps.named_window import NamedWindow
+from lpn.models.contract import Role
 
 # Size of the descriptors that are added at once, in bytes; a killed run repeats at most this much.
 _CHUNK_BYTES = 64 << 20
@@ -76,6 +77,7 @@ def _of_store(folder: Path, data: Path | None) -> TileSource:
     manifest = store.manifest
     if manifest.cropped:
         raise InputError(f"{folder} holds cropped pictures, of which several can share a file; index whole ones.")
+    _check_role(manifest.role, str(folder))
     names = [Path(row.file).as_posix() for row in manifest.rows]
     check_names(names, len(names))
     kind = Kind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
@@ -89,11 +91,20 @@ def _of_store(folder: Path, data: Path | None) -> TileSource:
     return TileSource(kind, len(names), map(chunk, range(0, len(names), step)))
 
 
+def _check_role(role: Role | None, where: str) -> None:
+    if role == "query":
+        raise InputError(
+            f"{where} is described by the model's branch for queries, and an index holds a gallery; describe the pictures "
+            "again with --role gallery, into another folder."
+        )
+
+
 def _of_shards(where: str, data: Path | None) -> TileSource:
     from lpn.cluster.gather import open_shards
     from lpn.cluster.shards import each
 
     shards = open_shards(where)
+    _check_role(shards.plan.role, shards.storage.where)
     kind = Kind(shards.plan.fingerprint, shards.plan.n_parts, shards.plan.embedding)
 
     def checked(partition: int) -> list[str]:

@@ -129,6 +129,27 @@ class Model(ABC):
             bound.fingerprint = hashlib.sha256(f"{self.fingerprint} {query} {gallery}".encode()).hexdigest()
         return bound
 
+    def in_role(self, view: View, role: Role | None) -> Self:
+        """Return this model for the pictures of one view, which are the queries or the gallery of a task with another view.
+
+        Its fingerprint is that of `for_task`.
+
+        Args:
+            role: None for the role of the view outside of a task.
+
+        Raises:
+            InputError: if the model lacks the view, or a role is given and its branches have none.
+        """
+        self.check_view(view)
+        if role is None:
+            return self
+        if self.contract.roles == "view":
+            raise InputError(
+                f"{self.contract.method} has no branches for queries and for the gallery; leave the role out."
+            )
+        other = next(other for other in self.views if other != view)
+        return self.for_task(view, other) if role == "query" else self.for_task(other, view)
+
     def role(self, view: View) -> Role:
         """Return the role of a view where branches have roles; outside of a task, the satellite is the gallery."""
         return self.branches.get(view, default_role(view))

@@ -37,7 +37,9 @@ from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
 from lpn.index import open_index
+from lpn.index.tiles import open_tiles
 from lpn.models.onnx_engine import Engine
+from tests.lpn.models.test_own_models import graph
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 
@@ -108,6 +110,27 @@ def held(out: Path) -> dict[str, np.ndarray]:
     found = [both for names, descriptors in parts for both in zip(names, descriptors, strict=True)]
     assert len(dict(found)) == len(found)
     return dict(found)
+
+
+@pytest.mark.slow
+def test_workers_take_the_branch_of_a_role(tmp_path: Path) -> None:
+    for i in range(2):
+        small_worlds.write(tmp_path / "pictures" / f"{i}.png", small_worlds.place(i))
+    change = {"groups": "satellite, drone", "roles": "role", "source": "1"}
+    model = graph(tmp_path / "both.onnx", change=change)
+    graph(tmp_path / "both.drone.onnx", change=change, cells="fixed")
+    bound = Engine(model).for_task("satellite", "drone")
+    files = descriptors.pictures_below(tmp_path / "pictures")
+    alone = descriptors.describe(bound, files, "drone", tmp_path / "alone", root=tmp_path / "pictures")
+    describe(model, tmp_path / "pictures", tmp_path / "gallery", role="gallery")
+    store = to_store(open_shards(tmp_path / "gallery"), tmp_path / "store")
+    assert store.manifest == alone.manifest
+    assert store.manifest.role == "gallery"
+    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
+    assert open_tiles(str(tmp_path / "gallery")).kind.fingerprint == bound.fingerprint
+    describe(model, tmp_path / "pictures", tmp_path / "query")
+    with pytest.raises(InputError, match="branch for queries, and an index holds a gallery"):
+        open_tiles(str(tmp_path / "query"))
 
 
 def test_two_workers_say_what_one_machine_says(
