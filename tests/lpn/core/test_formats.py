@@ -103,7 +103,7 @@ def test_a_later_store_is_neither_read_nor_replaced(store: Path, model_file: Pat
 def test_later_model_files_are_named(model_file: Path, tmp_path: Path) -> None:
     proto = onnx.load_model(model_file)
     for entry in proto.metadata_props:
-        entry.value = {"format": "lpn-explorer-onnx/2", "seal": "none"}.get(entry.key, entry.value)
+        entry.value = {"format": "lpn-explorer-onnx/3", "seal": "none"}.get(entry.key, entry.value)
     onnx.save_model(proto, tmp_path / "later.onnx")
     del proto.metadata_props[[entry.key for entry in proto.metadata_props].index("seal")]
     onnx.save_model(proto, tmp_path / "later.onnx")
