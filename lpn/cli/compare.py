@@ -14,6 +14,7 @@ import tyro
 import lpn
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -37,6 +38,9 @@ class CompareCommand:
     """Seed of the bootstrap."""
     resamples: int = 1000
     """Number of bootstrap resamples."""
+    kind: tuple[Kind | Literal["auto"], ...] = ()
+    """Method of each model in their order: auto, or, for a published .pth whose entries do not tell it, such as dac; by default
+    auto for all (docs/models.md)."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     markdown: Path | None = None
@@ -62,15 +66,23 @@ class CompareCommand:
                 check_writable(file)
         if len(self.models) < 2:
             raise InputError(f"A comparison takes two models or more; found {len(self.models)}.")
+        if self.kind and len(self.kind) != len(self.models):
+            raise InputError(
+                f"There are {len(self.kind)} kinds for {len(self.models)} models; give one for each in their order, or auto."
+            )
+        kinds: list[Kind | None] = [None if kind == "auto" else kind for kind in self.kind]
+        kinds = kinds or [None] * len(self.models)
         dataset = open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         ranked = []
-        for file, name in zip(self.models, _names(self.models), strict=True):
+        for file, name, kind in zip(self.models, _names(self.models), kinds, strict=True):
             if file.suffix.lower() == ".mat":
+                if kind is not None:
+                    raise InputError(f"{name} holds descriptors and needs no kind; give auto in place of {kind}.")
                 ranked.append(rank_saved(load_saved(file), name, dataset, task, self.gallery))
             else:
-                model = lpn.load(file, self.provider)
+                model = lpn.load(file, self.provider, kind=kind)
                 ranked.append(rank_model(model, name, dataset, task, self.gallery, descriptor_reader(dataset.root)))
         found = compare(ranked, self.seed, self.resamples)
         _print(found, Console(width=max(120, Console().width)))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
+from lpn.models.adapters import Kind
 
 
 @dataclass
@@ -18,6 +19,8 @@ class DoctorCommand:
     """Data set in any layout of docs/data.md; without it, machine, packages, and demo are checked."""
     model: Path | None = None
     """Model to check: how far its evidence is exact, proved on pictures of --data, or on coloured squares without it."""
+    kind: Kind | None = None
+    """With --model: method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     quick: bool = False
     """Read only the header and end of each picture, without decoding it."""
     json: Path | None = None
@@ -30,6 +33,8 @@ class DoctorCommand:
             check_writable(self.json)
         if self.model is not None:
             return self._check_model(self.model)
+        if self.kind is not None:
+            raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
         if self.data is None:
             return self._check_environment()  # works without any package
 
@@ -58,7 +63,7 @@ class DoctorCommand:
 
         if self.quick:
             raise InputError("--quick is about the pictures of a data set; leave --model out.")
-        model = lpn.load(file)
+        model = lpn.load(file, kind=self.kind)
         pictures = dict.fromkeys(model.views, model_check.noise())
         if self.data is not None:
             pictures = model_check.pictures_of(open_dataset(self.data))

@@ -124,7 +124,7 @@ class EvaluateCommand:
         console = Console(width=max(120, Console().width))
         options = LocateOptions(register=self.register, prior=self.prior)
         located = locate_files(
-            self.map, self.flight, self.model, self.provider, options, None, self.corrections, console
+            self.map, self.flight, self.model, self.kind, self.provider, options, None, self.corrections, console
         )
         print_summary(located, console)
         if self.json is not None:

@@ -12,6 +12,7 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, printable
 from lpn.core.resources import ProviderName
+from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -31,6 +32,8 @@ class LocateCommand:
     """Track to write: .geojson, .gpx, .kml, or .csv."""
     model: Path | None = None
     """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     sequence: bool = True
@@ -64,7 +67,7 @@ class LocateCommand:
         console = Console(width=max(120, Console().width))
         options = self._options()
         located = locate_files(
-            self.map, self.flight, self.model, self.provider, options, self.limit, self.corrections, console
+            self.map, self.flight, self.model, self.kind, self.provider, options, self.limit, self.corrections, console
         )
         write_track(self.out, located.flight.name, located.track())
         for frame in located.frames:
@@ -97,6 +100,7 @@ def locate_files(
     map_path: Path,
     flight_path: Path,
     model: Path | None,
+    kind: Kind | None,
     provider: ProviderName,
     options: LocateOptions,
     limit: int | None,
@@ -106,7 +110,7 @@ def locate_files(
     """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
 
     Raises:
-        InputError: if the limit is below 1.
+        InputError: if the limit is below 1, or a kind is given without a model.
     """
     from lpn.flights import open_flight
     from lpn.locate import corrections
@@ -115,10 +119,12 @@ def locate_files(
 
     if limit is not None and limit < 1:
         raise InputError(f"The limit is {limit} frames; expected 1 or more.")
+    if kind is not None and model is None:
+        raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
     town, flight = open_map(map_path), open_flight(flight_path)
     flight = replace(flight, frames=flight.frames[:limit])
     kept = corrections.read_corrections(flight_path / corrections.NAME) if corrected else {}
-    network = None if model is None else lpn.load(model, provider)
+    network = None if model is None else lpn.load(model, provider, kind=kind)
     with _progress(console) as report:
         return locate(town, flight, network, options, report, kept)
 

@@ -579,6 +579,46 @@ def test_the_commands_write_a_track_and_measures(
     assert "Priors, registration, and corrections belong to a flight" in capsys.readouterr().err
 
 
+def test_a_kind_reaches_each_model(
+    town: Map,
+    flight: Flight,
+    data: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import lpn
+    from lpn.cli.main import main
+    from lpn.flights import write_flight
+
+    kinds = []
+
+    def load(*_: object, kind: str | None = None, **__: object) -> None:
+        kinds.append(kind)
+        raise InputError("It is not opened.")
+
+    monkeypatch.setattr(lpn, "load", load)
+    write_flight(replace(flight, frames=flight.frames[:1]), tmp_path / "flight")
+    where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]  # type: ignore[attr-defined]
+    bare = ["--model", "bare.pth", "--kind", "dac"]
+    for arguments in (
+        ["locate", *where, *bare, "--out", str(tmp_path / "track.csv")],
+        ["evaluate", *where, *bare],
+        ["doctor", *bare],
+        ["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac", "auto"],
+    ):
+        assert main(arguments) == 2
+        assert "It is not opened" in capsys.readouterr().err
+    assert kinds == ["dac"] * 4
+    for arguments, message in (
+        (["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac"], "There are 1 kinds for 2 models"),
+        (["doctor", "--kind", "dac"], "give --kind with --model"),
+        (["evaluate", *where, "--kind", "dac"], "give --kind with --model"),
+    ):
+        assert main(arguments) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.slow
 def test_a_flight_is_evaluated_by_its_tags(
     town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
