@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -18,6 +19,8 @@ from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName, View
 from lpn.models.adapters import Kind
 from lpn.retrieval.published_results import check_n_parts
+
+log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -70,6 +73,8 @@ class EvaluateCommand:
     """Map of --flight: a folder of lpn map, or a georeferenced picture."""
     prior: float | None = None
     """Metres around each frame's own position that --flight is registered in without --model; by default the whole map."""
+    map_error: float | None = None
+    """1-sigma error of the map's places in metres, part of the radii of --flight; by default 3 pixels, at least 1 m."""
     register: bool = True
     """Lay each photo of --flight over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
     corrections: bool = True
@@ -84,13 +89,17 @@ class EvaluateCommand:
 
         if self.json is not None:
             check_writable(self.json)
+        if self.order != "parts-first" and (self.query is None or self.gallery is None):
+            raise InputError(
+                "An order belongs to plain arrays; give --order with --query and --gallery, or leave it out."
+            )
         if self.flight is not None or self.map is not None:
             self._evaluate_flight()
             return
-        if self.prior is not None or not self.register or not self.corrections:
+        if self.prior is not None or self.map_error is not None or not self.register or not self.corrections:
             raise InputError(
-                "Priors, registration, and corrections belong to a flight; give --flight and --map with --prior, --no-register, "
-                "and --no-corrections, or leave them out."
+                "Priors, errors of a map, registration, and corrections belong to a flight; give --flight and --map with "
+                "--prior, --map-error, --no-register, and --no-corrections, or leave them out."
             )
         parts = _numbers(self.parts)
         protocol = Protocol(
@@ -122,7 +131,7 @@ class EvaluateCommand:
         if self.data is not None or self.saved is not None or self.task is not None:
             raise InputError("A flight has neither data set nor task; leave --data, --saved, and --task out.")
         console = Console(width=max(120, Console().width))
-        options = LocateOptions(register=self.register, prior=self.prior)
+        options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error)
         located = locate_files(
             self.map, self.flight, self.model, self.kind, self.provider, options, None, self.corrections, console
         )
@@ -159,7 +168,16 @@ class EvaluateCommand:
                 f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {self.paths.name}, so "
                 "nobody knows what is right; add their labels."
             )
-        return f"{arrays.result.name} on {self.gallery.name}", evaluate_saved(arrays.result, protocol)
+        positions = [*arrays.query_positions, *arrays.positions]
+        if 0 < (unknown := positions.count(None)) < len(positions):
+            log.warning(
+                "%d of %d pictures in %s have no position, so there are no errors in metres.",
+                unknown,
+                len(positions),
+                self.paths.name,
+            )
+        result = evaluate_saved(arrays.result, protocol, arrays.all_positions)
+        return f"{arrays.result.name} on {self.gallery.name}", result
 
     def _evaluate_saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved

@@ -210,10 +210,7 @@ def evaluate(
     clauses = _clauses(model, protocol, cropped, change)
     labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
     result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, clauses)
-    errors = None
-    if positions is not None:
-        metres = geo.metres(positions[0], [positions[1][index] for index in retrieval.best])
-        errors = np.where(retrieval.best < 0, np.inf, metres)
+    errors = None if positions is None else _errors(retrieval, *positions)
     found = {} if truth is None or protocol.average else _hit_rate(query, tiles, truth, protocol)
     if measured_by is not None and where is not None:
         sides = protocol.select(query), protocol.select(tiles)
@@ -330,8 +327,15 @@ def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]
     }
 
 
-def evaluate_saved(saved: PublishedResult, protocol: Protocol | None = None) -> Result:
+def evaluate_saved(
+    saved: PublishedResult,
+    protocol: Protocol | None = None,
+    positions: tuple[Sequence[geo.Position], Sequence[geo.Position]] | None = None,
+) -> Result:
     """Evaluate the descriptors of a published result, see `lpn.retrieval.published_results`.
+
+    Args:
+        positions: of the queries and of the gallery, for errors in metres.
 
     Raises:
         InputError: when a part does not exist, or the protocol needs pictures to be described again.
@@ -344,10 +348,19 @@ def evaluate_saved(saved: PublishedResult, protocol: Protocol | None = None) -> 
             "--data; leave them out."
         )
     clauses = ["descriptors as saved"]
-    result, _ = _measure(
+    result, retrieval = _measure(
         saved.query, saved.query_labels, saved.gallery, saved.gallery_labels, None, saved.task, protocol, clauses
     )
-    return replace(result, seconds=time.perf_counter() - started)
+    errors = None if positions is None or protocol.average else _errors(retrieval, *positions)
+    return replace(result, seconds=time.perf_counter() - started, errors=errors)
+
+
+def _errors(
+    retrieval: metrics.Retrieval, queries: Sequence[geo.Position], gallery: Sequence[geo.Position]
+) -> Float64Array:
+    """Return metres from each query to its top match, infinite without one, (Q,)."""
+    metres = geo.metres(queries, [gallery[index] for index in retrieval.best])
+    return np.where(retrieval.best < 0, np.inf, metres)
 
 
 def _measure(

@@ -84,6 +84,12 @@ class PlainArrays:
         """The views of both sides, by folders such as query_drone; drone and satellite where these do not tell."""
         return self.result.views or ("drone", "satellite")
 
+    @property
+    def all_positions(self) -> tuple[list[Position], list[Position]] | None:
+        """The positions of queries and gallery; None if one is not known."""
+        sides = places_of(self.query_positions), places_of(self.positions)
+        return None if sides[0] is None or sides[1] is None else (sides[0], sides[1])
+
     def truth(self) -> list[Truth] | None:
         """The true matches of each query where some queries have no label; None if labels tell everything."""
         if self.labelled.all():

@@ -575,8 +575,13 @@ def test_the_commands_write_a_track_and_measures(
     assert "suffix '.shp'" in capsys.readouterr().err
     assert main(["evaluate", "--flight", str(tmp_path / "flight")]) == 2
     assert "give both --flight and --map" in capsys.readouterr().err
-    assert main(["evaluate", "--no-register"]) == 2
-    assert "Priors, registration, and corrections belong to a flight" in capsys.readouterr().err
+    assert main(["evaluate", *where, "--map-error", "-1"]) == 2
+    assert "map's error is -1" in " ".join(capsys.readouterr().err.split())
+    for alone in (["--no-register"], ["--map-error", "2"]):
+        assert main(["evaluate", *alone]) == 2
+        assert "Priors, errors of a map, registration, and corrections belong" in capsys.readouterr().err
+    assert main(["evaluate", *where, "--order", "parts-last"]) == 2
+    assert "An order belongs to plain arrays" in capsys.readouterr().err
 
 
 def test_a_kind_reaches_each_model(

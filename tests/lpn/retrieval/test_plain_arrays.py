@@ -15,6 +15,7 @@ from scipy.io import savemat
 from lpn.analysis.array_task import array_task
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, LPNError
+from lpn.datasets.geo import Position, metres
 from lpn.retrieval import metrics
 from lpn.retrieval.plain_arrays import load_arrays
 from tools.fixtures import layouts, small_worlds
@@ -131,7 +132,24 @@ def test_the_command_evaluates_plain_arrays(
     out = tmp_path / "figures.json"
     assert main([*given, "--paths", str(write_list(tmp_path)), "--json", str(out)]) == 0
     expected = metrics.evaluate(arrays[0], np.arange(5), arrays[1], np.array([0, 1, 2, 3, 4, 0, -1]))
-    assert json.loads(out.read_text())["ap"] == pytest.approx(expected["ap"])
+    figures = json.loads(out.read_text())
+    assert figures["ap"] == pytest.approx(expected["ap"])
+    places = np.array([[46 + 0.1 * row, 7 + 0.1 * row] for row in range(G)])
+    best = np.argmax(arrays[0].reshape(Q, -1) @ arrays[1].reshape(G, -1)[:6].T, axis=1)
+    steps = [
+        metres([Position(*places[query])], [Position(places[tile][0] + 0.001, places[tile][1])])[0]
+        for query, tile in enumerate(best)
+    ]
+    assert figures["median error m"] == pytest.approx(np.median(steps), rel=1e-6)
+    assert figures["within 25 m"] == 100 * np.mean(np.array(steps) <= 25)
+    assert main([*given, "--paths", str(write_list(tmp_path, positions=False)), "--json", str(out)]) == 0
+    assert "median error m" not in json.loads(out.read_text())
+    assert "have no position" not in capsys.readouterr().err
+    some = write_list(tmp_path)
+    some.write_text(some.read_text().replace("46.300,7.3", ",", 1))
+    assert main([*given, "--paths", str(some), "--json", str(out)]) == 0
+    assert "median error m" not in json.loads(out.read_text())
+    assert "1 of 12 pictures in paths.csv have no position" in capsys.readouterr().err
     assert main([*given, "--paths", str(write_list(tmp_path, unlabelled=(2,)))]) == 2
     assert "1 of 5 queries have no label" in capsys.readouterr().err
     assert main(given) == 2
