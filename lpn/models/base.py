@@ -151,8 +151,8 @@ class Model(ABC):
         return self.for_task(view, other) if role == "query" else self.for_task(other, view)
 
     def role(self, view: View) -> Role:
-        """Return the role of a view where branches have roles; outside of a task, the satellite is the gallery."""
-        return self.branches.get(view, default_role(view))
+        """Return the role of a view where branches have roles; outside of a task, see `Contract.default_role`."""
+        return self.branches.get(view, self.contract.default_role(view))
 
     def to_input_size(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Resize a picture to the input size, (height, width, 3) uint8; a polar model's tiles are unrolled into panoramas."""
@@ -256,11 +256,6 @@ class Model(ABC):
                 f"The images are {batch.dtype} of shape {batch.shape}; expected float32 (B, 3, H, W), normalised."
             )
         return cast(Float32Array, np.ascontiguousarray(batch, dtype=np.float32))
-
-
-def default_role(view: View) -> Role:
-    """Return the role of a view outside of a task."""
-    return "gallery" if view == "satellite" else "query"
 
 
 def as_array(values: Any) -> AnyArray:

@@ -44,9 +44,9 @@ class Contract:
         n_parts, embedding: n and D of a descriptor (n, D).
         level: how far numbers of evidence are exact, see `claim`.
         held: what is held at its value for each picture, such as "the regions of each picture"; only with "exact, with held".
-        groups: the views that share weights; by default all in one group.
+        groups: the views that share weights; by default all in one group, or each in its own if branches have roles.
         roles: "view" if the view chooses the branch. "role" if one branch describes queries and the other the gallery, see
-            `Model.for_task`.
+            `Model.for_task`; there are two views then.
         resize: "bicubic" (Pillow's, anti-aliased) or "linear" (OpenCV's INTER_LINEAR_EXACT, not anti-aliased).
         mean, std: of red, green, and blue, for values 0 .. 1.
         mirror: "sum" if the raw parts of the mirrored picture are added before normalisation.
@@ -82,7 +82,8 @@ class Contract:
         if not self.views or any(view not in VIEWS for view in self.views):
             raise InputError(f"The views are {self.views}; expected one to three of {', '.join(VIEWS)}.")
         object.__setattr__(self, "views", tuple(view for view in VIEWS if view in self.views))
-        object.__setattr__(self, "groups", self.groups or (self.views,))
+        by_default = tuple((view,) for view in self.views) if self.roles == "role" else (self.views,)
+        object.__setattr__(self, "groups", self.groups or by_default)
         if sorted(view for group in self.groups for view in group) != sorted(self.views):
             raise InputError(f"The groups {self.groups} do not hold each of the views {', '.join(self.views)} once.")
         choices = {"level": Level, "roles": Literal["view", "role"], "resize": Resize, "mirror": Mirror}
@@ -92,6 +93,12 @@ class Contract:
                 raise InputError(
                     f"The contract's {name} is {getattr(self, name)!r}; expected one of {', '.join(get_args(allowed))}."
                 )
+        if self.roles == "role" and [len(group) for group in self.groups] != [1, 1]:
+            found = ", ".join(" ".join(group) for group in self.groups)
+            raise InputError(
+                f"The contract's roles are 'role' and its groups {found!r}; one branch describes queries and one the gallery, "
+                "so give two groups of one view each, or the roles 'view'."
+            )
         counts = {"parts": self.n_parts, "numbers of a part": self.embedding}
         counts |= {"height": self.input_size[0], "width": self.input_size[1]}
         for (name, value), most in zip(counts.items(), _MAXIMA, strict=True):
@@ -135,6 +142,10 @@ class Contract:
             return list(self.part_names[view])
         partition = self.partition(view)
         return [str(part + 1) for part in range(self.n_parts)] if partition is None else partition.names()
+
+    def default_role(self, view: View) -> Role:
+        """Return the role of a view outside of a task: the first of the views is the gallery, as the satellite is."""
+        return "gallery" if view == self.views[0] else "query"
 
     def unrolled(self, view: View) -> bool:
         """Return whether pictures of `view` are unrolled around their centre first."""

@@ -22,7 +22,7 @@ from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider, usable_cores
 from lpn.core.views import View
 from lpn.models import contract_metadata, providers
-from lpn.models.base import Model, default_role
+from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
 from lpn.models.contract_metadata import from_metadata
 from lpn.models.onnx_check import check_self_contained
@@ -173,9 +173,8 @@ class Engine(Model):
         """Return the graph that describes a view; where branches have roles, that of its role in the task."""
         if self.contract.roles == "view":
             return self._sessions[view]
-        # Outside of a task, each view has the role of its own graph.
-        own = [other for other in self.views if default_role(other) == self.role(view)]
-        return self._sessions[own[0] if own else view]
+        # Outside of a task, each of the two views has the role of its own graph.
+        return next(self._sessions[own] for own in self.views if self.contract.default_role(own) == self.role(view))
 
     def _outputs(self, names: list[str], images: Float32Array, view: View) -> list[Float32Array]:
         """Run the graph of a view, in batches of its fixed size if it has one; see `_compute`."""

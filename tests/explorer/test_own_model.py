@@ -110,7 +110,7 @@ def test_two_contracts_stand_side_by_side(regions: Workspace, without_cells: Wor
 
 
 def test_branches_by_role_describe_each_side_of_each_task(data: Path) -> None:
-    workspace = open_model(data, GateModel(replace(GATES, roles="role")))
+    workspace = open_model(data, GateModel(replace(GATES, roles="role", groups=())))
     assert {TASK, "satellite-to-drone"} <= set(workspace.tasks)
     descriptors = []
     for name in (TASK, "satellite-to-drone"):

@@ -156,7 +156,7 @@ def test_a_picture_is_prepared_as_the_contract_says() -> None:
 
 
 def test_branches_by_role_follow_the_task() -> None:
-    model = GateModel(replace(GATES, roles="role"))
+    model = GateModel(replace(GATES, roles="role", groups=()))
     image = model.prepare(np.random.default_rng(0).integers(0, 256, (64, 64, 3)).astype(np.uint8), "drone")[None]
     as_query, as_gallery = model.run(image, "drone").parts, model.run(image, "satellite").parts
     assert not np.allclose(as_query, as_gallery)
@@ -208,6 +208,8 @@ def test_shapes_that_contradict_the_contract_are_refused_with_the_shapes(change:
         ({"n_parts": 0}, "parts is 0; expected a whole number"),
         ({"n_parts": 1 << 30, "part_names": {}}, "expected a whole number from 1 to 256"),
         ({"std": (1.0, 0.0, 1.0)}, "std above 0"),
+        ({"roles": "role"}, "groups 'satellite drone'; one branch .* two groups of one view each"),
+        ({"roles": "role", "views": ("drone",), "groups": (), "part_names": {}}, "its groups 'drone'; one branch"),
         ({"resize": "area"}, "resize is 'area'; expected one of bicubic, linear"),
         ({"partitions": {"drone": ModelSpec().partition("drone")}, "n_parts": 3, "part_names": {}}, "has 4 parts; expected 3"),
     ],

@@ -152,6 +152,23 @@ def test_groups_have_files_of_their_own_and_roles_choose_among_them(tmp_path: Pa
         Engine(tmp_path / "both.onnx")
 
 
+@pytest.mark.parametrize("groups", ["street, drone", "drone, street"])
+def test_roles_choose_between_graphs_without_a_satellite(groups: str, tmp_path: Path) -> None:
+    first, second = groups.split(", ")
+    change = {"groups": groups, "views": "street drone", "roles": "role", "source": "1"}
+    graph(tmp_path / "both.onnx", change=change)
+    graph(tmp_path / f"both.{second}.onnx", change=change, cells="fixed")
+    model, graphs = Engine(tmp_path / "both.onnx"), {first: Engine(graph(tmp_path / "one.onnx"))}
+    graphs[second] = Engine(graph(tmp_path / "two.onnx", cells="fixed"))
+    images = model.prepare(picture(), "drone")[None]
+    parts = {view: one.run(images, "drone").parts for view, one in graphs.items()}
+    forth, back = model.for_task("drone", "street"), model.for_task("street", "drone")
+    assert forth.fingerprint == model.fingerprint != back.fingerprint
+    for bound, view, own in ((forth, "drone", "drone"), (forth, "street", "street"), (back, "drone", "street"),
+                             (back, "street", "drone")):  # fmt: skip
+        np.testing.assert_array_equal(bound.run(images, view).parts, parts[own])  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("kinds", "message"),
     [
@@ -159,6 +176,8 @@ def test_groups_have_files_of_their_own_and_roles_choose_among_them(tmp_path: Pa
         ({"change": {"mirror": "twice"}}, "mirror is 'twice'; expected one of sum, none"),
         ({"change": {"mean": "0.5 0.5"}}, "says mean: 0.5 0.5; expected three numbers"),
         ({"change": {"parts": "one, two, three"}}, "has 3 names of parts; expected 2"),
+        ({"change": {"roles": "role", "groups": "satellite drone"}}, "give two groups of one view each"),
+        ({"change": {"views": "drone", "roles": "role"}}, "give two groups of one view each"),
         ({"change": {"views": "moon"}}, "one to three of satellite"),
         ({"change": {"format": "lpn-explorer-onnx/3"}}, "later version"),
         ({"change": {"format": ""}}, "has no contract in its metadata"),
