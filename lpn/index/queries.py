@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from lpn import descriptors
 from lpn.analysis.task import choose_task, offered_tasks
 from lpn.core.arrays import BoolArray, Float32Array
+from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, geo
@@ -62,11 +64,18 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
     holds none of the gallery, the queries' places are not known.
 
     Raises:
+        InputError: when the names fit the pictures below several folders equally well.
         LPNError: when the data set has no task that the model knows, or cannot be read.
     """
     offered = offered_tasks(model, dataset) or [choose_task(model, dataset)]
     sides = [(name, *_names_held(index, dataset.root, dataset.gallery(views_of(name)[1]))) for name in offered]
-    name, folder, held = max(sides, key=lambda side: len(side[2]))
+    name, folders, held = max(sides, key=lambda side: len(side[2]))
+    if len(folders) > 1:
+        first, second = (printable(folder) for folder in folders[:2])
+        raise InputError(
+            f"The names in the index fit the pictures below {first} and those below {second} equally well; describe a folder "
+            "that holds both, so that names tell them apart."
+        )
     view, model = views_of(name)[0], model.for_task(*views_of(name))
     queries, lists = dataset.queries(view), dataset.truth(name)
     positions = dataset.positions()
@@ -95,7 +104,7 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
         true=true,
         junk=junk,
         tiles={tile: picture for tile, (_, picture) in held.items()},
-        folders=(dataset.root / folder, dataset.root) if folder else (dataset.root,),
+        folders=tuple(dict.fromkeys((*(dataset.root / folder for folder in folders), dataset.root))),
     )
 
 
@@ -133,24 +142,26 @@ def view_pair(model: Model) -> str:
 
 def _names_held(
     index: SharedIndex, root: Path, gallery: Sequence[Picture]
-) -> tuple[str, dict[str, tuple[int, Picture]]]:
-    """Return the folder below the root that the names in an index are relative to, and the gallery pictures that it holds.
+) -> tuple[list[str], dict[str, tuple[int, Picture]]]:
+    """Return the folders below the root that the names in an index fit best, and the gallery pictures of the first.
 
-    The pictures, with their positions in the gallery, are keyed by their names in the index.
+    The pictures, with their positions in the gallery, are keyed by their names in the index. Without any, there is no folder.
     """
     paths = geo.names_below(root, gallery)
-    parts = paths[0].split("/")[:-1]
-    folders = ["/".join(parts[:depth]) for depth in range(len(parts) + 1)]
-    sample = paths[:: max(1, len(paths) // _SAMPLE)]
-    counts = [int(index.holds(_below(folder, sample)).sum()) for folder in folders]
-    folder = folders[int(np.argmax(counts))]
-    start = len(folder) + 1 if folder else 0
-    inside = [i for i, path in enumerate(paths) if path.startswith(f"{folder}/" if folder else "")]
-    names = [paths[i][start:] for i in inside]
-    held = index.holds(names)
-    return folder, {names[j]: (inside[j], gallery[inside[j]]) for j in np.flatnonzero(held).tolist()}
-
-
-def _below(folder: str, paths: Sequence[str]) -> list[str]:
-    start = f"{folder}/" if folder else ""
-    return [path[len(start) :] for path in paths if path.startswith(start)]
+    splits = [
+        (path[:start], path[start:])
+        for path in paths[:: max(1, len(paths) // _SAMPLE)]
+        for start in (0, *(slash.end() for slash in re.finditer("/", path)))
+    ]
+    fits = index.holds([name for _, name in splits]).tolist()
+    best: list[str] = []
+    most: dict[str, tuple[int, Picture]] = {}
+    for folder in sorted({folder for (folder, _), fit in zip(splits, fits, strict=True) if fit}):
+        inside = [i for i, path in enumerate(paths) if path.startswith(folder)]
+        names = [paths[i][len(folder) :] for i in inside]
+        held = {names[j]: (inside[j], gallery[inside[j]]) for j in np.flatnonzero(index.holds(names)).tolist()}
+        if len(held) > len(most):
+            best, most = [folder], held
+        elif len(held) == len(most):
+            best.append(folder)
+    return best, most

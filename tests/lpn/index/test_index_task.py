@@ -20,8 +20,8 @@ from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask, index_task
 from lpn.index.tile_pictures import TilePlaceholder
-from lpn.models.base import Model
-from tools.fixtures import small_worlds
+from lpn.models.base import Model, normalise
+from tools.fixtures import layouts, small_worlds
 
 # More tiles than a search returns.
 PLACES, DEPTH = 30, 12
@@ -249,6 +249,24 @@ def _ranks(task: IndexTask) -> npt.NDArray[np.object_]:
     lines = table.to_csv(table.rows()).decode().splitlines()[1:]
     assert [line.split(",")[2] for line in lines] == told.tolist()
     return told
+
+
+def test_the_described_folder_is_found_among_all_heights(tmp_path: Path, model: Model) -> None:
+    dataset = open_dataset(layouts.sues(tmp_path / "sues", 0, 1, ("150", "200")))
+    tiles = normalise(np.random.default_rng(0).standard_normal((3, 4, 512)).astype(np.float32))
+    kind = Kind(model.fingerprint, 4, 512)
+    index = SharedIndex(create_index(tmp_path / "index", kind))
+    index.index.add(["0001/0.jpg", "0001/1.jpg"], tiles[:2])
+    with pytest.raises(
+        InputError, match="Testing/150/gallery_drone/ and those below Testing/200/gallery_drone/ equally"
+    ):
+        dataset_queries(model, dataset, index)
+    small_worlds.write(dataset.root / "Testing" / "200" / "gallery_drone" / "0001" / "2.jpg", small_worlds.place(3))
+    index.index.add(["0001/2.jpg"], tiles[2:])
+    queries = dataset_queries(model, open_dataset(dataset.root), index)
+    assert queries.true == [["0001/0.jpg", "0001/1.jpg", "0001/2.jpg"]]
+    assert {tile.path.parts[-4] for tile in queries.tiles.values()} == {"200"}
+    index.close()
 
 
 def test_a_tile_that_an_approximate_search_misses_is_not_said_to_be_beyond_the_depth(
