@@ -29,7 +29,7 @@ class IndexCommand:
     out: str
     """Folder of the index, or milvus://host:port/collection; tiles are added to an existing index."""
     data: Path | None = None
-    """Folder whose geo.csv has the tiles' positions, instead of those in shards; the described pictures lie in it."""
+    """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in shards."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
     """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
     precision: Literal["float32", "float16", "int8"] = "float32"

@@ -12,7 +12,7 @@ from lpn import descriptors
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
-from lpn.datasets import geo
+from lpn.datasets import geo, open_dataset
 from lpn.index.base import Kind, check_names
 from lpn.maps.named_window import NamedWindow
 from lpn.models.contract import Role
@@ -60,11 +60,12 @@ def open_tiles(where: str, data: Path | None = None) -> TileSource:
 
     Args:
         where: folder of a store, or folder or address of shards.
-        data: folder whose geo.csv replaces the positions of shards; see `lpn.datasets.geo.match` for its paths.
+        data: folder whose geo.csv replaces the positions of shards; see `lpn.datasets.geo.match` for its paths. Without that,
+            it is a data set that tells positions otherwise.
 
     Raises:
         StoreError: when there is neither a complete store nor complete shards.
-        DataError: when `data` has no geo.csv, or it cannot be read.
+        DataError: when `data` tells no positions, or they cannot be read.
         InputError: if an index cannot hold these tiles, or `data` has no position for any tile, or two for one.
     """
     folder = Path(where)
@@ -171,16 +172,28 @@ def _window_positions(names: list[str]) -> Float64Array | None:
 
 
 def _positions(root: Path, names: list[str]) -> Float64Array:
-    known = geo.positions(root)
-    if known is None:
-        raise DataError(f"{root} has no {geo.NAME}; leave --data out, or write one (docs/data.md).")
+    known = geo.positions(root) or _of_dataset(root)
     places = known.match(names)
     if names and not any(places):
         raise InputError(
-            f"{geo.NAME} in {root} has no position for any of the {len(names)} tiles, the first being {printable(names[0])}; "
+            f"{known.source} in {root} has no position for any of the {len(names)} tiles, the first being {printable(names[0])}; "
             "give the data set that was described."
         )
     nowhere = (np.nan, np.nan)
     return np.array([nowhere if at is None else (at.latitude, at.longitude) for at in places], np.float64).reshape(
         -1, 2
     )
+
+
+def _of_dataset(root: Path) -> geo.Positions:
+    """Return the positions of a data set that has no geo.csv, such as DenseUAV, UAV-VisLoc, or VIGOR."""
+    reason = ""
+    try:
+        known = open_dataset(root).positions()
+    except DataError as error:
+        known, reason = None, f" ({str(error).rstrip('.')})"
+    if known is None:
+        raise DataError(
+            f"{root} has no {geo.NAME}, and no data set's own positions{reason}; leave --data out, or write one (docs/data.md)."
+        )
+    return known
