@@ -162,6 +162,14 @@ class Index(ABC):
         """Return True if a search compares every tile, so that no nearer tile is missed."""
         return False
 
+    def extent(self) -> Box | None:
+        """Return a box that holds the positions of all tiles, NaN if none has one; None if only a search of all would tell.
+
+        Raises:
+            StoreError: when the index cannot be read.
+        """
+        return None
+
     @abstractmethod
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """Return descriptors (B, n, D) and positions (B, 2), NaN for none, of tiles by name.

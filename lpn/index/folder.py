@@ -37,6 +37,7 @@ from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import exclusive_lock, printable, raise_open_file_limit, unreadable_error, write_atomic
 from lpn.core.formats import decode_json
 from lpn.index.base import (
+    Box,
     Index,
     Kind,
     SearchResult,
@@ -242,6 +243,15 @@ class FolderIndex(Index):
                 self._clear()
         except (OSError, OutputError) as error:
             raise _unwritable(self.folder, error) from error
+
+    def extent(self) -> Box | None:
+        """See `Index.extent`."""
+        boxes = np.array([segment.extent[0] for segment in self._current().segments]).reshape(-1, 4)
+        if not len(boxes):
+            return None
+        south, west = np.fmin.reduce(boxes[:, :2], axis=0).tolist()
+        north, east = np.fmax.reduce(boxes[:, 2:], axis=0).tolist()
+        return south, west, north, east
 
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""

@@ -15,7 +15,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
-from lpn.index.base import SearchResult
+from lpn.index.base import Box, SearchResult
 from lpn.index.gallery import IndexGallery
 from lpn.index.shared import SharedIndex
 from lpn.maps import Map, NamedWindow
@@ -24,7 +24,7 @@ from lpn.models.base import Model, normalise
 # Searches by drawn descriptors that show where an index's tiles lie, and how large windows are.
 _PROBES = 2
 _PROBED = 100
-# Share of the width of a map without a raster that is added on each side.
+# Share of the width of a map without a raster that is added on each side, as an index may not tell how far its tiles reach.
 _BORDER = 0.1
 
 
@@ -83,12 +83,26 @@ class TilePositions(Sequence[Position]):
 
 
 def ground_of(
-    found: Sequence[SearchResult], places: Sequence[Position | None], town: Map | None
+    found: Sequence[SearchResult], extent: Box | None, places: Sequence[Position | None], town: Map | None
 ) -> tuple[IndexGround | None, str]:
-    """Return where tiles lie, and why that is not known, as a sentence."""
+    """Return where tiles lie, and why that is not known, as a sentence.
+
+    Args:
+        found: some tiles of the index; those without a position count for nothing.
+        extent: see `Index.extent`.
+        places: what queries show; without a map, the borders hold them, too.
+        town: the map; its borders are the ground's.
+
+    Raises:
+        InputError: if no tile lies on the map.
+    """
     degrees = np.concatenate([one.positions for one in found])
-    if np.isnan(degrees).any():
-        return None, "The index has tiles without a position, so there is no map; lpn index --data adds positions."
+    degrees = degrees[~np.isnan(degrees).any(axis=1)]
+    if not len(degrees):
+        return (
+            None,
+            "The tiles of the index are without a position, so there is no map; lpn index --data adds positions.",
+        )
     sizes = [size for one in found for name in one.ids if (size := _window_size(name)) is not None]
     if town is not None:
         xy = town.frame.xy(degrees[:, 0], degrees[:, 1])
@@ -102,7 +116,8 @@ def ground_of(
         width = float(np.median(sizes)) if sizes else max(east - west, north - south) / 20
         return IndexGround(origin, width, town.bounds, town), ""
     tiles = [Position(*row) for row in np.unique(degrees, axis=0).tolist()]
-    known = [*tiles, *(place for place in places if place is not None)]
+    corners = [] if extent is None else [Position(*extent[:2]), Position(*extent[2:])]
+    known = [*tiles, *corners, *(place for place in places if place is not None)]
     layout = GalleryGeometry.of([], known)
     width = float(np.median(sizes)) if sizes else GalleryGeometry.of([], tiles).width
     west, south, east, north = layout.bounds()

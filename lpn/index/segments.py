@@ -94,9 +94,9 @@ class Segment:
 
     def chosen(self, box: Box | None) -> Int64Array | None:
         """Return the rows to be searched, ascending; None for all."""
-        if box is not None and not overlaps(self._extent[0], box):
+        if box is not None and not overlaps(self.extent[0], box):
             return np.zeros(0, np.int64)
-        if box is None or (self._extent[1] and covers(box, self._extent[0])):
+        if box is None or (self.extent[1] and covers(box, self.extent[0])):
             return None if self.alive is None else np.flatnonzero(self.alive)
         inside = within(self.positions, box)
         return np.flatnonzero(inside if self.alive is None else inside & self.alive)
@@ -138,7 +138,7 @@ class Segment:
                 yield TileBatch(self.names(rows), self.vectors[rows], self.positions[rows])
 
     @cached_property
-    def _extent(self) -> tuple[Box, bool]:
+    def extent(self) -> tuple[Box, bool]:
         """Bounding box of all positions, NaN if there are none, and whether every tile has one."""
         (south, west), (north, east) = (how.reduce(self.positions, axis=0).tolist() for how in (np.fmin, np.fmax))
         return (south, west, north, east), not np.isnan(self.positions).any()

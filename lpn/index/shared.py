@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array
-from lpn.index.base import Index, SearchResult
+from lpn.index.base import Box, Index, SearchResult
 
 T = TypeVar("T")
 
@@ -33,6 +33,10 @@ class SharedIndex:
         """See `Index.search`; a background search waits for all others."""
         most = self.index.most
         return self._run(lambda: self.index.search(query, weights, k if most is None else min(k, most)), not background)
+
+    def extent(self) -> Box | None:
+        """See `Index.extent`."""
+        return self._run(self.index.extent)
 
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""

@@ -262,7 +262,7 @@ def index_task(
         junk = np.sort(gallery.add(queries.junk[i])) if queries.junk else none
         truth.append(Truth(np.sort(gallery.add(names)) if names else none, junk, known=names is not None))
     places = queries.places or [None] * len(queries.pictures)
-    ground, no_map = ground_of(probes(index, model), places, town)
+    ground, no_map = ground_of(probes(index, model), index.extent(), places, town)
     return IndexTask(
         name=queries.name,
         model=model,

@@ -13,9 +13,9 @@ from lpn import descriptors
 from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import Task, open_task
 from lpn.core.errors import InputError, StoreError
-from lpn.datasets import open_dataset
+from lpn.datasets import geo, open_dataset
 from lpn.drawing import verdicts
-from lpn.index import Engine, Kind, SearchResult, create_index
+from lpn.index import Engine, Kind, SearchResult, create_index, ground
 from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask, index_task
@@ -200,6 +200,26 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
     assert found.pair_evidence is not None
     described = descriptors.cached_descriptors(model, [task.gallery[found.chosen.index]], "satellite")[0]
     np.testing.assert_allclose(found.tile.descriptor, described, atol=1e-5)
+    index.close()
+
+
+def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
+    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert whole.geometry is not None
+    degrees = np.array([(place.latitude, place.longitude) for place in whole.geometry.tiles])
+    degrees[::3] = np.nan
+    index = SharedIndex(create_index(tmp_path / "index", Kind(model.fingerprint, 4, 512)))
+    index.index.add([f"{i}.png" for i in range(PLACES)], whole.gallery_descriptors, degrees)
+    monkeypatch.setattr(ground, "_PROBED", 4)  # so few that they lie in a corner of the map
+    found = ground.probes(index, model)
+    assert np.isnan(np.concatenate([one.positions for one in found])).any()
+    laid, reason = ground.ground_of(found, index.extent(), [], None)
+    assert laid is not None
+    assert not reason
+    west, south, east, north = laid.borders
+    x, y = geo.degrees_on_plane(degrees[~np.isnan(degrees).any(axis=1)], laid.origin).T
+    assert ((x > west) & (x < east) & (y > south) & (y < north)).all()
     index.close()
 
 
