@@ -14,8 +14,9 @@ The list (`paths.csv`) has a line for each row of both arrays, those of one side
     tiles/0001.png,gallery,1,30.3203,120.3806
 
 `file` is a path below the list's folder; a picture that is not there is drawn as a placeholder. `side` is query or gallery.
-`label` is any text, equal for pictures of one place; empty where it is unknown, and -1 for a gallery picture that is dropped from
-the ranking. Latitude and longitude, in degrees, may be empty. Only file and side are needed.
+`label` is any text, equal for pictures of one place; "7" and "007" are two places. It is empty where it is unknown: such a query
+is not counted, and such a gallery picture is true for none. It is -1 for a gallery picture that is dropped from the ranking.
+Latitude and longitude, in degrees, may be empty. Only file and side are needed.
 """
 
 from __future__ import annotations
@@ -357,10 +358,13 @@ def _position(row: Mapping[str, str], where: str) -> Position | None:
 
 
 def _label_numbers(labels: Sequence[str]) -> dict[str, int]:
-    """Return a number for each label: itself where all are whole numbers; -1 for junk; a number of its own for none."""
-    distinct = list(dict.fromkeys(label for label in labels if label))
+    """Return a number for each label: itself where all are different whole numbers; -1 for junk; one of its own for none."""
+    distinct = list(dict.fromkeys(label for label in labels if label and label != str(JUNK)))
     whole = all(label.removeprefix("-").isdecimal() and len(label) < 18 for label in distinct)
-    numbers = {label: int(label) if whole else number for number, label in enumerate(distinct)}
+    values = [int(label) for label in distinct] if whole else []
+    if len(set(values)) < len(distinct) or JUNK in values:
+        values = list(range(len(distinct)))
+    numbers = dict(zip(distinct, values, strict=True))
     return numbers | {str(JUNK): JUNK, "": max(numbers.values(), default=0) + 1}
 
 

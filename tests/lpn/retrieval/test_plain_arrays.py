@@ -206,6 +206,22 @@ def test_what_does_not_fit_is_told_in_one_sentence(
     assert "\n" not in str(raised.value)
 
 
+def test_labels_are_texts(tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    for labels, same, junk in (
+        (["7", "007", "7", "8", "", "-1", "-01"], [True, False, True, False, False, False, False], 1),
+        (["3", "-01", "3", "-1", "-1", "0", "4"], [True, False, True, False, False, False, False], 2),
+        (["0003", "5", "0003", "-1", "", "6", "9"], [True, False, True, False, False, False, False], 1),
+    ):
+        lines = ["file,side,label", *(f"q/{row},query,{labels[0]}" for row in range(Q))]
+        lines += [f"g/{row},gallery,{label}" for row, label in enumerate(labels)]
+        (tmp_path / "paths.csv").write_text("\n".join(lines) + "\n")
+        found = load_arrays(*files, tmp_path / "paths.csv").result
+        assert (found.gallery_labels == found.query_labels[0]).tolist() == same
+        assert int((found.gallery_labels == -1).sum()) == junk
+    assert found.query_labels.tolist() == [3] * Q
+
+
 def test_more_parts_than_numbers_of_a_part_must_be_meant(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     for side in ("query", "gallery"):
