@@ -211,7 +211,8 @@ def evaluate(
     labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
     result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, clauses)
     errors = None if positions is None else _errors(retrieval, *positions)
-    found = {} if truth is None or protocol.average else _hit_rate(query, tiles, truth, protocol)
+    # Half-true matches of GTA-UAV are measured by distances; its paper has no hit rate.
+    found = {} if truth is None or dataset.measured_by else _hit_rate(query, tiles, truth, protocol)
     if measured_by is not None and where is not None:
         sides = protocol.select(query), protocol.select(tiles)
         found |= field_figures(measured_by, *sides, *where)
