@@ -7,7 +7,8 @@ pitch, roll  of the gimbal; of an aircraft without a gimbal, whose camera looks 
 fov          XMP CalibratedFocalLength; else FocalPlaneXResolution and FocalLength; else FocalLengthIn35mmFilm
 time         XMP UTCAtExposure, sensefly:UTCTime; EXIF DateTimeOriginal with OffsetTimeOriginal; GPSDateStamp and GPSTimeStamp
 
-The frames of AerialVL tell time and position by their names, @<utc>@<longitude>@<latitude>@.png, and their top is east.
+The frames of AerialVL tell time and position by their names, @<utc>@<longitude>@<latitude>@.png, and their top is east. Its
+queries of place recognition, @<longitude>@<latitude>@.png, have no time.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _SENSOR_WIDTHS = (1.0, 60.0)
 # Proportions and widths that differ by less are those of one picture.
 _SAME = 0.01
-_AERIALVL = re.compile(r"@([0-9.]+)@([-+]?[0-9.]+)@([-+]?[0-9.]+)@\.\w+")
+_AERIALVL = re.compile(r"@(?:([0-9.]+)@)?([-+]?[0-9.]+)@([-+]?[0-9.]+)@\.\w+")
 _FRACTION = re.compile(r"(\.\d{6})\d+")
 
 
@@ -158,12 +159,12 @@ def _position(known: _Metadata) -> tuple[float | None, float | None]:
 
 
 def _named_frame(frame: Frame, named: re.Match[str], known: _Metadata, utc: float | None) -> tuple[Frame, float | None]:
-    """Return a frame of AerialVL with position and heading, and its time in seconds, by its name."""
+    """Return a frame of AerialVL with position and heading, and its time in seconds, if it has one, by its name."""
     try:
-        time, longitude, latitude = (float(value) for value in named.groups())
+        time, longitude, latitude = (utc if value is None else float(value) for value in named.groups())
     except ValueError:
         return frame, utc
-    if abs(latitude) > 90 or abs(longitude) > 180:
+    if longitude is None or latitude is None or abs(latitude) > 90 or abs(longitude) > 180:
         return frame, utc
     known.oddities.append("has its position in its name, as in AerialVL; its top is taken for east")
     return replace(frame, latitude=latitude, longitude=longitude, heading=90.0, heading_source="camera"), time
