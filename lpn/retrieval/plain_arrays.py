@@ -56,6 +56,8 @@ _PLACES = frozenset({"latitude", "longitude", "lat", "lon", "lng", "altitude", "
 # Norms of parts that differ by less than this share from 1/sqrt(n) are not worth a warning.
 _TOLERANCE = 0.01
 _PLACEHOLDER = 256
+# Rows of so many numbers are scaled at a time.
+_BLOCK = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +162,19 @@ def load_arrays(
         listed["query"],
         listed["gallery"],
     )
-    digest = hashlib.sha256(arrays["query"].tobytes() + b"|" + arrays["gallery"].tobytes()).hexdigest()
+    digest = hashlib.sha256(arrays["query"].data)
+    digest.update(b"|")
+    digest.update(arrays["gallery"].data)
     positions = {side: [line.position for line in of] for side, of in lines.items()}
     return PlainArrays(
-        result, folder, pictures["query"], pictures["gallery"], positions["query"], positions["gallery"], known, digest
+        result,
+        folder,
+        pictures["query"],
+        pictures["gallery"],
+        positions["query"],
+        positions["gallery"],
+        known,
+        digest.hexdigest(),
     )
 
 
@@ -281,7 +292,7 @@ def _descriptors(array: AnyArray, file: Path, n_parts: int | None, order: Order)
                 f"The rows of {name} have {length} numbers, which are not {n} equal parts; check --n-parts."
             )
         array = array.reshape((count, n, length // n) if order == "parts-first" else (count, length // n, n))
-    parts = np.ascontiguousarray(array if order == "parts-first" else array.transpose(0, 2, 1), np.float32)
+    parts = array if order == "parts-first" else array.transpose(0, 2, 1)
     if n_parts is not None and parts.shape[1] != n_parts:
         raise InputError(
             f"{name} has {parts.shape[1]} parts of {parts.shape[2]} numbers with --order {order}; expected {n_parts} parts, so "
@@ -293,7 +304,20 @@ def _descriptors(array: AnyArray, file: Path, n_parts: int | None, order: Order)
             f"{name} has, with --order {order}, {parts.shape[1]} parts of {parts.shape[2]} numbers; give --order {other} if "
             f"these are {parts.shape[2]} parts of {parts.shape[1]}, else --n-parts {parts.shape[1]}."
         )
-    norms = np.linalg.norm(parts.astype(np.float64), axis=2) * np.sqrt(parts.shape[1])
+    return _scaled(parts, name)
+
+
+def _scaled(parts: AnyArray, name: str) -> Float32Array:
+    """Return (N, n, D) with parts of norm 1/sqrt(n); beside the result, it takes the memory of a block of rows."""
+    scaled = np.empty(parts.shape, np.float32)
+    norms = np.empty(parts.shape[:2])
+    step = max(1, _BLOCK // (parts.shape[1] * parts.shape[2]))
+    for start in range(0, len(parts), step):
+        rows = slice(start, start + step)
+        with np.errstate(all="ignore"):
+            block = parts[rows].astype(np.float32).astype(np.float64)
+            norms[rows] = np.linalg.norm(block, axis=2) * np.sqrt(parts.shape[1])
+            scaled[rows] = block / norms[rows, :, None]
     bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)).all(axis=1))
     if len(bad):
         raise DataError(
@@ -302,7 +326,7 @@ def _descriptors(array: AnyArray, file: Path, n_parts: int | None, order: Order)
         )
     if not (np.abs(norms - 1) <= _TOLERANCE).all():
         log.warning("The parts in %s do not have norm 1/sqrt(%d); they are scaled to it.", name, parts.shape[1])
-    return cast(Float32Array, (parts / norms[..., None]).astype(np.float32))
+    return scaled
 
 
 def _numbered(arrays: Mapping[Side, Float32Array]) -> dict[Side, list[_Line]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
@@ -204,6 +206,21 @@ def test_what_does_not_fit_is_told_in_one_sentence(
     with pytest.raises(LPNError, match=message) as raised:
         load_arrays(*files, paths)
     assert "\n" not in str(raised.value)
+
+
+def test_an_array_is_scaled_in_little_memory(tmp_path: Path) -> None:
+    gallery = np.random.default_rng(2).standard_normal((512, 2, 2048)).astype(np.float32)
+    files = save(tmp_path, "npy", "query", gallery[:2]), save(tmp_path, "npy", "gallery", gallery)
+    load_arrays(files[0], files[0])
+    tracemalloc.start()
+    found = load_arrays(*files)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2 * gallery.nbytes
+    norms = np.linalg.norm(gallery.astype(np.float64), axis=2, keepdims=True) * np.sqrt(2)
+    np.testing.assert_array_equal(found.result.gallery, (gallery / norms).astype(np.float32))
+    expected = hashlib.sha256(found.result.query.tobytes() + b"|" + found.result.gallery.tobytes())
+    assert found.identity == expected.hexdigest()
 
 
 def test_labels_are_texts(tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]) -> None:
