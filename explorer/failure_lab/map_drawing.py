@@ -89,6 +89,8 @@ def draw(
         positive: its nearest true tile, -1 if it has none.
     """
     placed: BoolArray = ~np.isnan(points.queries[:, 0])
+    # No line leads to an answer without a position, nor to none.
+    answers = np.where(np.append(np.isfinite(points.tiles).all(axis=1), False)[answers], answers, -1)
     selected = selected & placed
     bounds = _bounds(points, selected if zoomed and selected.any() else None, size)
     width, height = (_SCALE * side for side in size)

@@ -72,6 +72,17 @@ def test_a_place_of_several_queries_shows_the_share_that_failed() -> None:
     assert tuple(drawn.picture[500, 400]) == (100, 100, 100)  # the ground, dimmed
 
 
+def test_no_line_leads_to_an_answer_without_a_position() -> None:
+    ground = np.full((10, 10, 3), 200, np.uint8), (-100.0, -100.0, 100.0, 100.0)
+    points = MapPoints(np.zeros((1, 2)), np.array([[np.nan, np.nan], [50.0, 50.0]]), ground=ground)
+    nowhere, none, there = (
+        draw(points, np.ones(1, bool), np.ones(1, bool), np.array([answer]), (400, 300), False, 0).picture
+        for answer in (0, -1, 1)
+    )
+    np.testing.assert_array_equal(nowhere, none)
+    assert (nowhere != there).any()
+
+
 def test_a_map_is_kept_until_something_on_it_changes(service: FailureLab, findings: Findings, lab: LabState) -> None:
     view, rows = MapPage(service, "me"), findings.table.rows()
     for kind in ("pca", "ground"):
