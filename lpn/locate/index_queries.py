@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,6 +24,8 @@ from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map, NamedWindow
 from lpn.models.base import Model
 
+log = logging.getLogger(__name__)
+
 # Headings at which a frame is searched where its own is not certain.
 _TURNS = 8
 
@@ -39,7 +42,7 @@ def flight_queries(
 
     A frame is turned north-up by its heading. Where that is not certain, it takes the one of eight turns whose nearest window is
     nearest. Where its width on the ground is known, it is cut to the nearest size of window that the index holds. A window shows
-    a frame's place if it holds the frame's tag.
+    a frame's place if it holds the frame's tag. A frame that cannot be read is logged and noted; its place is not known.
 
     Args:
         town: map of the windows.
@@ -62,10 +65,16 @@ def flight_queries(
         owners += [i] * turns
     view, model = views_of(name)[0], model.for_task(*views_of(name))
     described = np.zeros((len(cuts), model.n_parts, model.embedding), np.float32)
-    good = np.zeros(len(cuts), bool)
+    good, done = np.zeros(len(cuts), bool), 0
+    unreadable: set[int] = set()
     for batch in describe_each(model, cuts, lambda cut: model.prepare(cut(), view), view):
         described[batch.items], good[batch.items] = batch.descriptors, True
-        on_progress(int(good.sum()), len(cuts))
+        for j, error in batch.broken:
+            if owners[j] not in unreadable:
+                log.warning("%s", error)
+            unreadable.add(owners[j])
+        done += len(batch.items) + len(batch.broken)
+        on_progress(done, len(cuts))
     chosen = [
         _best(index, described, [j for j, owner in enumerate(owners) if owner == i], good)
         for i in range(len(flight.frames))
@@ -83,7 +92,9 @@ def flight_queries(
         name=name,
         data_name=printable(f"{flight.name} over {town.name}"),
         root=root,
-        pictures=[_picture(flight.frames[i], i, cuts[j], owners.count(i), root) for i, j in enumerate(chosen)],
+        pictures=[
+            _picture(flight.frames[i], i, cuts[j], owners.count(i), root, i in unreadable) for i, j in enumerate(chosen)
+        ],
         descriptors=described[chosen],
         places=[_place(frame) for frame in flight.frames],
         true=[() if good[j] and np.isfinite(xy[i]).all() else None for i, j in enumerate(chosen)],
@@ -115,9 +126,10 @@ def _tags(frames: Sequence[Frame], town: Map) -> Float64Array:
     return town.frame.xy(latitude, longitude)
 
 
-def _picture(frame: Frame, label: int, cut: TurnedFrame, turns: int, root: Path) -> Picture:
+def _picture(frame: Frame, label: int, cut: TurnedFrame, turns: int, root: Path, unreadable: bool) -> Picture:
     file = frame.file if frame.file.is_relative_to(root) else root / frame.name
     note = f"heading {cut.heading:.0f}°, best of {turns}" if turns > 1 else ""
+    note = "cannot be read" if unreadable else note
     return Picture(file, label, printable(frame.name), note=note, cut=cut)
 
 

@@ -214,13 +214,18 @@ def flown(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
     return folder / "windows", folder / "town.tif", folder / "monday"
 
 
-def test_a_flight_is_searched_for_among_windows(flown: tuple[Path, Path, Path], model_file: Path) -> None:
+def test_a_flight_is_searched_for_among_windows(
+    flown: tuple[Path, Path, Path], model_file: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     index, town, flight = flown
     workspace = open_indexed(str(index), model_file, map_path=town, flight_path=flight, depth=DEPTH)
     task, analyser = _task(workspace), StateAnalyser(workspace)
     assert len(task.queries) == len(FLOWN_PLACES) + 1
     assert task.known is not None
     assert np.flatnonzero(~task.known).tolist() == [0, 2]  # one has no position, one cannot be read
+    (bad,) = (frame for frame in task.queries if frame.note == "cannot be read")
+    told = [record.getMessage() for record in caplog.records if record.name == "lpn.locate.index_queries"]
+    assert [bad.path.name in line for line in told] == [True]
     analysis = analyser.analyse(replace(_state(5), why=True), 10)
     assert analysis.pair_evidence is not None
     assert analysis.errors_m is not None
