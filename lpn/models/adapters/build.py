@@ -90,8 +90,7 @@ def _mccg(entries: Entries) -> PublishedParts:
         raise ModelFileError(
             f"{entries.name} has {blocks} heads classifier_mcb; MCCG has one for each of its 1 or 2 gates."
         )
-    three = _has(entries, "model_2.")
-    if three and not _equal(entries, "model_1.", "model_2."):
+    if _has(entries, "model_2.") and not _equal(entries, "model_1.", "model_2."):
         log.warning(
             "%s has two networks of different weights. As in the released test, which loads the second over the first, model_2 "
             "describes all views.",
@@ -127,6 +126,7 @@ def _sdpl(entries: Entries) -> PublishedParts:
             f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
             f"{sdpl.SIDE_STEP} pixels from {sdpl.SMALLEST}."
         )
+    _check_views(entries, 2)
     names = ["model_1.", "model_2."] if _has(entries, "model_2.") else ["model_1."]
     shared = len(names) == 1 or _equal(entries, *names)
     first = sdpl.Sdpl(entries.under(names[0]), entries, size)
@@ -271,6 +271,7 @@ def _by_view(
 ) -> PublishedParts:
     """Build a model whose satellite and drone share `model_1`; `model_2`, where there is one, describes the street."""
     three = _has(entries, "model_2.")
+    _check_views(entries, 3 if three else 2)
     shared = not three or _equal(entries, "model_1.", "model_2.")
     first = branch("model_1.")
     numbered = tuple(f"{number + 1} {name}" for number, name in enumerate(names))
@@ -334,6 +335,15 @@ def _size(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[in
             f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; expected multiples of {step} up to 4096."
         )
     return size
+
+
+def _check_views(entries: Entries, found: int) -> None:
+    said = entries.options.get("views", found)
+    if said != found:
+        raise ModelFileError(
+            f"{entries.name} describes {found} views by the networks that it holds, but the opts.yaml beside it says "
+            f"views: {said}; correct or remove it."
+        )
 
 
 def _check_option(entries: Entries, option: str, found: int) -> None:

@@ -183,6 +183,8 @@ def test_the_branches_of_sdpl_follow_the_role() -> None:
         bound = model.for_task(query, gallery)  # type: ignore[arg-type]
         for view, value in ((query, 0.0), (gallery, 1.0)):
             assert bound.network(view).get_submodule("trunk.bn1").bias[0] == value  # type: ignore[arg-type, index, union-attr]
+    with pytest.raises(ModelFileError, match=r"describes 2 views .* says views: 3"):
+        build("sdpl", Entries("net_350.pth", state, {"h": 256, "w": 256, "views": 3}))
     wide = Entries("net_350.pth", state, {"h": 320, "w": 320})
     with pytest.raises(ModelFileError, match="320 x 320 pixels; SDPL takes squares of a multiple of 128"):
         build("sdpl", wide)
@@ -216,6 +218,11 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
         assert "\n" not in str(caught.value)
     with pytest.raises(ModelFileError, match="block: 3; correct or remove it"):
         opened(state, tmp_path, "block: 3")
+    for networks, views, other in ((1, 3, 2), (2, 2, 3)):
+        with pytest.raises(
+            ModelFileError, match=f"describes {other} views by .* says views: {views}; correct or remove"
+        ):
+            opened(small_mccg(1, networks), tmp_path, f"views: {views}\nh: 64\nw: 64\n")
     lacking = {key: value for key, value in state.items() if "norm2.bias" not in key}
     with pytest.raises(ModelFileError, match=r"lacks model_1\.transformer\.blocks\.0\.norm2\.bias"):
         opened(lacking, tmp_path)
