@@ -33,19 +33,19 @@ class Signature:
 _HEAD = r"add_block\."
 # In this order: the first that fits is the model.
 SIGNATURES: dict[Kind, Signature] = {
-    "fsra": Signature("FSRA", (r"model_\d\.transformer\.blocks\.", rf"model_\d\.classifier1\.{_HEAD}")),
-    "sdpl": Signature("SDPL", (r"model_\d\.model\.", r"model_\d\.shift_blocks\.", rf"classifier\d\.{_HEAD}")),
+    "fsra": Signature("FSRA", (r"model_1\.transformer\.blocks\.", rf"model_1\.classifier1\.{_HEAD}")),
+    "sdpl": Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}")),
     "camp": Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$")),
     "dac": Signature("DAC", (r"model_1\.convnext\.", r"model_1\.proj\.mlp\.0\.weight$")),
     "mccg": Signature(
         "MCCG",
-        (r"model_\d\.convnext\.", r"model_\d\.tri_layer\.cw\.", rf"model_\d\.classifier_mcb1\.{_HEAD}"),
+        (r"model_1\.convnext\.", r"model_1\.tri_layer\.cw\.", rf"model_1\.classifier_mcb1\.{_HEAD}"),
         (r"logit_scale$",),
     ),
     "game4loc": Signature("Game4Loc", (r"model[12]?\.blocks\.", r"model[12]?\.reg_token$", r"model[12]?\.fc_norm\.")),
     "sample4geo": Signature("Sample4Geo", (r"model\.stem\.0\.weight$", r"model\.head\.norm\.")),
     "denseuav": Signature("DenseUAV", (r"backbone\.backbone\.", r"head\.head\.")),
-    "lpn": Signature("LPN", (r"model_\d\.model\.", rf"classifier\d*\.{_HEAD}"), (r"model_\d\.shift_blocks\.",)),
+    "lpn": Signature("LPN", (r"model_1\.model\.", rf"classifier\d*\.{_HEAD}"), (r"model_\d\.shift_blocks\.",)),
 }
 
 
@@ -65,6 +65,9 @@ def recognise(keys: Collection[str], name: str) -> Kind:
             f"{name} holds a ConvNeXt under model_1.convnext and nothing that tells DAC from CAMP; say which with --kind dac or "
             "--kind camp."
         )
+    # A file of another branch alone is nearest to its own method, too.
+    alike = [re.sub(r"^model_\d\.", "model_1.", key) for key in keys]
+    shares = {kind: _share(signature, alike) for kind, signature in SIGNATURES.items()}
     nearest = max(shares, key=lambda kind: shares[kind])
     found = ", ".join(printable(key)[:80] for key in list(keys)[:_SHOWN]) or "nothing"
     more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""

@@ -55,6 +55,14 @@ def test_formats_that_share_names_are_told_apart() -> None:
             r"holds model_1\.transformer\.blocks\.0\..* nearest is FSRA, for which it lacks model_1\.classifier1\.add_block\.\*",
         ),
         (["model_1.model.conv1.weight"], r"nearest is LPN, for which it lacks classifier0\.add_block\.\*"),
+        (
+            [key.replace("model_1.", "model_2.") for key in small_mccg(2)],
+            r"nearest is MCCG, for which it lacks model_1\.convnext\.\*, model_1\.tri_layer\.cw\.\*, model_1\.classifier_mcb1\.",
+        ),
+        (
+            [key.replace("model_1.", "model_2.") for key in small_worlds.make_network().state_dict()],
+            r"nearest is LPN, for which it lacks model_1\.model\.\*\.",
+        ),
         (["encoder.0", "encoder.1", "encoder.2", "encoder.3", "encoder.4"], "and 1 more; none of the known models"),
         ([], "it holds nothing"),
     ],
