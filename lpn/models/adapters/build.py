@@ -60,10 +60,7 @@ def build(kind: Kind, entries: Entries) -> PublishedParts:
 
 def _fsra(entries: Entries) -> PublishedParts:
     size = _size(entries, (256, 256))
-    count = entries.under("model_1.").count_heads("classifier_heat")
-    # With one block the released code describes by the class token alone, though the file has a head for the region.
-    regions = count if count > 1 else 0
-    _check_option(entries, "block", count)
+    regions = _regions(entries.under("model_1."))
 
     def branch(name: str) -> PartBranch:
         own = entries.under(name)
@@ -235,9 +232,7 @@ def _denseuav(entries: Entries) -> PublishedParts:
     branch: PartBranch
     level: dict[str, Any]
     if "classifier1.add_block.0.weight" in head.state:
-        count = head.count_heads("classifier_heat")
-        regions = count if count > 1 else 0
-        _check_option(entries, "block", count)
+        regions = _regions(head)
         heads = head.heads(["classifier1", *(f"classifier_heat{i + 1}" for i in range(regions))], trunk.channels)
         branch, level = transformers.TokenRegions(trunk, heads, token=0), _regions_level(regions)
         names = ["class token", *region_names(regions)]
@@ -296,6 +291,17 @@ def _by_view(
         ),
         branches,
     )
+
+
+def _regions(entries: Entries) -> int:
+    """Return the number of regions by the heads beside that of the class token.
+
+    With one block the released code describes by the class token alone, so its region's head may be there or not.
+    """
+    count = entries.count_heads("classifier_heat")
+    if count or entries.options.get("block") != 1:
+        _check_option(entries, "block", count)
+    return count if count > 1 else 0
 
 
 def region_names(count: int) -> list[str]:
