@@ -20,7 +20,7 @@ from torch import Tensor
 from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries, check_seal, with_seal
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import fingerprint, write_atomic
+from lpn.core.files import fingerprint, printable, write_atomic
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
@@ -427,9 +427,18 @@ def read_state(path: Path) -> State:
     items: dict[Any, Any] = loaded
     if not all(isinstance(k, str) and isinstance(v, Tensor) and _is_plain(v) for k, v in items.items()):
         raise ModelFileError(f"{path.name} holds other things than named tensors; expected a state_dict.")
+    _check_real(items, path.name)
     # A tensor of stride 0 can claim any size.
     check_claimed_size(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
     return {key.removeprefix("module."): value for key, value in cast(State, items).items()}
+
+
+def _check_real(state: State, name: str) -> None:
+    for key, tensor in state.items():
+        if tensor.is_complex():
+            raise ModelFileError(
+                f"In {name}, {printable(key)} holds complex numbers; expected real ones, so give the model's own weights."
+            )
 
 
 def _is_plain(tensor: Tensor) -> bool:
@@ -442,6 +451,7 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
     try:
         with safe_open(str(path), framework="pt") as file:
             state, metadata = {key: file.get_tensor(key) for key in file.keys()}, file.metadata() or {}  # noqa: SIM118
+            _check_real(state, path.name)
             state = _widened(state, path.name)
     except (SafetensorError, OSError, ValueError) as error:
         raise ModelFileError(f"{path.name} is not a .safetensors file or is truncated ({error}).") from error

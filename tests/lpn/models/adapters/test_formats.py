@@ -77,6 +77,15 @@ def test_fsra_of_three_views_whose_street_has_weights_of_its_own(tmp_path: Path)
     assert opened(small_fsra(2, 2), tmp_path).contract.groups == (("satellite", "street", "drone"),)
 
 
+def test_the_head_that_fsra_of_one_block_does_not_use_may_be_missing(tmp_path: Path) -> None:
+    state, pictures = small_fsra(1), seeded.pictures(3, 1, 256, 256)
+    bare = {key: value for key, value in state.items() if "classifier_heat" not in key}
+    expected = opened(state, tmp_path, "block: 1").part_embeddings(pictures, "drone")
+    np.testing.assert_array_equal(opened(bare, tmp_path, "block: 1").part_embeddings(pictures, "drone"), expected)
+    with pytest.raises(ModelFileError, match=r"has 0 of these heads, .* block: 3"):
+        opened(bare, tmp_path, "block: 3")
+
+
 @pytest.mark.parametrize(("blocks", "size"), [(1, (64, 64)), (2, (96, 64))])
 def test_mccg_of_other_blocks_and_sizes(blocks: int, size: tuple[int, int], tmp_path: Path) -> None:
     state, pictures = small_mccg(blocks), seeded.pictures(5, 1, *size)
@@ -212,6 +221,10 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
         ),
         ({"model_1.transformer.pos_embed": torch.zeros(1, 50, 16)}, "positions for 49 patches of 16 pixels"),
         ({"model_1.transformer.norm.weight": torch.full((16,), torch.nan)}, "not finite"),
+        (
+            {"model_1.transformer.norm.weight": torch.ones(16, dtype=torch.complex64)},
+            r"norm\.weight holds complex numbers; expected real ones",
+        ),
     ):
         with pytest.raises(ModelFileError, match=said) as caught:
             opened(state | change, tmp_path)
