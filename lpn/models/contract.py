@@ -26,8 +26,10 @@ from lpn.models.partition import Partition
 Level = Literal["exact", "exact, with held", "parts only", "one vector"]
 Resize = Literal["bicubic", "linear"]
 Mirror = Literal["sum", "none"]
-# Parts, numbers of a part, height, and width far beyond any sensible network; a file that claims more would take all memory.
-_MAXIMA = (256, 1 << 17, 4096, 4096)
+# Pixels of a side, and parts, numbers of a part, height, and width, far beyond any sensible network; a file that claims more
+# would take all memory.
+MAX_SIDE = 4096
+_MAXIMA = (256, 1 << 17, MAX_SIDE, MAX_SIDE)
 # The branch of a model whose branches have roles: the first describes queries, the second the gallery.
 Role = Literal["query", "gallery"]
 

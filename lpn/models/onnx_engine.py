@@ -23,7 +23,7 @@ from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider, u
 from lpn.core.views import View
 from lpn.models import contract_metadata, providers
 from lpn.models.base import Model
-from lpn.models.contract import ForwardPass, Heads
+from lpn.models.contract import MAX_SIDE, ForwardPass, Heads
 from lpn.models.contract_metadata import from_metadata
 from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec
@@ -39,6 +39,8 @@ SAFA_OUTPUTS = ("attention",)
 # Outputs of a graph with a contract beside `parts`: those of each picture, and those that are the same for all.
 PASS_OUTPUTS = ("features", "cells", "constants", "slopes")
 CONSTANT_OUTPUTS = ("head_weight", "head_bias", "cells")
+# Pixels of a batch of a fixed size, far beyond any sensible network; see `MAX_SIDE`.
+_MAX_PIXELS = 1 << 26
 _AGAIN = "copy it again from where it came, or export the model again"
 
 
@@ -92,7 +94,7 @@ class Engine(Model):
     def _read_contract(self, session: ort.InferenceSession, metadata: dict[str, str]) -> None:
         """Set contract and architecture, the outputs that a forward pass takes, and the graph's fixed batch."""
         declared = {value.name: value.shape for value in (*session.get_inputs(), *session.get_outputs())}
-        self._fixed_batch = _fixed(declared["images"][0])
+        self._fixed_batch = _check_batch(declared.get("images", ()), self._path.name)
         if "spec" in metadata:
             self.spec = ModelSpec.from_json(metadata["spec"])
             self.contract = self.spec.contract()
@@ -293,6 +295,17 @@ def _known_shapes(
             f"{name} returns parts of shape {shapes['parts']}; expected (B, n, D), or (B, D) for one part."
         )
     return {**shapes, "images": blank.shape}
+
+
+def _check_batch(shape: Sequence[Any], name: str) -> int | None:
+    """Return the number of pictures in a batch, None if it is free; refuse a batch that would take all memory."""
+    batch, _, height, width = (_fixed(side) or 1 for side in [*shape, None, None, None, None][:4])
+    if max(height, width) > MAX_SIDE or batch * height * width > _MAX_PIXELS:
+        raise ModelFileError(
+            f"{name} takes images of {printable(' x '.join(map(str, shape)))}; expected at most {MAX_SIDE} pixels on a side, and "
+            f"{_MAX_PIXELS} in a batch."
+        )
+    return _fixed(shape[0]) if shape else None
 
 
 def _fixed(side: Any) -> int | None:

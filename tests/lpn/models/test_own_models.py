@@ -35,7 +35,8 @@ def graph(path: Path, batch: int | str = "batch", change: dict[str, str] | None 
 
     Args:
         change: entries of the metadata, empty ones removed.
-        kinds: `outputs` to declare, by default all; `cells` "each" or "fixed"; `by_part` for a map for each part.
+        kinds: `outputs` to declare, by default all; `cells` "each" or "fixed"; `by_part` for a map for each part; `size` of the
+            input to declare.
     """
     cells, by_part = kinds.get("cells", "each"), kinds.get("by_part", False)
     constants = {
@@ -76,7 +77,7 @@ def graph(path: Path, batch: int | str = "batch", change: dict[str, str] | None 
     }
     wanted = kinds.get("outputs", list(shapes))
     outputs = [helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name]) for name in wanted]
-    images = helper.make_tensor_value_info("images", TensorProto.FLOAT, [batch, 3, 16, 16])
+    images = helper.make_tensor_value_info("images", TensorProto.FLOAT, [batch, 3, *kinds.get("size", (16, 16))])
     proto = helper.make_model(
         helper.make_graph(nodes, "colours", [images], outputs, weights), opset_imports=[helper.make_opsetid("", 17)]
     )
@@ -181,6 +182,12 @@ def test_roles_choose_between_graphs_without_a_satellite(groups: str, tmp_path: 
         ({"change": {"views": "moon"}}, "one to three of satellite"),
         ({"change": {"format": "lpn-explorer-onnx/3"}}, "later version"),
         ({"change": {"format": ""}}, "has no contract in its metadata"),
+        (
+            {"size": (10**9, 10**9)},
+            "images of batch x 3 x 1000000000 x 1000000000; expected at most 4096 pixels on a side",
+        ),
+        ({"size": (10**6, 16)}, "expected at most 4096 pixels"),
+        ({"batch": 10**9}, "images of 1000000000 x 3 x 16 x 16; .* and 67108864 in a batch"),
         ({"outputs": ["features", "cells"]}, "takes images and returns parts"),
         ({"outputs": ["parts", "features"]}, "none named cells"),
         ({"outputs": ["parts"]}, "name what is held with"),
