@@ -257,8 +257,8 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
         queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
-        asked = {picture.label for picture in queries}
-        kept = sum(picture.label in asked for picture in gallery)
+        queried = {picture.label for picture in queries}
+        kept = sum(picture.label in queried for picture in gallery)
         without = f" ({kept} without distractors)" if dataset.truth(task) is None and 0 < kept < len(gallery) else ""
         yield f"lpn evaluate --task {task}: {len(queries)} queries, {len(gallery)} pictures in the gallery{without}"
     if tables := _tables(dataset, places > 0):

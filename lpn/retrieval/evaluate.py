@@ -217,10 +217,17 @@ def evaluate(
         sides = protocol.select(query), protocol.select(tiles)
         found |= field_figures(measured_by, *sides, *where)
     groups = {
-        name: _measure(query[ofq], labels[0][ofq], tiles[oft], labels[1][oft], chosen, task, protocol, clauses)[
-            0
-        ].galleries
-        for name, ofq, oft, chosen in _groups(queries, gallery, truth)
+        name: _measure(
+            query[query_rows],
+            labels[0][query_rows],
+            tiles[tile_rows],
+            labels[1][tile_rows],
+            lists,
+            task,
+            protocol,
+            clauses,
+        )[0].galleries
+        for name, query_rows, tile_rows, lists in _groups(queries, gallery, truth)
     }
     return replace(
         result,
