@@ -30,6 +30,8 @@ Mirror = Literal["sum", "none"]
 # would take all memory.
 MAX_SIDE = 4096
 _MAXIMA = (256, 1 << 17, MAX_SIDE, MAX_SIDE)
+# Bounds of mean and std, far inside float32's range; of a network for values 0 .. 255 the std is 1/255.
+_MAX_MEAN, _STD_RANGE = 1e3, (1e-4, 1e4)
 # The branch of a model whose branches have roles: the first describes queries, the second the gallery.
 Role = Literal["query", "gallery"]
 
@@ -106,8 +108,13 @@ class Contract:
         for (name, value), most in zip(counts.items(), _MAXIMA, strict=True):
             if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= most:
                 raise InputError(f"The contract's {name} is {value!r}; expected a whole number from 1 to {most}.")
-        if len(self.mean) != 3 or len(self.std) != 3 or not all(value > 0 for value in self.std):
-            raise InputError(f"The mean is {self.mean} and std {self.std}; expected three numbers each, std above 0.")
+        low, high = _STD_RANGE
+        within = all(abs(value) <= _MAX_MEAN for value in self.mean) and all(low <= value <= high for value in self.std)
+        if len(self.mean) != 3 or len(self.std) != 3 or not within:
+            raise InputError(
+                f"The mean is {self.mean} and std {self.std}; expected three numbers each, the mean from -{_MAX_MEAN:g} to "
+                f"{_MAX_MEAN:g}, std above 0, from {low:g} to {high:g}."
+            )
         if bool(self.held) != (self.level == "exact, with held"):
             raise InputError(
                 f"The contract's level is {self.level!r} and held is {self.held!r}; name what is held with 'exact, with "

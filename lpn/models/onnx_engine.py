@@ -77,6 +77,11 @@ class Engine(Model):
         metadata = _metadata(session, path)
         self._read_contract(session, metadata)
         self.precision = metadata.get(COMPUTE, "float32")
+        if self.precision not in ("float32", "int8"):
+            raise ModelFileError(
+                f"The metadata of {path.name} say compute: {printable(self.precision[:60])}; expected int8, or no such entry for "
+                "float32."
+            )
         groups = list(self.contract.groups)
         files = graph_files(path, groups)
         for group, file in zip(groups, files, strict=True):
