@@ -20,7 +20,7 @@ from lpn.models.adapters.sdpl import Sdpl
 from lpn.models.base import normalise
 from lpn.models.trace import Trace
 from tools.fixtures import published_models
-from tools.fixtures.published_models import Golden, relative
+from tools.fixtures.published_models import Golden, relative, relative_by_part
 
 TOLERANCE = 2e-5
 CLOSURE = 1e-5
@@ -52,11 +52,11 @@ class Case:
             mirror.append(outputs.parts[-1])
             traces.append(Trace.from_pass(model, outputs, "drone"))
             assert traces[-1].errors().max() < CLOSURE
-        assert relative(np.stack(raw), golden.parts("raw", model.n_parts)[:count]) < TOLERANCE
+        assert relative_by_part(np.stack(raw), golden.parts("raw", model.n_parts)[:count]) < TOLERANCE
         if "raw_mirror" in golden.arrays:
-            assert relative(np.stack(mirror), golden.parts("raw_mirror", model.n_parts)[:count]) < TOLERANCE
+            assert relative_by_part(np.stack(mirror), golden.parts("raw_mirror", model.n_parts)[:count]) < TOLERANCE
         found = normalise(np.stack([trace.embedding for trace in traces]))
-        assert relative(found, golden.parts("descriptor", model.n_parts)[:count]) < TOLERANCE
+        assert relative_by_part(found, golden.parts("descriptor", model.n_parts)[:count]) < TOLERANCE
         return traces
 
     def trunk_agrees(self, name: str, step: int, axis: int) -> None:
