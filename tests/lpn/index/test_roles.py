@@ -22,7 +22,7 @@ from tools.fixtures.small_contracts import GATES, GateModel
 @pytest.fixture
 def model(monkeypatch: pytest.MonkeyPatch) -> GateModel:
     """A model by role, which the commands open whatever the file."""
-    opened = GateModel(replace(GATES, roles="role"))
+    opened = GateModel(replace(GATES, roles="role", groups=()))
     monkeypatch.setattr(lpn, "load", lambda *_, **__: opened)
     return opened
 
