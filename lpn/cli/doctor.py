@@ -10,9 +10,8 @@ from pathlib import Path
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 
-with suppress(
-    Exception
-):  # the package needs numpy, and the check of the machine runs without; a broken one may raise anything
+# The package needs numpy, and the check of the machine runs without; a broken package may raise anything.
+with suppress(Exception):
     from lpn.models.adapters import Kind
 
 
