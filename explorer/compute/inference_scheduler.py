@@ -42,6 +42,7 @@ RESERVATION = 4 * RETRY_AFTER
 # Seconds without requests after which the thread ends; the next request starts another one.
 IDLE_TIMEOUT = 60.0
 _MAX_HEADS = 16
+_MAX_BOUND = 16
 
 
 class BusyError(LPNError):
@@ -72,6 +73,7 @@ class InferenceScheduler:
         self._kept_positions: dict[RequestContext, int] = {}
         self._thread: threading.Thread | None = None
         self._heads: SingleFlightCache[tuple[Model, View], Heads] = SingleFlightCache(_MAX_HEADS)
+        self._bound: SingleFlightCache[tuple[Model, View, View], Model] = SingleFlightCache(_MAX_BOUND)
 
     @property
     def queue_length(self) -> int:
@@ -82,6 +84,10 @@ class InferenceScheduler:
     def heads(self, model: Model, view: View) -> Heads:
         """Return a model's heads, cached: some models read many megabytes for each call."""
         return self._heads.get((model, view), lambda: model.heads(view))
+
+    def bound(self, model: Model, query: View, gallery: View) -> Model:
+        """Return a model for a task, see `Model.for_task`: one for all browsers, as requests of one model share batches."""
+        return self._bound.get((model, query, gallery), lambda: model.for_task(query, gallery))
 
     def run(
         self,

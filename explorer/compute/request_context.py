@@ -108,7 +108,7 @@ class QueuedModel(Model):
         """Return the model for the queries and the gallery of one task, see `Model.for_task`."""
         if self.contract.roles == "view":
             return self
-        bound = self.model.for_task(query, gallery)
+        bound = self._scheduler.bound(self.model, query, gallery)
         return QueuedModel(bound, self._scheduler, self._context, self._background, self._cancellable)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:

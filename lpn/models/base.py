@@ -123,6 +123,8 @@ class Model(ABC):
                 f"{self.contract.method} has one branch for queries and one for the gallery, and this task has both of one "
                 f"view, {query}; choose a task of two views."
             )
+        if self.branches == {query: "query", gallery: "gallery"}:
+            return self
         bound = copy.copy(self)
         bound.branches = {query: "query", gallery: "gallery"}
         if any(bound.role(view) != self.role(view) for view in (query, gallery)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,6 +175,21 @@ def test_a_batch_has_one_view_and_model_and_the_oldest_request_goes_first(networ
     assert network.passes == [[99], [1, 4], [2]]
     assert network.viewed == ["drone", "drone", "satellite"]
     assert other.passes == [[3]]
+
+
+def test_browsers_of_one_task_share_batches_and_heads_of_branches_by_role(network: ManualModel) -> None:
+    network.contract = replace(network.contract, roles="role", groups=())
+    queue = InferenceScheduler()
+    one, other = (queued(network, queue).for_task("satellite", "drone") for _ in range(2))
+    first = occupy(network, queue)
+    waiting = queue_up(queue, lambda: Client(one, 1), lambda: Client(other.for_task("satellite", "drone"), 2))
+    network.release(3)
+    for client in (first, *waiting):
+        assert client.finished().error is None
+    assert network.passes == [[99], [1, 2]]
+    assert one.model.role("satellite") == "query" != network.role("satellite")
+    assert one.heads("drone") is other.heads("drone")
+    assert queued(network, queue).for_task("drone", "satellite").model is not one.model
 
 
 def test_a_large_request_is_split_into_batches(network: ManualModel) -> None:
