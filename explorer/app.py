@@ -28,6 +28,7 @@ from lpn.core.log import conceal
 from lpn.core.resources import ProviderName, limit_malloc_arenas, port_error, return_memory
 from lpn.core.shutdown import writes_finished
 from lpn.index.task import DEPTH
+from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.retrieval.plain_arrays import PlainArrays
 from lpn.retrieval.published_results import load_saved
@@ -245,10 +246,11 @@ def run_flight(
     register: bool = True,
     authenticator: Authenticator | None = None,
     provider: ProviderName = "auto",
+    kind: Kind | None = None,
 ) -> None:
     """Serve a flight over a map like `run`; see `opening.open_flight_over`."""
     _serve(
-        lambda: open_flight_over(map_path, flight_path, model, query, second_model, register, provider),
+        lambda: open_flight_over(map_path, flight_path, model, query, second_model, register, provider, kind=kind),
         host,
         port,
         authenticator,
@@ -268,12 +270,13 @@ def run_index(
     port: int = 8080,
     authenticator: Authenticator | None = None,
     provider: ProviderName = "auto",
+    kind: Kind | None = None,
 ) -> None:
     """Serve an index of tiles like `run`; see `opening.open_indexed`."""
 
     def opened() -> Workspace:
         given = (data, pictures, map_path, flight_path, query)
-        return open_indexed(where, model, *given, DEPTH if depth is None else depth, provider)
+        return open_indexed(where, model, *given, DEPTH if depth is None else depth, provider, kind)
 
     _serve(opened, host, port, authenticator)
 

@@ -28,7 +28,7 @@ class Explore:
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
     kind: Kind | None = None
-    """With --data: method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     map: Path | None = None
     """Map under a flight: a folder of lpn map, or a georeferenced picture; needs --flight and --model."""
     flight: Path | None = None
@@ -75,10 +75,8 @@ class Explore:
         from lpn.retrieval.published_results import check_n_parts
 
         authenticator = make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
-        if self.kind is not None and (self.model is None or self.data is None or self.index is not None):
-            raise InputError(
-                "The kind is that of a model on a data set; give --kind with --model and --data, or lpn export the model first."
-            )
+        if self.kind is not None and self.model is None:
+            raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
         if self.index is not None:
             self._explore_index(self.index, authenticator)
             return
@@ -192,6 +190,7 @@ class Explore:
             self.port,
             authenticator,
             self.provider,
+            self.kind,
         )
 
     def _explore_flight(self, authenticator: Authenticator) -> None:
@@ -218,4 +217,5 @@ class Explore:
             self.register,
             authenticator,
             self.provider,
+            self.kind,
         )

@@ -31,6 +31,7 @@ from lpn.locate.index_queries import flight_queries
 from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress, locate, registered
 from lpn.locate.task import flight_task
 from lpn.maps import open_map
+from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.plain_arrays import PlainArrays
@@ -192,6 +193,7 @@ def open_flight_over(
     provider: ProviderName = "auto",
     overlap: float = LocateOptions.overlap,
     report: ReportProgress | None = None,
+    kind: Kind | None = None,
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
 
@@ -206,12 +208,13 @@ def open_flight_over(
         register: whether photos are laid over the map.
         overlap: share of a window's side that its neighbour covers, too.
         report: receives the progress of the description; by default the terminal shows it.
+        kind: method of `model`, see `lpn.load`.
 
     Raises:
         LPNError: when map, flight, or model cannot be used, or there is no such frame.
     """
     options = LocateOptions(register=False, overlap=overlap)
-    workspace, opened, located = _open_located(map_path, flight_path, model, provider, options, report)
+    workspace, opened, located = _open_located(map_path, flight_path, model, provider, options, report, kind)
     for note in (*located.town.notes, *located.flight.notes, *located.notes):
         Console(stderr=True).print(printable(note), highlight=False, markup=False, soft_wrap=True)
     broken = () if located.retrieval is None else located.retrieval.broken
@@ -236,6 +239,7 @@ def open_indexed(
     query: str | None = None,
     depth: int = DEPTH,
     provider: ProviderName = "auto",
+    kind: Kind | None = None,
 ) -> Workspace:
     """Open an index of tiles with queries of a flight, of plain pictures, or of a data set.
 
@@ -248,12 +252,13 @@ def open_indexed(
         flight_path: a flight over that map, whose frames are the queries.
         query: name of the query that a new browser shows first.
         depth: number of tiles that a search returns.
+        kind: method of the model, see `lpn.load`.
 
     Raises:
         LPNError: when one of them cannot be used, or the index holds tiles of another model.
     """
     with _status(f"Opening {printable(model.name)} and the index"):
-        opened = lpn.load(model, provider)
+        opened = lpn.load(model, provider, kind=kind)
         index = SharedIndex(open_index(where, opened.fingerprint))
         town = None if map_path is None else open_map(map_path)
     if flight_path is not None and town is not None:
@@ -299,10 +304,12 @@ def _open_located(
     provider: ProviderName,
     options: LocateOptions,
     report: ReportProgress | None,
+    kind: Kind | None = None,
 ) -> tuple[Workspace, Model, LocatedFlight]:
     """Open a flight without registration; return the model as well, whose descriptors are not centred."""
     with _status(f"Opening {printable(map_path.name)}, {printable(flight_path.name)}, and {printable(model.name)}"):
-        town, flight, opened = open_map(map_path), open_flight(flight_path), lpn.load(model, provider)
+        town, flight = open_map(map_path), open_flight(flight_path)
+        opened = lpn.load(model, provider, kind=kind)
     for view in ("satellite", "drone"):
         opened.check_view(view)
     with _progress() if report is None else nullcontext(_counts(report)) as progress:

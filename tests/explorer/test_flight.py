@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import explorer.app
+import lpn
 from explorer import opening, session_state
+from explorer.cli import Explore
 from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.service import FailureLab
@@ -210,3 +213,24 @@ def test_a_frame_that_the_flight_lacks_is_refused_after_what_was_noticed(
     told = capsys.readouterr().err
     assert "1 of 21 frames have no position" in told
     assert "1 of 21 frames cannot be read" in told
+
+
+def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
+    files: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds = []
+
+    def load(*_: object, kind: str | None = None) -> None:
+        kinds.append(kind)
+        raise InputError("It is not opened.")
+
+    monkeypatch.setattr(lpn, "load", load)
+    monkeypatch.setattr(explorer.app, "_serve", lambda opened, *_: opened())
+    bare = Explore(model=tmp_path / "bare.pth", kind="dac")
+    for command in (
+        replace(bare, map=files[0], flight=files[1]),
+        replace(bare, index=str(tmp_path / "index"), data=tmp_path),
+    ):
+        with pytest.raises(InputError, match="It is not opened"):
+            command.run()
+    assert kinds == ["dac", "dac"]
