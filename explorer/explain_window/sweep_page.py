@@ -51,6 +51,7 @@ def page(
         charts=charts.profile_charts(profile, names, _WIDTH, current, _attributes),
         followed=_followed(profile),
         sentences=_sentences(profile, analysis),
+        claim=analysis.task.contract.claim,
     )
 
 

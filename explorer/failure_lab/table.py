@@ -67,6 +67,7 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, page: tuple[int
         last=min(sum(page), len(rows)),
         narrowed=bool(lab.selections or lab.filter or lab.name_search.strip() or lab.outcome != "all"),
         notes_error=findings.notes_error,
+        claim=findings.task.contract.claim,
     )
 
 

@@ -118,6 +118,7 @@ def parts_table(analysis: StateAnalysis, workspace: Workspace) -> str:
         chosen=analysis.chosen,
         weights=analysis.ranking.weights,
         part_names=workspace.part_names,
+        claim=analysis.task.contract.claim,
     )
 
 

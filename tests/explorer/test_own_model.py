@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.explain_window import activation, evidence, model_comparison, region
+from explorer.explain_window import activation, evidence, model_comparison, region, sweep_page
+from explorer.failure_lab import table
+from explorer.failure_lab.service import FailureLab
+from explorer.failure_lab.state import LabState
 from explorer.opening import open_model
 from explorer.panels import pages, tour
 from explorer.session_state import SessionState
@@ -69,6 +72,32 @@ def test_the_windows_name_the_level_and_the_part_without_cells(regions: Workspac
     assert painted.ranking.lengths is not None
     html = " ".join(step.html for step in tour.steps(regions)) + pages.keys(regions)
     assert not re.search(r"\brings?\b", html)
+
+
+def test_the_level_is_named_wherever_numbers_are(regions: Workspace, without_cells: Workspace) -> None:
+    for workspace, level in (
+        (regions, "exact, with the regions of each picture held"),
+        (without_cells, "parts only: the model gives no cells"),
+    ):
+        analysis = analysed(workspace)
+        points = list(
+            sweeps.run_sweep(
+                RegionModel(), analysis.source, "drone", analysis.task.gallery_descriptors,
+                analysis.ranking.weights, sweeps.changes_over("rotation", 180),
+            )
+        )  # fmt: skip
+        swept = sweeps.SweepResult("rotation", tuple(points))
+        lab = FailureLab(workspace)
+        assert lab.build(TASK, None).wait(60)
+        findings = lab.findings(TASK)
+        assert findings is not None
+        for html in (
+            pages.header(workspace, workspace.tasks[TASK]),
+            pages.parts_table(analysis, workspace),
+            sweep_page.page(analysis, "rotation", swept, len(points), workspace.part_names),
+            table.summary(findings, LabState(TASK), findings.table.rows(), (0, 5)),
+        ):
+            assert re.search(f"[Ll]evel: {level}", html)
 
 
 def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:
