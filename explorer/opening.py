@@ -259,7 +259,9 @@ def open_indexed(
     """
     with _status(f"Opening {printable(model.name)} and the index"):
         opened = lpn.load(model, provider, kind=kind)
-        index = SharedIndex(open_index(where, opened.fingerprint))
+        # Where branches have roles, only the queries tell the task whose gallery the index must hold; `index_task` checks it.
+        by_role = opened.contract.roles == "role"
+        index = SharedIndex(open_index(where, None if by_role else opened.fingerprint))
         town = None if map_path is None else open_map(map_path)
     if flight_path is not None and town is not None:
         with _progress() as progress:

@@ -10,6 +10,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
+import lpn
 from explorer import reports
 from explorer.client_session import ClientSession
 from explorer.compute import ranking_job
@@ -35,6 +36,7 @@ from lpn.index.task import IndexTask
 from lpn.maps import NamedWindow
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures import small_worlds
+from tools.fixtures.small_contracts import GATES, GateModel
 
 TASK = "drone-to-satellite"
 DEPTH = 10
@@ -284,3 +286,21 @@ def test_mistakes_get_one_sentence(
     error = capsys.readouterr().err
     assert said in error
     assert error.strip().count("\n") == 0
+
+
+def test_an_index_of_drone_tiles_is_a_gallery_for_satellite_queries(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The model has one branch for queries and one for the gallery; the index has the fingerprint of this task alone."""
+    model = GateModel(replace(GATES, roles="role", groups=()))
+    monkeypatch.setattr(lpn, "load", lambda *_, **__: model)
+    tiles = data / "test" / "gallery_drone"
+    described = ("describe", "--model", "m.pth", "--images", tiles, "--view", "drone", "--role", "gallery")
+    _run(*described, "--out", tmp_path / "store")
+    _run("index", "--descriptors", tmp_path / "store", "--out", tmp_path / "tiles")
+    task = open_indexed(str(tmp_path / "tiles"), Path("m.pth"), data, depth=DEPTH).tasks["satellite-to-drone"]
+    live = open_model(data, model).tasks["satellite-to-drone"]
+    weights = np.full(3, 1 / 3, np.float32)
+    ours, theirs = (one.start_search(0, one.query_descriptors[0])(weights) for one in (task, live))
+    found = [task.gallery[i].path for i in ours.order[:DEPTH]]
+    assert found == [live.gallery[i].path for i in theirs.order[:DEPTH]]
