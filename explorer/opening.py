@@ -259,9 +259,7 @@ def open_indexed(
     """
     with _status(f"Opening {printable(model.name)} and the index"):
         opened = lpn.load(model, provider, kind=kind)
-        # Where branches have roles, only the queries tell the task whose gallery the index must hold; `index_task` checks it.
-        by_role = opened.contract.roles == "role"
-        index = SharedIndex(open_index(where, None if by_role else opened.fingerprint))
+        index = SharedIndex(open_index(where))
         town = None if map_path is None else open_map(map_path)
     if flight_path is not None and town is not None:
         with _progress() as progress:
@@ -270,7 +268,7 @@ def open_indexed(
                 opened, frames, town, index, flight_path, lambda done, total: progress("frames", done, total)
             )
     elif pictures is not None:
-        queries = picture_queries(opened, pictures, data)
+        queries = picture_queries(opened, pictures, index, data)
     else:
         assert data is not None
         queries = dataset_queries(opened, open_dataset(data), index)

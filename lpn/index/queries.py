@@ -65,9 +65,10 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
 
     Raises:
         InputError: when the names fit the pictures below several folders equally well.
+        StoreError: when the index holds descriptors of another model.
         LPNError: when the data set has no task that the model knows, or cannot be read.
     """
-    offered = offered_tasks(model, dataset) or [choose_task(model, dataset)]
+    offered = fitting_tasks(model, offered_tasks(model, dataset) or [choose_task(model, dataset)], index)
     sides = [(name, *_names_held(index, dataset.root, dataset.gallery(views_of(name)[1]))) for name in offered]
     name, folders, held = max(sides, key=lambda side: len(side[2]))
     if len(folders) > 1:
@@ -108,21 +109,23 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
     )
 
 
-def picture_queries(model: Model, folder: Path, tiles: Path | None = None) -> IndexQueries:
+def picture_queries(model: Model, folder: Path, index: SharedIndex, tiles: Path | None = None) -> IndexQueries:
     """Return plain pictures below a folder as queries, whose places are not known.
 
     Args:
         tiles: folder that the tiles' names are relative to; None if their pictures are not at hand.
 
     Raises:
+        StoreError: when the index holds descriptors of another model.
         LPNError: when there are no pictures, or one cannot be read.
     """
+    query, gallery = views_of(view_pair(model))
+    name = fitting_tasks(model, [f"{query}-to-{gallery}", f"{gallery}-to-{query}"], index)[0]
     files = descriptors.pictures_below(folder)
     pictures = [
         Picture(file, i, printable(file.relative_to(folder).with_suffix("").as_posix())) for i, file in enumerate(files)
     ]
     positions = geo.positions(folder)
-    name = view_pair(model)
     return IndexQueries(
         name=name,
         data_name=printable(folder.resolve().name),
@@ -132,6 +135,19 @@ def picture_queries(model: Model, folder: Path, tiles: Path | None = None) -> In
         places=None if positions is None else positions.match(geo.names_below(folder, pictures)),
         folders=() if tiles is None else (tiles,),
     )
+
+
+def fitting_tasks(model: Model, names: Sequence[str], index: SharedIndex) -> list[str]:
+    """Return those of some tasks whose gallery an index holds; all of them unless the model's branches have roles.
+
+    Raises:
+        StoreError: when the index holds descriptors of another model, or of queries.
+    """
+    fingerprints = [model.for_task(*views_of(name)).fingerprint for name in names]
+    fitting = [name for name, found in zip(names, fingerprints, strict=True) if found == index.index.kind.fingerprint]
+    if not fitting:
+        index.index.check_model(fingerprints[0])
+    return fitting
 
 
 def view_pair(model: Model) -> str:

@@ -18,7 +18,7 @@ from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, TurnedFrame, cut_size
 from lpn.index.ground import window_sizes
-from lpn.index.queries import IndexQueries, view_pair
+from lpn.index.queries import IndexQueries, fitting_tasks, view_pair
 from lpn.index.shared import SharedIndex
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map, NamedWindow
@@ -51,8 +51,9 @@ def flight_queries(
 
     Raises:
         InputError: if the model's branches have roles, and it has one view.
+        StoreError: if the index holds descriptors of another model.
     """
-    name = view_pair(model)
+    name = fitting_tasks(model, [view_pair(model)], index)[0]
     sizes, pixels = window_sizes(index, model), max(model.input_size)
     cuts: list[TurnedFrame] = []
     owners: list[int] = []

@@ -10,15 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lpn
 from explorer.explain_window import activation, evidence, model_comparison, region, sweep_page
 from explorer.failure_lab import table
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
-from explorer.opening import open_model
+from explorer.opening import open_indexed, open_model
 from explorer.panels import pages, tour
 from explorer.session_state import SessionState
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
+from lpn.core.errors import StoreError
 from lpn.explain import sweeps
+from lpn.index import create_index
+from lpn.index.base import Kind
 from lpn.report import Options, build
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel
@@ -98,6 +102,29 @@ def test_the_level_is_named_wherever_numbers_are(regions: Workspace, without_cel
             table.summary(findings, LabState(TASK), findings.table.rows(), (0, 5)),
         ):
             assert re.search(f"[Ll]evel: {level}", html)
+
+
+def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, name = GateModel(replace(GATES, roles="role", groups=())), "satellite-to-drone"
+    monkeypatch.setattr(lpn, "load", lambda *_, **__: model)
+    whole = analysed(open_model(data, model), name)
+    kind = Kind(model.for_task("satellite", "drone").fingerprint, model.n_parts, model.embedding)
+    index = create_index(tmp_path / "index", kind)
+    gallery = whole.task.gallery
+    index.add(
+        [gallery[i].path.relative_to(data).as_posix() for i in range(len(gallery))], whole.task.gallery_descriptors
+    )
+    index.close()
+    opened = open_indexed(str(tmp_path / "index"), Path("m.pth"), data, depth=10)
+    assert list(opened.tasks) == [name]
+    found = analysed(opened, name)
+    assert [one.distance2 for one in found.matches] == pytest.approx([one.distance2 for one in whole.matches], abs=1e-5)
+    # Plain pictures are queries of the task whose gallery it is.
+    pictures = open_indexed(str(tmp_path / "index"), Path("m.pth"), data, pictures=data / "test" / "query_satellite")
+    assert list(pictures.tasks) == [name]
+    create_index(tmp_path / "other", replace(kind, fingerprint="other")).close()
+    with pytest.raises(StoreError, match="holds descriptors of model other"):
+        open_indexed(str(tmp_path / "other"), Path("m.pth"), data)
 
 
 def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:

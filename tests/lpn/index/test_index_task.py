@@ -180,7 +180,7 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
     pictures = tmp_path / "mine"
     for i in range(3):
         small_worlds.write(pictures / f"{i}.png", small_worlds.place(40 + i))
-    task = index_task(model, "model.onnx", index, picture_queries(model, pictures), DEPTH)
+    task = index_task(model, "model.onnx", index, picture_queries(model, pictures, index), DEPTH)
     assert "without a position" in task.no_map
     found = _analyser(model).analyse(task, QueryRequest(1, evidence=True), 10)
     assert (found.positive, found.ranking.relevant, found.errors_m, found.pair_evidence) == (None, None, None, None)
@@ -194,7 +194,7 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
     assert not task.metrics["queries"]
     # With the folder that was described, the same tiles have pictures.
     folder = places / "test" / "gallery_satellite"
-    task = index_task(model, "model.onnx", index, picture_queries(model, pictures, folder), DEPTH)
+    task = index_task(model, "model.onnx", index, picture_queries(model, pictures, index, folder), DEPTH)
     found = _analyser(model).analyse(task, QueryRequest(1, evidence=True), 10)
     assert not found.task.without_picture(found.chosen.index)
     assert found.pair_evidence is not None
@@ -230,7 +230,7 @@ def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, who
     index.add(names, whole.gallery_descriptors[:3])
     (tmp_path / "inside").mkdir()
     small_worlds.write(tmp_path / "inside" / "q.png", small_worlds.place(2))
-    queries = picture_queries(model, tmp_path / "inside", tmp_path / "inside")
+    queries = picture_queries(model, tmp_path / "inside", SharedIndex(index), tmp_path / "inside")
     task = index_task(model, "m", SharedIndex(index), queries)
     ranking = task.start_search(0, task.query_descriptors[0])(task.part_weights)
     assert len(ranking.order) == 3
