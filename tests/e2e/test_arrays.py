@@ -6,12 +6,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from playwright.sync_api import BrowserContext, expect
 
 from tests.e2e.conftest import ExplorerPage, started
 from tools.fixtures import layouts, small_worlds
 
 
+@pytest.mark.slow
 def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Callable[[], BrowserContext]) -> None:
     rng = np.random.default_rng(2)
     places = rng.standard_normal((8, 2, 6))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 from playwright.sync_api import BrowserContext, expect
 
 import lpn
@@ -14,6 +15,7 @@ from lpn.retrieval import scoring
 from tests.e2e.conftest import ExplorerPage, RunningApp
 
 
+@pytest.mark.slow
 def test_a_saved_result_is_explored_without_its_network(
     saved_app: RunningApp, app: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:

@@ -27,13 +27,19 @@ def close(found: np.ndarray, expected: np.ndarray) -> None:
 @pytest.mark.parametrize(
     "spec",
     [
-        ModelSpec("resnet18", views=("satellite", "street", "drone"), n_parts=1, input_size=(64, 96)),
+        pytest.param(
+            ModelSpec("resnet18", views=("satellite", "street", "drone"), n_parts=1, input_size=(64, 96)),
+            marks=pytest.mark.slow,
+        ),
         ModelSpec(
             "resnet18", "layer3", views=("satellite", "drone"), n_parts=4, activation="leaky_relu", input_size=(64, 64)
         ),
         ModelSpec("resnet18", "layer3", views=("satellite", "drone"), activation="relu", input_size=(64, 64)),
-        ModelSpec(
-            "vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa", input_size=(64, 64)
+        pytest.param(
+            ModelSpec(
+                "vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa", input_size=(64, 64)
+            ),
+            marks=pytest.mark.slow,
         ),
     ],
     ids=["street apart", "leaky", "relu", "cvusa"],

@@ -58,7 +58,11 @@ def test_the_reference_answers_as_the_published_implementation(case: str) -> Non
     )
 
 
-@pytest.mark.parametrize("case", CASES, ids=str)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=[pytest.mark.slow] if case.size > 256 or "vgg" in str(case) else []) for case in CASES],
+    ids=str,
+)
 def test_a_checkpoint_gives_the_published_head_outputs(case: ParityCase, tmp_path: Path) -> None:
     model = lpn.load(case.write(tmp_path), "cpu")
     assert (model.views, model.n_parts, model.input_size) == (case.views, case.n, (case.size, case.size))

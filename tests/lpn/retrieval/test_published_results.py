@@ -141,7 +141,7 @@ def test_damaged_files_get_a_sentence(tmp_path: Path) -> None:
     whole = (tmp_path / "r.mat").read_bytes()
     rng = np.random.default_rng(0)
     damaged = [b"", b"\0" * 10, b"MATLAB 7.3 MAT-file" + b" " * 105 + b"\0\2IM" + b"\0" * 99, whole[: len(whole) // 2]]
-    for _ in range(30):
+    for _ in range(8):
         flipped = np.frombuffer(whole, np.uint8).copy()
         flipped[rng.integers(128, len(whole), 8)] ^= 0xFF
         damaged.append(flipped.tobytes())
@@ -152,5 +152,5 @@ def test_damaged_files_get_a_sentence(tmp_path: Path) -> None:
             load_saved(tmp_path / "r.mat")
         except LPNError as error:
             said.append(str(error))
-    assert len(said) > 20
+    assert len(said) > 7
     assert all("r.mat" in sentence for sentence in said)
