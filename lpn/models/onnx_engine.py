@@ -356,7 +356,7 @@ def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View,
             f"{file.name} holds the part of a model for {found['group'].replace('+', ' and ')}; "
             f"open the file for {' and '.join(group)}, which was exported with it."
         )
-    if any(found.get(key) != value for key, value in main.items() if key not in ("group", SEAL)):
+    if any(found.get(key) != main.get(key) for key in {*found, *main} - {"group", SEAL}):
         raise ModelFileError(
             f"{file.name} was exported from another model than the file beside it; export the model again."
         )
