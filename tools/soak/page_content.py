@@ -91,7 +91,7 @@ class _MatchParser(HTMLParser):
         super().__init__()
         self.rows: list[MatchRow] = []
         self.table: list[list[str]] = []
-        self._below = self._in_chart = False
+        self._below = self._in_chart = self._in_table = False
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         given = dict(attrs)
@@ -102,11 +102,14 @@ class _MatchParser(HTMLParser):
         elif tag == "svg":
             self._in_chart = True
         elif tag == "tr":
+            self._in_table = True
             self.table.append([])
 
     def handle_endtag(self, tag: str) -> None:
         if tag == "svg":
             self._in_chart = False
+        elif tag == "table":
+            self._in_table = False
 
     def handle_data(self, data: str) -> None:
         if not data.strip():
@@ -114,7 +117,7 @@ class _MatchParser(HTMLParser):
         if self._in_chart:  # a bar's tooltip, such as "part 1 centre: 0.1234", or its label
             if self.rows and (share := _SHARE.search(data.strip())):
                 self.rows[-1].shares.append(float(share[1]))
-        elif self.table:
+        elif self._in_table:
             self.table[-1].append(data.strip())
         elif self.rows and not self._begins_truth(data):
             self.rows[-1].texts.append(data.strip())
