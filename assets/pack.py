@@ -28,13 +28,13 @@ from lpn.world.atlas import Settings, make_atlas
 from lpn.world.model3d import city_model, test_window
 
 QUALITY = {"drone": 62, "satellite": 72}
-"""Of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
+"""Quality of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
 
 LARGEST_CITY = 2_800_000
 """Bytes of city.glb."""
 
 SAME = {"query_drone": "gallery_drone", "gallery_satellite": "query_satellite"}
-"""The other role of each folder's pictures, so that satellite-to-drone is offered too: a link."""
+"""The other role of each folder's pictures, so that satellite-to-drone is offered too, see `linked_folder`."""
 
 LARGEST = {".onnx": 4_000_000, ".safetensors": 4_000_000}
 """Bytes of a model's file."""
@@ -59,7 +59,6 @@ def main() -> None:
     with (world / "geo.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     lines = [[kept[row[0]], *row[1:]] for row in rows if row[0] in kept]
-    lines += [[other_role(path), *values] for path, *values in lines]
     write_atomic(out / "geo.csv", ("\n".join(",".join(line) for line in [header, *lines]) + "\n").encode())
     plan = json.loads((world / "world.json").read_bytes())
     plan["buildings"] = [building for building in plan["buildings"] if building["split"] == "test"]
@@ -95,13 +94,7 @@ def pack_model(trained: Path, name: str, out: Path, stores: Path) -> None:
 def link_other_roles(folder: Path) -> None:
     """Give the pictures or descriptors of each role the other role as well."""
     for name, other in SAME.items():
-        (folder / other).symlink_to(name, target_is_directory=True)
-
-
-def other_role(path: str) -> str:
-    """Return the path of a picture, test/<role>_<view>/..., in its other role."""
-    test, folder, *rest = path.split("/")
-    return "/".join([test, SAME[folder], *rest])
+        write_atomic(folder / other, f"{name}\n".encode())
 
 
 if __name__ == "__main__":

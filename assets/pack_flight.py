@@ -25,7 +25,7 @@ COUNT, FIRST = 40, 0.57
 """Photos that are packed, and where they begin as a share of the flight: shortly before the free path, a photo a second."""
 
 QUALITY = {"photo": 68, "map": 70}
-"""Of WebP, and of the map's JPEG; leaves and sensor noise cost most, and matching needs them least."""
+"""Quality of WebP and of the map's JPEG; leaves and sensor noise cost most, and matching needs them least."""
 
 LARGEST = 3_500_000
 """Bytes of the whole folder."""

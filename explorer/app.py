@@ -7,16 +7,15 @@ import io
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import redirect_stdout
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
 from functools import partial
-from pathlib import Path
 from typing import Any
 
+import rich
 import viser
 
 from explorer.client_session import ClientSession, WorkspaceServices
-from explorer.opening import offered_flight, open_arrays, open_flight_over, open_indexed, open_model, open_saved
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
@@ -25,13 +24,9 @@ from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.log import conceal
-from lpn.core.resources import ProviderName, limit_malloc_arenas, port_error, return_memory
+from lpn.core.resources import limit_malloc_arenas, port_error, return_memory
+from lpn.core.served_page import ServedPage
 from lpn.core.shutdown import writes_finished
-from lpn.index.task import DEPTH
-from lpn.models.adapters import Kind
-from lpn.models.base import Model
-from lpn.retrieval.plain_arrays import PlainArrays
-from lpn.retrieval.published_results import load_saved
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +34,14 @@ log = logging.getLogger(__name__)
 _CLOSE_TIMEOUT = 1.5
 # Seconds that a workspace may take to open before a page says so.
 _UNNOTICED = 0.4
+# Pages that may show a page of a notebook: those of this machine, and editors.
+_NOTEBOOKS = (
+    "http://localhost:*",
+    "http://127.0.0.1:*",
+    "https://localhost:*",
+    "https://127.0.0.1:*",
+    "vscode-webview:",
+)
 # Key of the workspace that a page shows first.
 _FIRST = "first"
 
@@ -51,6 +54,7 @@ class App:
         authenticator: the access rules; by default a random token, and none on a loopback address.
         label: display name of the workspace beside `others`.
         others: further workspaces that a page can show, by their keys in its address.
+        embedders: see `Gateway`.
 
     Raises:
         InputError: when the address or port cannot be listened on.
@@ -65,6 +69,7 @@ class App:
         authenticator: Authenticator | None = None,
         label: str = "",
         others: Mapping[str, LazyWorkspace] | None = None,
+        embedders: Sequence[str] = (),
     ) -> None:
         _check_free(host, port)
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
@@ -76,10 +81,10 @@ class App:
         self._choices = {_FIRST: label} | {key: other.label for key, other in self._others.items()} if others else {}
         self._first = self._add(_FIRST, workspace)
         self._pictures = PictureRoute(self._find_picture)
-        self.gateway = Gateway(self.authenticator, self._pictures)
+        self.gateway = Gateway(self.authenticator, self._pictures, embedders)
         viser_compat.use_thread_safe_buffers()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
-        with redirect_stdout(io.StringIO()):  # viser prints an address without the token
+        with redirect_stdout(io.StringIO()), _no_cell_output():  # viser prints an address without the token
             self.server = self.gateway.protect(make)
         # Otherwise any page could open a public tunnel to this machine.
         self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
@@ -87,6 +92,11 @@ class App:
         self._sessions: dict[int, ClientSession] = {}
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
+
+    @property
+    def link(self) -> str:
+        """The address that the user opens."""
+        return self.authenticator.link(self.server.get_port())
 
     def close(self) -> None:
         """Stop all sessions and the server, and wait for files that are being written, 1.5 seconds at most."""
@@ -96,7 +106,7 @@ class App:
         self._pictures.close()
         # viser waits for its connections, up to six seconds.
         stopping = threading.Thread(target=self.server.stop, name="explorer-stop", daemon=True)
-        with redirect_stdout(io.StringIO()):
+        with redirect_stdout(io.StringIO()), _no_cell_output():
             stopping.start()
             stopping.join(_CLOSE_TIMEOUT)
         if not writes_finished(max(until - time.monotonic(), 0)):
@@ -119,6 +129,7 @@ class App:
         with self._lock:
             if self._sessions.get(client.client_id) is replaced:  # else its page has changed its workspace already
                 self._sessions[client.client_id] = session
+        session.fit_camera()  # the window may have been resized before the session was listed
         if client.client_id not in self.server.get_clients():  # it left while its session was being built
             self._disconnected(client)
         return session
@@ -136,7 +147,7 @@ class App:
         return self._services[key]
 
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
-        found = (services.flight_pictures.find(path) for services in list(self._services.values()))
+        found = (services.find_picture(path) for services in list(self._services.values()))
         return next((compute for compute in found if compute is not None), None)
 
     def _show_other(self, session: ClientSession, key: str, search: str) -> None:
@@ -205,133 +216,85 @@ class App:
             return_memory()
 
 
-def run(
-    data: Path,
-    model: Path | Model,
-    query: str | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    second_model: Path | None = None,
-    baseline: Path | None = None,
-    authenticator: Authenticator | None = None,
-    provider: ProviderName = "auto",
-    flight: tuple[Path, Path] | None = None,
-) -> None:
-    """Open a model and a data set, print the address of the explorer, and serve it until KeyboardInterrupt.
-
-    Args:
-        second_model: a second model for comparisons.
-        baseline: a model of one part to offer for comparisons.
-        flight: a map and a flight over it that a page offers beside the data set; they are opened when a browser asks for them.
-        authenticator: the access rules; by default those of `App`.
-        provider: what computes the networks, see `lpn.load`.
-
-    Raises:
-        LPNError: when model, data set, or address cannot be used.
-    """
-    others = {}
-    if flight is not None and isinstance(model, Path):
-        others["flight"] = offered_flight(*flight, model, provider)
-    _serve(lambda: open_model(data, model, query, second_model, baseline, provider), host, port, authenticator, others)
-
-
-def run_flight(
-    map_path: Path,
-    flight_path: Path,
-    model: Path,
-    query: str | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    second_model: Path | None = None,
-    register: bool = True,
-    authenticator: Authenticator | None = None,
-    provider: ProviderName = "auto",
-    kind: Kind | None = None,
-) -> None:
-    """Serve a flight over a map like `run`; see `opening.open_flight_over`."""
-    _serve(
-        lambda: open_flight_over(map_path, flight_path, model, query, second_model, register, provider, kind=kind),
-        host,
-        port,
-        authenticator,
-    )
-
-
-def run_index(
-    where: str,
-    model: Path,
-    data: Path | None = None,
-    pictures: Path | None = None,
-    map_path: Path | None = None,
-    flight_path: Path | None = None,
-    query: str | None = None,
-    depth: int | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    authenticator: Authenticator | None = None,
-    provider: ProviderName = "auto",
-    kind: Kind | None = None,
-) -> None:
-    """Serve an index of tiles like `run`; see `opening.open_indexed`."""
-
-    def opened() -> Workspace:
-        given = (data, pictures, map_path, flight_path, query)
-        return open_indexed(where, model, *given, DEPTH if depth is None else depth, provider, kind)
-
-    _serve(opened, host, port, authenticator)
-
-
-def run_saved(
-    data: Path,
-    saved: Path,
-    n_parts: int = 1,
-    query: str | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    authenticator: Authenticator | None = None,
-) -> None:
-    """Serve the pictures and descriptors of a `pytorch_result.mat`, whose descriptors have `n_parts` parts, like `run`."""
-    _serve(lambda: open_saved(data, load_saved(saved, n_parts), query), host, port, authenticator)
-
-
-def run_arrays(
-    load: Callable[[], PlainArrays],
-    name: str,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    authenticator: Authenticator | None = None,
-) -> None:
-    """Serve plain arrays like `run`; see `opening.open_arrays`."""
-    _serve(lambda: open_arrays(load(), name), host, port, authenticator)
-
-
-def _serve(
+def serve(
     open_workspace: Callable[[], Workspace],
-    host: str,
-    port: int,
-    authenticator: Authenticator | None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    authenticator: Authenticator | None = None,
     others: Mapping[str, LazyWorkspace] | None = None,
 ) -> None:
+    """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
+
+    Args:
+        open_workspace: one of the functions of `opening`; called once the port is known to be free.
+        authenticator: the access rules; by default those of `App`.
+        others: workspaces that a page offers beside it, by the keys that an address gives them.
+
+    Raises:
+        LPNError: when the workspace cannot be opened, or the address cannot be used.
+    """
     host = host or "0.0.0.0"
-    _check_free(host, port)
-    limit_malloc_arenas()
-    images.use_all_cores()
-    app = App(open_workspace(), host, port, authenticator, "pairs", others)
+    app = _start(open_workspace, host, port, authenticator, others)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
-    port = app.server.get_port()
     if not is_loopback(host):
         print(
             f"Listening on {host}: anyone who reaches port {port} and has the token can use this. The connection is not "
             "encrypted; docs/serving.md says how to change that.",
             flush=True,
         )
-    print(f"LPN Explorer is ready: {app.authenticator.link(port)}  (stop with Ctrl-C)", flush=True)
+    print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
     try:
         while True:
             time.sleep(3600)
     finally:
         app.close()
+
+
+def serve_in_background(
+    open_workspace: Callable[[], Workspace],
+    host: str = "127.0.0.1",
+    port: int = 0,
+    authenticator: Authenticator | None = None,
+    others: Mapping[str, LazyWorkspace] | None = None,
+) -> ServedPage:
+    """Open a workspace, and serve it until the page is closed or the process ends; see `serve`.
+
+    Args:
+        port: 0 for any that is free.
+
+    Raises:
+        LPNError: when the workspace cannot be opened, or the address cannot be used.
+    """
+    with _no_cell_output():
+        app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, _NOTEBOOKS)
+    # A browser sends no cookie, so no proof of a token, from a frame in another site's page.
+    return ServedPage(app.link, app.close, framed=app.authenticator.token is None)
+
+
+def _start(
+    open_workspace: Callable[[], Workspace],
+    host: str,
+    port: int,
+    authenticator: Authenticator | None,
+    others: Mapping[str, LazyWorkspace] | None,
+    embedders: Sequence[str] = (),
+) -> App:
+    _check_free(host, port)
+    limit_malloc_arenas()
+    images.use_all_cores()
+    return App(open_workspace(), host, port, authenticator, "pairs", others, embedders)
+
+
+@contextmanager
+def _no_cell_output() -> Iterator[None]:
+    """Let rich write to the streams, where it would write into a notebook's cell."""
+    console = rich.get_console()
+    before, console.is_jupyter = console.is_jupyter, False
+    try:
+        yield
+    finally:
+        console.is_jupyter = before
 
 
 def _check_free(host: str, port: int) -> None:

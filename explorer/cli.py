@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-import lpn
-from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
-    from lpn.models.base import Model
+    from explorer.workspace import LazyWorkspace, Workspace
+    from lpn.core.served_page import ServedPage
 
 
 @dataclass
@@ -26,7 +28,7 @@ class Explore:
     data: Path | None = None
     """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
-    """Trained LPN: .onnx (needs no torch), .safetensors, or a published .pth; by default the demo's, for the demo."""
+    """Trained LPN: .onnx (needs no torch), .safetensors, a published .pth, or a name of lpn models; by default the demo's."""
     kind: Kind | None = None
     """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     map: Path | None = None
@@ -41,7 +43,9 @@ class Explore:
     depth: int | None = None
     """With --index: number of tiles that a search returns, 100 by default; ranks beyond it are not known."""
     beside: Path | None = None
-    """Second trained LPN to compare on every query (key Y, tab Two models), such as one with other parts."""
+    """Second trained model to compare on every query (key Y, tab Two models), such as one with other parts."""
+    beside_kind: Kind | None = None
+    """Method of --beside, as --kind is that of --model."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     gallery: Path | None = None
@@ -70,19 +74,40 @@ class Explore:
     """Further host names of the page, such as that of a reverse proxy (docs/serving.md)."""
 
     def run(self) -> None:
-        from explorer.app import run, run_saved
-        from explorer.server.auth import make_authenticator
-        from lpn.retrieval.published_results import check_n_parts
+        from explorer.app import serve
 
-        authenticator = make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
+        authenticator = self._authenticator()
+        open_workspace, offered = self._workspaces()
+        serve(open_workspace, self.host, self.port, authenticator, offered)
+
+    def run_in_background(self) -> ServedPage:
+        """Serve until the page is closed or the process ends; a port of 0 is any that is free."""
+        from explorer.app import serve_in_background
+
+        authenticator = self._authenticator()
+        open_workspace, offered = self._workspaces()
+        return serve_in_background(open_workspace, self.host, self.port, authenticator, offered)
+
+    def _authenticator(self) -> Authenticator:
+        from explorer.server.auth import make_authenticator
+
+        return make_authenticator(self.host or "0.0.0.0", self.token, self.ask_token, self.allow_host)
+
+    def _workspaces(self) -> tuple[Callable[[], Workspace], dict[str, LazyWorkspace]]:
+        """Return what opens the page's data, and further workspaces that the page offers, by the keys of their addresses."""
+        from explorer.opening import offered_flight, open_model, open_saved
+        from lpn.retrieval.published_results import check_n_parts, load_saved
+
         if self.kind is not None and self.model is None:
             raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
+        if self.beside_kind is not None and self.beside is None:
+            raise InputError(
+                "This kind is that of the second model; give --beside-kind with --beside, or leave it out."
+            )
         if self.index is not None:
-            self._explore_index(self.index, authenticator)
-            return
+            return self._index(self.index), {}
         if self.gallery is not None:
-            self._explore_arrays(self.gallery, authenticator)
-            return
+            return self._arrays(self.gallery), {}
         if self.paths is not None or self.order != "parts-first":
             raise InputError(
                 "A list of pictures and an order belong to plain arrays; give --gallery and --query with --paths and --order."
@@ -90,8 +115,7 @@ class Explore:
         if self.depth is not None:
             raise InputError("A gallery in memory is ranked in full; give --depth with --index only.")
         if self.map is not None or self.flight is not None:
-            self._explore_flight(authenticator)
-            return
+            return self._flight(), {}
         if not self.register:
             raise InputError("Only photos of a flight are registered; give --no-register with --map and --flight.")
         if self.saved is not None:
@@ -101,35 +125,37 @@ class Explore:
                 )
             if self.provider != "auto":
                 raise InputError("A saved result needs no network; leave --provider out.")
-            run_saved(
-                self.data, self.saved, check_n_parts(self.n_parts), self.query, self.host, self.port, authenticator
-            )
-            return
+            saved = partial(load_saved, self.saved, check_n_parts(self.n_parts))
+            data = self.data
+            return lambda: open_saved(data, saved(), self.query), {}
         if self.n_parts is not None:
             raise InputError("A model knows its number of parts; give --n-parts with --saved only.")
         if self.data is not None and self.model is None:
             raise InputError(f"There is no model for {self.data}; give a trained LPN with --model.")
         if self.data is None and not DEMO.is_dir():
             raise InputError(
-                "The demo is not part of this installation; give a data set with --data and a model with --model."
+                "The demo's files are missing from this installation; install lpn-explorer again, or give a data set with "
+                "--data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
         is_demo = self.data is None and self.model is None
-        run(
+        baseline = DEMO_BASELINE if is_demo and DEMO_BASELINE.is_file() else None
+        flight = is_demo and DEMO_FLIGHT[0].is_file()
+        others = {"flight": offered_flight(*DEMO_FLIGHT, DEMO_MODEL, self.provider)} if flight else {}
+        return partial(
+            open_model,
             self.data or DEMO,
-            self._model(),
+            self.model or DEMO_MODEL,
             query,
-            self.host,
-            self.port,
             self.beside,
-            DEMO_BASELINE if is_demo and DEMO_BASELINE.is_file() else None,
-            authenticator,
+            baseline,
             self.provider,
-            DEMO_FLIGHT if is_demo and DEMO_FLIGHT[0].is_file() else None,
-        )
+            self.kind,
+            self.beside_kind,
+        ), others
 
-    def _explore_arrays(self, gallery: Path, authenticator: Authenticator) -> None:
-        from explorer.app import run_arrays
+    def _arrays(self, gallery: Path) -> Callable[[], Workspace]:
+        from explorer.opening import open_arrays
         from lpn.retrieval.plain_arrays import load_arrays
         from lpn.retrieval.published_results import check_n_parts
 
@@ -144,22 +170,12 @@ class Explore:
         if self.provider != "auto" or not self.register:
             raise InputError("Plain arrays need no network; leave --provider and --no-register out.")
         query, n_parts = Path(self.query), None if self.n_parts is None else check_n_parts(self.n_parts)
-        run_arrays(
-            lambda: load_arrays(query, gallery, self.paths, n_parts, self.order, self.data),
-            query.name,
-            self.host,
-            self.port,
-            authenticator,
-        )
+        load = partial(load_arrays, query, gallery, self.paths, n_parts, self.order, self.data)
+        return lambda: open_arrays(load(), query.name)
 
-    def _model(self) -> Path | Model:
-        """Return the model to explore; a file is opened later, unless its kind is named."""
-        if self.model is None or self.kind is None:
-            return self.model or DEMO / "lpn.onnx"
-        return lpn.load(self.model, self.provider, kind=self.kind)
-
-    def _explore_index(self, where: str, authenticator: Authenticator) -> None:
-        from explorer.app import run_index
+    def _index(self, where: str) -> Callable[[], Workspace]:
+        from explorer.opening import open_indexed
+        from lpn.index.task import DEPTH
 
         if self.model is None:
             raise InputError("An index is searched with the model that described its tiles; give it as --model.")
@@ -177,7 +193,8 @@ class Explore:
             raise InputError(
                 "An index has tiles and no queries; give --data, a folder of pictures as --query, or --map and --flight."
             )
-        run_index(
+        return partial(
+            open_indexed,
             where,
             self.model,
             self.data,
@@ -185,16 +202,13 @@ class Explore:
             self.map,
             self.flight,
             None if folder is not None else self.query,
-            self.depth,
-            self.host,
-            self.port,
-            authenticator,
+            DEPTH if self.depth is None else self.depth,
             self.provider,
             self.kind,
         )
 
-    def _explore_flight(self, authenticator: Authenticator) -> None:
-        from explorer.app import run_flight
+    def _flight(self) -> Callable[[], Workspace]:
+        from explorer.opening import open_flight_over
 
         if self.map is None or self.flight is None:
             given, missing = ("--map", "--flight") if self.flight is None else ("--flight", "--map")
@@ -206,16 +220,15 @@ class Explore:
             )
         if self.model is None:
             raise InputError("A flight is explored with a model; give a trained LPN with --model.")
-        run_flight(
+        return partial(
+            open_flight_over,
             self.map,
             self.flight,
             self.model,
             self.query,
-            self.host,
-            self.port,
             self.beside,
             self.register,
-            authenticator,
             self.provider,
-            self.kind,
+            kind=self.kind,
+            second_kind=self.beside_kind,
         )

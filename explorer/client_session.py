@@ -6,12 +6,14 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import viser
 
 from explorer import session_state
+from explorer.browse.feeds import Feeds
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
@@ -22,14 +24,19 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService
 from explorer.flight_window.window import FlightWindow
-from explorer.panels import shortcuts, tour
+from explorer.panels import shortcuts
+from explorer.panels.first_screen import FirstScreen, plain_state
 from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
 from explorer.reports import Reporter
-from explorer.session_state import PAGE_SIZE, SessionState, StateChange
+from explorer.server.picture_route import EncodedPicture
+from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.stage.scene import SCENE, Stage
 from explorer.stage.viewport import Viewport
+from explorer.stories import tour
+from explorer.stories.window import StoryWindow
+from explorer.stories.windows import WindowSources
 from explorer.url_state import UrlState
 from explorer.web import style
 from explorer.web.bridge import PageBridge
@@ -52,6 +59,7 @@ class WorkspaceServices:
     Attributes:
         failure_lab: computes the failure laboratory's tables.
         url_state: converts states to addresses and back.
+        feeds: serves the lists that pages scroll through, and thumbnails.
         flight: derives what flight windows show.
         flight_pictures: serves their pictures.
     """
@@ -59,6 +67,7 @@ class WorkspaceServices:
     workspace: Workspace
     failure_lab: FailureLab
     url_state: UrlState
+    feeds: Feeds
     flight: FlightService
     flight_pictures: FlightPictures
 
@@ -66,8 +75,17 @@ class WorkspaceServices:
     def of(cls, workspace: Workspace) -> WorkspaceServices:
         """Derive them from a workspace."""
         return cls(
-            workspace, FailureLab(workspace), UrlState(workspace), FlightService(workspace), FlightPictures(workspace)
+            workspace,
+            FailureLab(workspace),
+            UrlState(workspace),
+            Feeds(workspace),
+            FlightService(workspace),
+            FlightPictures(workspace),
         )
+
+    def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
+        """Return what computes the picture of a path below `PREFIX`, see `PictureSource`."""
+        return self.feeds.find(path) or self.flight_pictures.find(path)
 
 
 class ClientSession:
@@ -95,15 +113,13 @@ class ClientSession:
         self._greeted = self._small = False
         self._sequence = 0
         task = next(iter(workspace.tasks))
-        state = SessionState(
-            task, workspace.contract.n_parts, query=workspace.first_query, page=workspace.first_query // PAGE_SIZE
-        )
-        self._state = workspace.supported_state(state)
+        state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query)
+        self._state = self._plain = workspace.supported_state(state)
         self._requests = RequestContext(workspace.inference)
         self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
         with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
             self._set_theme(self._state)
-            self._panels = Panels(client, workspace, self._state, self.change)
+            self._panels = Panels(client, workspace, services.feeds, self._state, self.change)
             viewport = Viewport()
             self._reporter = Reporter(client, self._requests.queued(workspace.model, background=True))
             self._explain_window = ExplainWindow(
@@ -116,31 +132,61 @@ class ClientSession:
                 self._requests,
                 lambda name: self._bridge.call("tab", name),
             )
-            self._lab = FailureLabWindow(client, workspace, services.failure_lab, self.change, viewport, self._reporter)
+            self._lab = FailureLabWindow(
+                client, workspace, services.failure_lab, services.feeds, self.change, viewport, self._reporter
+            )
             self._flight = FlightWindow(
                 client, workspace, services.flight, services.flight_pictures, self.change, viewport, self._on_error
+            )
+            self._stories = StoryWindow(
+                client,
+                workspace,
+                services.url_state,
+                self._panels.answer.stories,
+                lambda: self._state,
+                self._show_address,
+                lambda function, *arguments: self._bridge.call(function, *arguments),
+                viewport,
+                self._reporter,
+                WindowSources(workspace, services.failure_lab, services.flight),
             )
             self._panels.navigation.order = self._lab.order
             self._panels.query.compare_models = self._explain_window.compare_models
             glossary = Glossary(client.gui)
+            self._first_screen = FirstScreen(client.gui, workspace, self._panels.navigation, self.change)
             handlers = {
                 "viewport": viewport.update,
                 "hello": self._on_greeting,
                 "small": self._fit,
                 "task": lambda name: self.change(self._panels.navigation.choose_task(name)),
                 "dark": lambda _: self.change(session_state.flip_dark),
+                "back": self._on_back,
+                "undo": lambda kind: self.change(lambda state: session_state.undo(state, kind)),
                 "glossary": lambda _: glossary.show(),
                 "show": self._on_other,
+                "screen": self._first_screen.act,
             }
             handlers |= self._explain_window.handlers() | self._lab.handlers() | self._flight.handlers()
-            properties = {"steps": [asdict(step) for step in tour.steps(workspace)], "scene": SCENE}
+            handlers |= self._stories.handlers() | self._panels.query.handlers()
+            title = f"{workspace.data_name} · LPN Explorer"
+            properties = {
+                "title": title,
+                "tour": msgspec.to_builtins(self._stories.tour),
+                "places": tour.places(workspace.layout),
+                "scene": SCENE,
+                "keys": self._url_state.keys,
+            }
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
             windows = (self._explain_window, self._lab, self._flight)
-            commands = [command for window in windows for command in window.commands()]
-            commands.append(("Glossary", glossary.show))
+            commands = self._stories.commands()
+            commands += [(label, None, call) for window in windows for label, call in window.commands()]
+            commands.append(("Glossary", None, glossary.show))
+            commands.append(("First screen", None, lambda: self._first_screen.act("start")))
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
-            self._stage = Stage(client, workspace, self._on_select)
+            background = self._requests.queued(workspace.model, background=True)
+            self._stage = Stage(client, workspace, self._on_select, background, viewport)
             self._worker = Worker(self._work, self._on_error)
+            viewport.watch(lambda: self._worker.wake() if self._stage.outgrown else None)
             self._ranking_progress = RankingProgress(self._panels.answer.show_results, self._worker.wake)
             self._greeting_timeout = DelayedCall(_ADDRESS_TIMEOUT, self._worker.wake)
 
@@ -150,16 +196,21 @@ class ClientSession:
             state = change(self._state)
             if state is None:
                 return
-            state = self._workspace.supported_state(state)
+            state = session_state.leave_first_screen(self._state, self._workspace.supported_state(state))
             if state == self._state:
                 return
             if state.dark != self._state.dark:
                 self._set_theme(state)
-            if state.why and not self._state.why:
+            if state.why and not state.first_screen and (not self._state.why or self._state.first_screen):
+                self._explain_window.announce()
                 self._bridge.call("reveal", "#lpn-why")
             if state.flight and not self._state.flight:
                 self._bridge.call("reveal", "#lpn-flight")
+            only_lab = state == replace(self._state, laboratory=state.laboratory)
             self._state = state
+            if only_lab:  # nothing to analyse
+                self._write_address(state)
+                return
             self._requests.supersede()
             self._panels.write(state)
         self._worker.wake()
@@ -175,8 +226,10 @@ class ClientSession:
         self._reporter.leave()
         self._explain_window.leave()
         self._worker.stop()
+        self._stage.leave()
         self._lab.leave()
         self._flight.leave()
+        self._panels.query.leave()
         self._requests.close()
 
     def wait_for(self, label: str) -> viser.NotificationHandle:
@@ -201,6 +254,27 @@ class ClientSession:
     def _on_select(self, shown: SessionState, index: int) -> None:
         self.change(lambda state: session_state.compare(state, shown, index))
 
+    def _on_back(self, search: Any) -> None:
+        """Show what an earlier address of the page's history shows."""
+        if not isinstance(search, str):
+            return
+        key = self._url_state.workspace_key(search)
+        if key != self._workspace.key and key in self._workspace.choices:
+            self._show_other(self, key, search)
+            return
+        self._show_address(search)
+
+    def _show_address(self, search: str) -> list[str]:
+        """Show what an address of this workspace shows, with the page's theme and filter; see `UrlState.read`."""
+        before = self._state
+        kept = {name: getattr(before, name) for name in ("dark", "find", "laboratory")}
+        state, problems = self._url_state.read(search, replace(self._plain, **kept))
+        if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
+            state = replace(state, laboratory=session_state.choices_for_any_task(before.laboratory))
+        self._lab.restore(state)
+        self.change(lambda _: state)
+        return problems
+
     def _on_greeting(self, value: Any) -> None:
         """Read the page's address and size; the page sends them until it gets an answer."""
         search = value.get("search") if isinstance(value, dict) else None
@@ -216,12 +290,22 @@ class ClientSession:
                 return
             before = self._state
         state, problems = self._url_state.read(search, before)
+        state = plain_state(state, value.get("first"), self._url_state.names_a_state(search))
         with self._lock:
-            self.change(lambda _: replace(state, page=state.query // PAGE_SIZE))
+            self._lab.restore(state)
+            self.change(lambda _: state)
             if self._state is before:  # otherwise `change` has woken the worker
                 self._worker.wake()
         if problems:
             self._panels.notify_error("Not all of the link can be shown", " ".join(problems))
+
+    def _write_address(self, state: SessionState) -> None:
+        """Let the page's address name a state, with what the laboratory shows by now."""
+        if not self._greeted:  # the page would lose the address that it has yet to send
+            return
+        with self._lock:  # otherwise the worker could replace a newer address of the laboratory by an older one
+            shown = replace(state, laboratory=self._state.laboratory)
+            self._bridge.set_address(self._url_state.write(shown), self._url_state.keys)
 
     def _fit(self, small: Any) -> None:
         if small is True or self._small:
@@ -243,11 +327,14 @@ class ClientSession:
             analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             self._sequence += 1
             started = time.perf_counter()
+            self._first_screen.show(analysis, self._stories.names)  # before the stage, which takes longer
             with self.client.atomic():  # the page draws one frame
                 self._stage.show(analysis)
+                self._bridge.set_ground(self._stage.ground)
                 self._explain_window.show(analysis)
                 self._lab.show(analysis)
                 self._flight.show(analysis)
+                self._stories.show(analysis)
                 slow.cancel()
                 self._panels.show(analysis, self._sequence, started)
         except BusyError:
@@ -259,8 +346,7 @@ class ClientSession:
         second, name = self._workspace.second, analysis.task.name
         other = None if second is None or second.workspace is None else second.workspace.rankings.get(name)
         self._ranking_progress.follow(self._workspace.rankings[name], other)
-        if self._greeted:  # otherwise the page would lose the address that it has yet to send
-            self._bridge.set_address(self._url_state.write(analysis.state), self._url_state.keys)
+        self._write_address(analysis.state)
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._log_line(analysis, time.perf_counter() - started))
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
@@ -16,11 +17,13 @@ from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.analysis.array_task import array_task
-from lpn.analysis.task import Task, gallery_geometry, offered_tasks, open_task
+from lpn.analysis.query_outcomes import labels_of
+from lpn.analysis.task import Task, gallery_geometry, no_task_error, offered_tasks, open_task
 from lpn.core.errors import DataError, LPNError
-from lpn.core.files import printable
+from lpn.core.files import distinct_names, printable
+from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName
-from lpn.datasets import open_dataset
+from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.flights import open_flight
 from lpn.index import open_index
@@ -35,7 +38,7 @@ from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.plain_arrays import PlainArrays
-from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.published_results import PublishedResult, truth_of_rows
 
 log = logging.getLogger(__name__)
 
@@ -54,6 +57,8 @@ def open_model(
     second_model: Path | None = None,
     baseline: Path | None = None,
     provider: ProviderName = "auto",
+    kind: Kind | None = None,
+    second_kind: Kind | None = None,
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
@@ -63,53 +68,60 @@ def open_model(
         second_model: another model to compare with on the same data; it is opened, too.
         baseline: the model of one part to offer for comparison; it is opened when a browser asks for it.
         provider: what computes the networks, see `lpn.load`.
+        kind, second_kind: methods of `model` and `second_model`, see `lpn.load`.
 
     Raises:
         LPNError: when model or data set cannot be used, or there is no such query.
     """
-    data_name = printable(data.resolve().name)
-    model_name = printable(model.contract.method if isinstance(model, Model) else model.name)
-    with _status(f"Opening {model_name} and {data_name}"):
-        opened = model if isinstance(model, Model) else lpn.load(model, provider)
-        dataset = open_dataset(data)
-    names = offered_tasks(opened, dataset)
-    if not names:
-        raise DataError(
-            f"The test split of {data_name} offers {', '.join(dataset.tasks()) or 'no task'}, but the model knows "
-            f"only the views {', '.join(opened.views)}; give a data set or a model that fit each other."
-        )
-    rankings = [_begin_ranking(open_task(opened, model_name, dataset, name, tags_and_notes={})) for name in names]
-    map_sizes = {view: opened.map_size(view) for view in opened.views}
-    workspace = Workspace(
-        model_name,
-        data_name,
-        rankings,
-        opened.contract,
-        map_sizes,
-        opened,
-        _city(rankings[0].task),
-        dataset.root,
-    )
+    name, second_name = _names(model, second_model)
+    workspace, dataset = _open_one(data, model, provider, name, kind)
+    warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
     if second_model is not None:
-        second = open_model(data, second_model, provider=provider)
+        second, _ = _open_one(data, second_model, provider, second_name, second_kind)
         workspace.second = LazyWorkspace(second.model_name, lambda _: second)
         workspace.second.open()
     elif baseline is not None:
         workspace.second = LazyWorkspace(
-            "the baseline (n = 1)", _naming_files([baseline], lambda _: open_model(data, baseline, provider=provider))
+            "the baseline (n = 1)",
+            _naming_files([baseline], lambda _: _open_one(data, baseline, provider, baseline.name)[0]),
         )
     return workspace
+
+
+def _open_one(
+    data: Path, model: Path | Model, provider: ProviderName, model_name: str, kind: Kind | None = None
+) -> tuple[Workspace, Dataset]:
+    """Open one model on a data set, see `open_model`."""
+    data_name = printable(data.resolve().name)
+    with _status(f"Opening {model_name} and {data_name}"):
+        opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind)
+        dataset = open_dataset(data)
+    names = offered_tasks(opened, dataset)
+    if not names:
+        raise no_task_error(opened, dataset)
+    workspace = _workspace([open_task(opened, model_name, dataset, name, tags_and_notes={}) for name in names], opened)
+    return workspace, dataset
+
+
+def _names(model: Path | Model, second: Path | None) -> tuple[str, str]:
+    """Return the display names of a model and of a second one, which is empty without one."""
+    if isinstance(model, Model):
+        return printable(model.contract.method), "" if second is None else printable(second.name)
+    own, *other = distinct_names([model] if second is None else [model, second])
+    return own, other[0] if other else ""
 
 
 def _naming_files(
     files: Sequence[Path], open_workspace: Callable[[ReportProgress], Workspace]
 ) -> Callable[[ReportProgress], Workspace]:
-    """Return a function whose errors name files without their folders, because a browser shows them."""
+    """Return a function whose errors are sentences that name files without their folders, because a browser shows them."""
 
     def opened(report: ReportProgress) -> Workspace:
         try:
             return open_workspace(report)
+        except ModuleNotFoundError as error:
+            raise missing_package(error) from error
         except LPNError as error:
             text = str(error)
             for file in files:
@@ -133,27 +145,30 @@ def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> 
     layout: Layout = "cvusa" if dataset.panoramas else "university"
     spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
     contract = spec.contract()
-    map_sizes = dict.fromkeys(contract.views, SAVED_MAP)
+    name = "-to-".join(views)
+    truth = truth_of_rows(dataset, name, queries, gallery)
+    labels = saved.query_labels, saved.gallery_labels
+    if truth is not None:  # the labels of such a result tell one true tile of several, or are numbered otherwise
+        labels = labels_of(queries), labels_of(gallery)
     task = Task(
-        name="-to-".join(views),
+        name=name,
         model=None,
         model_name=saved.name,
         data_name=printable(data.resolve().name),
         root=dataset.root,
         contract=contract,
-        map_sizes=map_sizes,
+        map_sizes=dict.fromkeys(contract.views, SAVED_MAP),
         queries=queries,
         gallery=gallery,
-        query_labels=saved.query_labels,
-        gallery_labels=saved.gallery_labels,
+        query_labels=labels[0],
+        gallery_labels=labels[1],
         query_descriptors=saved.query,
         gallery_descriptors=saved.gallery,
+        truth=truth,
+        columns=dataset.columns(queries),
         geometry=gallery_geometry(dataset, queries, gallery),
     )
-    rankings = [_begin_ranking(task)]
-    workspace = Workspace(
-        task.model_name, task.data_name, rankings, contract, map_sizes, None, _city(task), dataset.root
-    )
+    workspace = _workspace([task])
     workspace.choose_first_query(query)
     return workspace
 
@@ -169,16 +184,7 @@ def open_arrays(arrays: PlainArrays, name: str, query: str | None = None) -> Wor
         LPNError: when there is no such query.
     """
     task = array_task(arrays, name)
-    workspace = Workspace(
-        task.model_name,
-        task.data_name,
-        [_begin_ranking(task)],
-        task.contract,
-        dict(task.map_sizes),
-        None,
-        _city(task),
-        task.root,
-    )
+    workspace = _workspace([task])
     workspace.choose_first_query(query)
     return workspace
 
@@ -194,6 +200,7 @@ def open_flight_over(
     overlap: float = LocateOptions.overlap,
     report: ReportProgress | None = None,
     kind: Kind | None = None,
+    second_kind: Kind | None = None,
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
 
@@ -208,20 +215,23 @@ def open_flight_over(
         register: whether photos are laid over the map.
         overlap: share of a window's side that its neighbour covers, too.
         report: receives the progress of the description; by default the terminal shows it.
-        kind: method of `model`, see `lpn.load`.
+        kind, second_kind: methods of `model` and `second_model`, see `lpn.load`.
 
     Raises:
         LPNError: when map, flight, or model cannot be used, or there is no such frame.
     """
     options = LocateOptions(register=False, overlap=overlap)
-    workspace, opened, located = _open_located(map_path, flight_path, model, provider, options, report, kind)
+    name, second_name = _names(model, second_model)
+    workspace, opened, located = _open_located(map_path, flight_path, model, name, provider, options, report, kind)
     for note in (*located.town.notes, *located.flight.notes, *located.notes):
-        Console(stderr=True).print(printable(note), highlight=False, markup=False, soft_wrap=True)
+        _terminal().print(printable(note), highlight=False, markup=False, soft_wrap=True)
     broken = () if located.retrieval is None else located.retrieval.broken
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
     if second_model is not None:
-        second, _, _ = _open_located(map_path, flight_path, second_model, provider, options, report)
+        second, _, _ = _open_located(
+            map_path, flight_path, second_model, second_name, provider, options, report, second_kind
+        )
         workspace.second = LazyWorkspace(second.model_name, lambda _: second)
         workspace.second.open()
     if register:
@@ -273,16 +283,7 @@ def open_indexed(
         assert data is not None
         queries = dataset_queries(opened, open_dataset(data), index)
     task = index_task(opened, model.name, index, queries, depth, town)
-    workspace = Workspace(
-        task.model_name,
-        task.data_name,
-        [_begin_ranking(task)],
-        task.contract,
-        dict(task.map_sizes),
-        opened,
-        None if town is not None else _city(task),
-        task.root,
-    )
+    workspace = _workspace([task], opened, with_city=town is None)
     workspace.town = town
     workspace.choose_first_query(query)
     return workspace
@@ -301,6 +302,7 @@ def _open_located(
     map_path: Path,
     flight_path: Path,
     model: Path,
+    name: str,
     provider: ProviderName,
     options: LocateOptions,
     report: ReportProgress | None,
@@ -314,19 +316,25 @@ def _open_located(
         opened.check_view(view)
     with _progress() if report is None else nullcontext(_counts(report)) as progress:
         located = locate(town, flight, opened, options, progress)
-    task = flight_task(opened, model.name, located, flight_path)
-    workspace = Workspace(
-        task.model_name,
-        task.data_name,
-        [_begin_ranking(task)],
-        task.contract,
-        dict(task.map_sizes),
-        task.model,
-        None,
-        flight_path,
-    )
+    task = flight_task(opened, name, located, flight_path)
+    workspace = _workspace([task], task.model, with_city=False)
     workspace.flight = located
     return workspace, opened, located
+
+
+def _workspace(tasks: Sequence[Task], model: Model | None = None, with_city: bool = True) -> Workspace:
+    """Return a workspace of tasks on the same data, whose galleries begin to be ranked."""
+    first = tasks[0]
+    return Workspace(
+        first.model_name,
+        first.data_name,
+        [_begin_ranking(task) for task in tasks],
+        first.contract,
+        dict(first.map_sizes) if model is None else {view: model.map_size(view) for view in model.views},
+        model,
+        _city(first) if with_city else None,
+        first.root,
+    )
 
 
 def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model, options: LocateOptions) -> None:
@@ -357,7 +365,7 @@ def _begin_ranking(task: Task) -> RankingJob:
 @contextmanager
 def _progress() -> Iterator[Progress]:
     """Show a bar on the terminal for each stage."""
-    with Bars(console=Console(stderr=True), transient=True) as bars:
+    with Bars(console=_terminal(), transient=True) as bars:
         tasks: dict[str, TaskID] = {}
 
         def report(stage: str, done: int, total: int) -> None:
@@ -368,9 +376,14 @@ def _progress() -> Iterator[Progress]:
         yield report
 
 
+def _terminal() -> Console:
+    """Return a console on stderr; a notebook's, which is none, gets lines and no animation."""
+    return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
+
+
 def _status(text: str) -> AbstractContextManager[object]:
     """Show a line on the terminal while work goes on."""
-    return Console(stderr=True).status(f"{text} (Ctrl-C stops)")
+    return _terminal().status(f"{text} (Ctrl-C stops)")
 
 
 def _city(task: Task) -> CityModel | None:

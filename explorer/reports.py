@@ -1,4 +1,4 @@
-"""Reports to download, the same as those of `lpn report`."""
+"""Files to download that take long to make: reports, the same as those of `lpn report`, and stories."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from dataclasses import replace
 import viser
 
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
+from explorer.compute.request_context import QueuedModel
 from explorer.workspace import StateAnalysis, Workspace
 from lpn import report
 from lpn.analysis import notes
 from lpn.analysis.task import Task
 from lpn.core.arrays import Float32Array
+from lpn.core.demo import own_file
 from lpn.core.errors import InputError, LPNError
 from lpn.locate.task import stage_columns
 from lpn.models.base import Model
 
 # A function that makes a report with a model and returns the file's name and contents.
-MakeReport = Callable[[ReportProgress, Model | None], tuple[str, bytes]]
+MakeReport = Callable[[ReportProgress, QueuedModel | None], tuple[str, bytes]]
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
@@ -28,7 +30,7 @@ def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: 
             "A report needs the whole gallery in memory; of an index, save the laboratory's queries as CSV."
         )
     columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
-    stored = notes.read_notes(workspace.root / notes.NAME)
+    stored = notes.read_notes(own_file(workspace.root, notes.NAME))
     bound = None if model is None else model.for_task(*task.views)
     return replace(task, model=bound, weights=weights, notes=stored, columns=columns)
 
@@ -48,7 +50,7 @@ def of_analysis(
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
     options = report.Options(change=state.change, compared_tile=analysis.chosen.index)
-    return f"{_safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
+    return f"{safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
 
 
 def of_selection(
@@ -68,36 +70,40 @@ def of_selection(
         LPNError: when there are too many queries, or a file of the data set cannot be read.
     """
     options = report.Options(selection=chosen)
-    return f"{_safe_file_name(task.name)}.html", report.build(
+    return f"{safe_file_name(task.name)}.html", report.build(
         _with_notes(workspace, task, model or workspace.model), queries, options, progress
     )
 
 
-def _safe_file_name(name: str) -> str:
+def safe_file_name(name: str) -> str:
     """Return a file name that is valid on any system."""
     return "".join(letter if letter.isalnum() or letter in "-_" else "-" for letter in name)[:60] or "report"
 
 
 class Reporter:
-    """Makes one browser's reports in the background, one at a time; a notification shows the progress.
+    """Makes one browser's files in the background, one at a time; a notification shows the progress.
 
     Args:
         model: the queued model for background work.
     """
 
-    def __init__(self, client: viser.ClientHandle, model: Model | None) -> None:
+    def __init__(self, client: viser.ClientHandle, model: QueuedModel | None) -> None:
         self._client, self._model, self._left = client, model, False
         self._job: BackgroundJob[None] | None = None
 
-    def make(self, work: MakeReport) -> None:
-        """Start a report, or cancel the one in progress."""
+    def make(self, work: MakeReport, noun: str = "report") -> None:
+        """Start a report, or cancel what is in progress.
+
+        Args:
+            noun: what is made, for the notification.
+        """
         if self._left:
             return
         job = self._job
         if job is not None and not job.wait(0):
             job.leave(self)
             return
-        self._job = BackgroundJob(lambda progress: self._run(work, progress), self)
+        self._job = BackgroundJob(lambda progress: self._run(work, noun, progress), self)
 
     def leave(self) -> None:
         """Cancel the report in progress; the browser has disconnected."""
@@ -105,9 +111,9 @@ class Reporter:
         if self._job is not None:
             self._job.leave(self)
 
-    def _run(self, work: MakeReport, progress: ReportProgress) -> None:
+    def _run(self, work: MakeReport, noun: str, progress: ReportProgress) -> None:
         notification = self._client.add_notification(
-            "Making a report", "Repeat the command to cancel.", loading=True, auto_close_seconds=None
+            f"Making a {noun}", "Repeat the command to cancel.", loading=True, auto_close_seconds=None
         )
 
         def on_progress(done: int, total: int) -> None:
@@ -119,10 +125,10 @@ class Reporter:
         except Exception as error:
             text = f"{type(error).__name__}: the details are in the server's log."
             if isinstance(error, WorkCancelledError):
-                text = "The report was cancelled."
+                text = f"The {noun} was cancelled."
             elif isinstance(error, LPNError):
                 text = str(error)
-            notification.title, notification.body, notification.loading = "No report", text, False
+            notification.title, notification.body, notification.loading = f"No {noun}", text, False
             raise
         notification.remove()
         self._client.send_file_download(name, contents, save_immediately=True)

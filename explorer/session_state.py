@@ -6,22 +6,57 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from random import Random
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from lpn.analysis.analyser import OwnPicture
-from lpn.core.arrays import Int64Array
+from lpn.core.arrays import BoolArray, Int64Array
 from lpn.descriptors.transforms import Change
 from lpn.drawing.theme import DARK, LIGHT, Palette
 
 MAX_WEIGHT = 2.0
 MAX_ZOOM = 4.0
-# Number of pictures on one page of the picker.
-PAGE_SIZE = 12
 # The value of `selected` that follows the nearest positive; links contain it.
 POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
+Tab = Literal["table", "breakdown", "maps"]
+OutcomeFilter = Literal["all", "failed", "found", "only A", "only B"]
+MapKind = Literal["pca", "umap", "ground"]
+
+
+class Chosen(NamedTuple):
+    """Queries that were chosen in the laboratory by a click or a lasso.
+
+    Attributes:
+        kind: there is one choice of a kind.
+        label: what they have in common, in words.
+        rows: the queries, ascending.
+    """
+
+    kind: str
+    label: str
+    rows: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class LabChoices:
+    """The choices in the failure laboratory that an address keeps; see `explorer.failure_lab.state.LabState` for the fields.
+
+    The names of columns are untrusted: a table may lack them.
+    """
+
+    tab: Tab = "table"
+    outcome: OutcomeFilter = "all"
+    filter: str = ""
+    name_search: str = ""
+    chosen: tuple[Chosen, ...] = ()
+    sort_column: str = "margin"
+    descending: bool = False
+    columns: tuple[str, ...] | None = None
+    full_height: bool = False
+    map: MapKind = "pca"
+    colour: str = ""
 
 
 @dataclass(frozen=True)
@@ -42,6 +77,7 @@ class SessionState:
         region: cells of the query's feature map to search by, row by row; empty for the whole query.
         why: True while the explain window is open.
         lab: True while the failure laboratory is open.
+        laboratory: what it shows.
         flight: True while the flight window is open; it is visible while neither of the two other windows is.
         heat: True while heatmaps are drawn.
         heat_kind: the heatmap's values: one picture's activation, or the compared pair's evidence.
@@ -52,9 +88,9 @@ class SessionState:
         exploded: True while the rings are lifted apart.
         map: True to show the gallery as a map in place of the compared pair.
         city: True to show the 3-D city on the map, where there is one, in place of tiles.
-        find: filter of the picture picker.
-        page: page of the picture picker.
+        find: filter of the list of queries.
         dark: True for the dark theme.
+        first_screen: True while the page shows one query and its answer only; `why` explains it there.
     """
 
     task: str
@@ -71,6 +107,7 @@ class SessionState:
     region: tuple[int, ...] = ()
     why: bool = False
     lab: bool = False
+    laboratory: LabChoices = LabChoices()
     flight: bool = False
     heat: bool = True
     heat_kind: HeatKind = "activation"
@@ -82,8 +119,8 @@ class SessionState:
     map: bool = False
     city: bool = True
     find: str = ""
-    page: int = 0
     dark: bool = True
+    first_screen: bool = False
 
     def __post_init__(self) -> None:
         if not self.weights:
@@ -111,6 +148,22 @@ class SessionState:
         return any(w > 0 and on for w, on in zip(self.weights, self.enabled, strict=True))
 
 
+# Fields that the first screen does not show.
+_BEYOND_FIRST_SCREEN = (
+    "selected",
+    "lab",
+    "flight",
+    "heat",
+    "heat_kind",
+    "heat_part",
+    "same_scale",
+    "opacity",
+    "rings",
+    "exploded",
+    "map",
+    "city",
+)
+
 # A pure change of the state; None leaves the state as it is.
 StateChange = Callable[[SessionState], SessionState | None]
 
@@ -118,6 +171,18 @@ StateChange = Callable[[SessionState], SessionState | None]
 def with_field(state: SessionState, field: str, value: Any) -> SessionState:
     """Return the state with one field replaced, which is known by its name at run time only."""
     return replace(state, **{field: value})
+
+
+def leave_first_screen(before: SessionState, after: SessionState) -> SessionState:
+    """Return `after` without the first screen if the change from `before` is to something that it does not show.
+
+    A change of the query shows the query's top match, whatever was compared before.
+    """
+    if not (before.first_screen and after.first_screen):
+        return after
+    beyond = [field for field in _BEYOND_FIRST_SCREEN if getattr(before, field) != getattr(after, field)]
+    stays = not beyond or (beyond == ["selected"] and after.selected is None)
+    return after if stays else replace(after, first_screen=False)
 
 
 def number(value: Any, low: float, high: float, default: float) -> float:
@@ -176,7 +241,13 @@ def choose_task(state: SessionState, task: str, query: int = 0) -> SessionState:
     """Choose another task and one of its queries: upright, and compared with its top match."""
     if task == state.task:
         return state
-    return replace(upright(state), task=task, query=query, upload=None, selected=None, page=query // PAGE_SIZE)
+    laboratory = choices_for_any_task(state.laboratory)
+    return replace(upright(state), task=task, query=query, upload=None, selected=None, laboratory=laboratory)
+
+
+def choices_for_any_task(choices: LabChoices) -> LabChoices:
+    """Return the laboratory's choices that suit every task."""
+    return LabChoices(choices.tab, choices.outcome, full_height=choices.full_height)
 
 
 def upright(state: SessionState) -> SessionState:
@@ -211,17 +282,23 @@ def random_query(state: SessionState, queries: int, rng: Random) -> SessionState
     return choose_query(state, (state.query + rng.randrange(1, queries)) % queries, queries)
 
 
-def random_failure(state: SessionState, ranks: Sequence[int], rng: Random) -> SessionState | None:
-    """Choose any other query whose positive is not first; None without any. A rank of -1 means no positive."""
-    failures = [i for i, rank in enumerate(ranks) if rank > 0]
+def random_failure(state: SessionState, failed: BoolArray, rng: Random) -> SessionState | None:
+    """Choose any other failure, given which queries failed, (Q,); None without any."""
+    failures: list[int] = np.flatnonzero(failed).tolist()
     others = [i for i in failures if i != state.query or state.upload is not None]
     candidates = others or failures
-    return choose_query(state, rng.choice(candidates), len(ranks)) if candidates else None
+    return choose_query(state, rng.choice(candidates), len(failed)) if candidates else None
 
 
 def turn(state: SessionState, by: float) -> SessionState:
     """Rotate the query further by some degrees."""
     return replace(state, angle=wrap(state.angle + by))
+
+
+def to_first_screen(state: SessionState) -> SessionState:
+    """Open the first screen, and close all that it does not show."""
+    closed = replace(state, why=False, lab=False, flight=False, map=False, exploded=False, selected=None)
+    return replace(closed, first_screen=True)
 
 
 def flip_why(state: SessionState) -> SessionState:
@@ -254,6 +331,40 @@ def flip_heat_kind(state: SessionState) -> SessionState:
 def equal_parts(state: SessionState) -> SessionState:
     """Switch all parts on with equal weights."""
     return replace(state, weights=(), enabled=())
+
+
+def alterations(state: SessionState, cells: int) -> dict[str, str]:
+    """Name what alters the ranking of the plain query under equal weights: a label for each argument of `undo`.
+
+    Args:
+        cells: of the query's feature map.
+    """
+    values = state.part_values()
+    shares = " : ".join(f"{100 * value / sum(values):.0f}" for value in values)
+    labels = {
+        "region": f"search by {len(state.region)} of {cells} cells" if state.region else "",
+        "weights": f"part weights {shares} %" if len(set(values)) > 1 else "",
+        "rotation": Change(state.angle).describe(),
+        "shift": Change(shift=state.shift, down=state.down).describe(),
+        "zoom": Change(scale=state.zoom).describe(),
+    }
+    return {kind: label for kind, label in labels.items() if label}
+
+
+def undo(state: SessionState, kind: Any) -> SessionState:
+    """Undo one of `alterations`; an unknown kind changes nothing."""
+    match kind:
+        case "region":
+            return replace(state, region=())
+        case "weights":
+            return equal_parts(state)
+        case "rotation":
+            return replace(state, angle=0.0)
+        case "shift":
+            return replace(state, shift=0, down=0)
+        case "zoom":
+            return replace(state, zoom=1.0)
+    return state
 
 
 def flip_dark(state: SessionState) -> SessionState:

@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer import session_state
-from explorer.session_state import POSITIVE, SessionState, with_field
+from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState, with_field
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
@@ -19,6 +19,11 @@ from lpn.index.task import IndexTask
 _MAX_LENGTH = 20_000
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
+# Characters of the laboratory's filter, and of its other texts; of its columns, and of the queries chosen there by hand.
+_LONGEST_FILTER, _LONGEST_TEXT = 1000, 200
+_LONGEST_COLUMNS, _LONGEST_CHOICE = 1000, 3000
+# Choices of such queries: each may name all queries in few characters, so that many would fill the server's memory.
+_MOST_CHOICES = 20
 _NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
 
 
@@ -31,8 +36,8 @@ class _Parameter:
     """One parameter of the query string: its value for a state (None: left out), and the state for a value."""
 
     key: str
-    write: Callable[[SessionState], str | None]
-    read: Callable[[SessionState, str], SessionState]
+    write: Callable[[Any], str | None]
+    read: Callable[[Any, str], Any]
 
 
 class UrlState:
@@ -64,7 +69,9 @@ class UrlState:
             _switch("map"),
             _switch("city"),
             _switch("why"),
-            _switch("lab"),
+            _Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
+            *map(_in_lab, _LAB_PARAMETERS),
+            _Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
             _switch("flight"),
             _switch("exploded", "apart"),
             _switch("rings"),
@@ -74,12 +81,13 @@ class UrlState:
             _choice("same_scale", {"own": False, "same": True}, "scale"),
             _number("opacity", 0, 1),
             _choice("dark", {"light": False, "dark": True}, "theme"),
+            _choice("first_screen", {"all": False, "first": True}, "screen"),
         )
         self.keys = tuple(parameter.key for parameter in self._parameters)
 
     def write(self, state: SessionState) -> str:
         """Return the query string of a state, without "?" and without defaults."""
-        pairs = [
+        pairs: list[tuple[str, str]] = [
             (parameter.key, value) for parameter in self._parameters if (value := parameter.write(state)) is not None
         ]
         return urlencode(pairs, quote_via=quote, safe="/,~")
@@ -106,6 +114,28 @@ class UrlState:
             except UnusableError as problem:
                 problems.append(f"{parameter.key}={printable(value[:60])}: {problem}")
         return state, problems
+
+    def names_a_state(self, text: str) -> bool:
+        """Return True if a query string names anything to show besides a theme.
+
+        Args:
+            text: untrusted.
+        """
+        try:
+            return bool(_given(text).keys() & (set(self.keys) - {"theme"}))
+        except ValueError:
+            return False
+
+    def workspace_key(self, text: str) -> str:
+        """Return the key of the workspace that a query string names; the first workspace needs no name.
+
+        Args:
+            text: untrusted.
+        """
+        try:
+            return _given(text).get("show") or next(iter(self._workspace.choices), self._workspace.key)
+        except ValueError:
+            return self._workspace.key
 
     def other_workspace(self, text: str) -> str | None:
         """Return the key of the other workspace that a query string names, see `Workspace.choices`; None if it names none.
@@ -188,6 +218,19 @@ class UrlState:
         rows, columns = self._workspace.map_sizes[self._workspace.tasks[state.task].query_view]
         return replace(state, region=cells(value, rows * columns))
 
+    def _read_chosen(self, state: SessionState, value: str) -> SessionState:
+        queries = len(self._workspace.tasks[state.task].queries)
+        try:
+            if len(value) > _LONGEST_CHOICE or value.count("\n") >= _MOST_CHOICES:
+                raise ValueError
+            lines = [line.split("\t") for line in value.split("\n")]
+            chosen = [Chosen(kind, label, cells(rows, queries) if rows else ()) for kind, label, rows in lines]
+        except (ValueError, UnusableError) as error:
+            raise UnusableError("expected queries that were chosen in the laboratory of this data set.") from error
+        if not all(_is_line(text, _LONGEST_TEXT) for one in chosen for text in (one.kind, one.label)):
+            raise UnusableError(f"expected labels of {_LONGEST_TEXT} letters at most that can be printed.")
+        return replace(state, laboratory=replace(state.laboratory, chosen=tuple(chosen)))
+
 
 def _given(text: str) -> dict[str, str]:
     """Return the parameters of a query string; ValueError if there are too many."""
@@ -235,8 +278,8 @@ def _parse(text: str, low: float, high: float) -> float:
     return value
 
 
-def _default(name: str) -> Any:
-    return SessionState.__dataclass_fields__[name].default
+def _default(state: Any, name: str) -> Any:
+    return type(state).__dataclass_fields__[name].default
 
 
 def _number(name: str, low: float, high: float, whole: bool = False) -> _Parameter:
@@ -244,15 +287,19 @@ def _number(name: str, low: float, high: float, whole: bool = False) -> _Paramet
         value = _parse(text, low, high)
         return with_field(state, name, round(value) if whole else value)
 
-    return _Parameter(name, lambda s: None if getattr(s, name) == _default(name) else _format(getattr(s, name)), read)
+    return _Parameter(
+        name, lambda s: None if getattr(s, name) == _default(s, name) else _format(getattr(s, name)), read
+    )
 
 
 def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Parameter:
-    def write(state: SessionState) -> str | None:
+    def write(state: Any) -> str | None:
         chosen = getattr(state, name)
-        return None if chosen == _default(name) else next(text for text, value in values.items() if value == chosen)
+        return (
+            None if chosen == _default(state, name) else next(text for text, value in values.items() if value == chosen)
+        )
 
-    def read(state: SessionState, text: str) -> SessionState:
+    def read(state: Any, text: str) -> Any:
         if text not in values:
             raise UnusableError(f"expected {' or '.join(values)}.")
         return with_field(state, name, values[text])
@@ -286,3 +333,75 @@ def _read_off(state: SessionState, text: str) -> SessionState:
 
 def _read_heat_part(state: SessionState, text: str) -> SessionState:
     return replace(state, heat_part=round(_parse(text, 1, state.n_parts)) - 1)
+
+
+def _text(name: str, key: str, longest: int = _LONGEST_TEXT) -> _Parameter:
+    def write(state: Any) -> str | None:
+        text = getattr(state, name)
+        return None if text == _default(state, name) or not _is_line(text, longest) else text
+
+    def read(state: Any, text: str) -> Any:
+        if not _is_line(text, longest):
+            raise UnusableError(f"expected {longest:,} letters at most that can be printed.")
+        return with_field(state, name, text)
+
+    return _Parameter(key, write, read)
+
+
+def _is_line(text: str, longest: int) -> bool:
+    return len(text) <= longest and text.isprintable()
+
+
+def _write_columns(lab: LabChoices) -> str | None:
+    if lab.columns is None or any("," in name for name in lab.columns):
+        return None
+    text = ",".join(lab.columns)
+    return text if _is_line(text, _LONGEST_COLUMNS) else None
+
+
+def _read_columns(lab: LabChoices, text: str) -> LabChoices:
+    if not _is_line(text, _LONGEST_COLUMNS):
+        raise UnusableError(f"expected names of columns, {_LONGEST_COLUMNS:,} letters at most.")
+    return replace(lab, columns=tuple(filter(None, text.split(","))))
+
+
+def _write_chosen(lab: LabChoices) -> str | None:
+    """Write the queries that were chosen by hand, a line for each choice; None if they are too many for an address."""
+    lines = [(one.kind, one.label, ranges(one.rows)) for one in lab.chosen]
+    if not lines or not all(_is_line(text, _LONGEST_TEXT) for kind, label, _ in lines for text in (kind, label)):
+        return None
+    text = "\n".join(map("\t".join, lines))
+    return text if len(text) <= _LONGEST_CHOICE and len(lines) <= _MOST_CHOICES else None
+
+
+_LAB_PARAMETERS = (
+    _choice("tab", {"table": "table", "breakdown": "breakdown", "maps": "maps"}),
+    _choice("outcome", {"all": "all", "failed": "failed", "found": "found", "A": "only A", "B": "only B"}, "only"),
+    _text("filter", "where", _LONGEST_FILTER),
+    _text("name_search", "find"),
+    _text("sort_column", "sort"),
+    _choice("descending", {"up": False, "down": True}, "order"),
+    _Parameter("columns", _write_columns, _read_columns),
+    _switch("full_height", "tall"),
+    _choice("map", {"pca": "pca", "umap": "umap", "ground": "ground"}, "on"),
+    _text("colour", "by"),
+)
+
+
+def _in_lab(parameter: _Parameter) -> _Parameter:
+    """Return a parameter of the laboratory as one of the page, which an address has while the laboratory is open."""
+
+    def write(state: SessionState) -> str | None:
+        return parameter.write(state.laboratory) if state.lab else None
+
+    def read(state: SessionState, text: str) -> SessionState:
+        return replace(state, laboratory=parameter.read(state.laboratory, text))
+
+    return _Parameter(parameter.key, write, read)
+
+
+def _read_lab(state: SessionState, text: str) -> SessionState:
+    """Open the laboratory as it is at first; the parameters that follow say what else it shows."""
+    if text not in ("0", "1"):
+        raise UnusableError("expected 0 or 1.")
+    return replace(state, lab=text == "1", laboratory=LabChoices() if text == "1" else state.laboratory)

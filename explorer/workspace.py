@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64decode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -41,6 +42,8 @@ TILES = 48
 TILE_BYTES = 400_000_000
 # Number of card pictures in the cache, 0.15 MB each.
 CARDS = 256
+# Number of tiles whose parts' areas are in the cache, up to 0.02 MB each.
+TILE_AREAS = 1024
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
 # The grey that stands for a picture that cannot be read.
@@ -96,6 +99,7 @@ class Workspace:
         self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
         )
+        self._tile_areas: SingleFlightCache[tuple[str, int], PartAreas] = SingleFlightCache(TILE_AREAS)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
@@ -172,6 +176,10 @@ class Workspace:
         """Return a 64-pixel JPEG of a picture as a data URI; plain grey for a picture that cannot be read."""
         return self._thumbnail(picture)
 
+    def thumbnail_file(self, picture: Picture) -> bytes:
+        """Return the file of `thumbnail`."""
+        return b64decode(self._thumbnail(picture).partition(",")[2])
+
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Return the picture on which parts are drawn, see `Model.as_partitioned`."""
         return picture if self.model is None else self.model.as_partitioned(picture, view)
@@ -185,6 +193,31 @@ class Workspace:
         fixed = self._fixed_areas(view)
         trace = None if described is None else described.trace
         return PartAreas.of(self.contract, view, self.map_sizes[view], trace) if fixed is None else fixed
+
+    def known_tile_areas(self, task: Task, index: int) -> PartAreas | None:
+        """Return the areas of a gallery picture's parts if they take no forward pass: None until `find_tile_areas`."""
+        fixed = self._fixed_areas(task.gallery_view)
+        return self._tile_areas.peek((task.name, index)) if fixed is None else fixed
+
+    def find_tile_areas(self, task: Task, index: int, model: QueuedModel | None) -> None:
+        """Find the areas of a gallery picture's parts by its cells, from the described tiles if it is among them.
+
+        A tile described here is not cached as `tile` does: an answer that needs it must not wait for background work.
+
+        Args:
+            model: describes the tile in the background.
+
+        Raises:
+            LPNError: when the picture cannot be read or described.
+        """
+        key = task.name, index
+
+        def areas() -> PartAreas:
+            described = self._tiles.peek(key) or describe_tile(task, index, model)
+            nowhere = np.zeros((self.contract.n_parts, 1, 1), np.float32)
+            return self.areas(task.gallery_view, described) or PartAreas.of_cells(nowhere)
+
+        self._tile_areas.get(key, areas)
 
     def _make_fixed_areas(self, view: View) -> PartAreas | None:
         return PartAreas.of(self.contract, view, self.map_sizes[view], None)
@@ -213,7 +246,7 @@ class Workspace:
 
     @property
     def parts_word(self) -> str:
-        """What the parts are called: "rings" if the first view has more than one of them, else "parts"."""
+        """The noun for parts: "rings" if the first view has more than one of them, else "parts"."""
         partition = self.contract.partition(self.contract.views[0])
         return "rings" if partition is not None and partition.kind == "rings" and partition.n > 1 else "parts"
 
@@ -287,14 +320,14 @@ class StateAnalyser:
 
     Args:
         model: the browser's queued model; by default the workspace's.
+        cancellable: a newer state may supersede the query's forward pass. A tile's is never cancelled: other browsers share it.
     """
 
-    def __init__(self, workspace: Workspace, model: QueuedModel | None = None) -> None:
+    def __init__(self, workspace: Workspace, model: QueuedModel | None = None, cancellable: bool = True) -> None:
         self._workspace = workspace
         model = model or workspace.model
-        # A newer state may supersede the query's forward pass. A tile's forward pass is never cancelled: other browsers share it.
         self._analyser = QueryAnalyser(
-            None if model is None else model.cancellable(),
+            model.cancellable() if model is not None and cancellable else model,
             lambda task, index: workspace.tile(task, index, model),
             workspace.load_picture,
         )

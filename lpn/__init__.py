@@ -5,7 +5,7 @@
     result = lpn.evaluate(model, dataset, "drone-to-satellite")     # recall and AP by the published protocol
     evidence = lpn.evidence(query.trace, tile.trace)                # one score as a sum over parts and cells
     ranking = lpn.rank(query, gallery)                              # one query against a gallery
-    lpn.explore(model, "University-1652")                           # all of it in a browser
+    lpn.explore(model, "University-1652")                           # all of it in a notebook's cell or a browser
 
 `Contract`, `ForwardPass`, and `Heads` make any part-based network a `Model`. `metrics` scores any descriptors, `Partition` cuts a
 feature map into parts, `ModelSpec` describes an LPN's architecture, and every error that a user can correct derives from
@@ -25,6 +25,7 @@ from lpn.core.version import __version__
 
 if TYPE_CHECKING:
     from lpn.core.resources import ProviderName
+    from lpn.core.served_page import ServedPage
     from lpn.core.views import View
     from lpn.datasets import open_dataset
     from lpn.explain import evidence
@@ -81,30 +82,33 @@ if not TYPE_CHECKING:
 
 
 def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = False, kind: Kind | None = None) -> Model:
-    """Open a trained model: an `.onnx`, our `.safetensors`, a published `.pth`, or a model of another package.
+    """Open a trained model: a shipped one by its name, an `.onnx`, our `.safetensors`, a published state dict, or a package's.
 
-    An `.onnx` is an exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra
-    `train`, and other methods than LPN and SDPL the extra `models`. "NAME" or "NAME:FILE" opens what a package registers in the
-    entry points `lpn.models` (docs/contract.md).
+    `lpn models` lists the names of shipped models; a file of that name in the working folder comes first. An `.onnx` is an
+    exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`, and
+    other methods than LPN and SDPL the extra `models`. "NAME" or "NAME:FILE" also opens what a package registers in the entry
+    points `lpn.models` (docs/contract.md), which comes before a shipped model.
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
             `.onnx`, "tensorrt".
         compiled: run a `.safetensors` or `.pth` of an LPN by torch.compile.
-        kind: the method of a published `.pth`, such as "dac"; by default recognised by the names of its entries.
+        kind: the method of a published state dict, such as "dac"; by default recognised by the names of its entries.
 
     Raises:
-        ModelFileError: if the file is missing, is not a model, is truncated, or lacks entries.
+        ModelFileError: if there is no such file or name, or the file is not a model, is truncated, or lacks entries.
         InputError: if the named provider or a compiler is missing or does not work, or LPN_PROVIDER names no provider.
         OutputError: if the cache of TensorRT's engines cannot be written.
         MissingPackageError: if torch is needed and not installed.
     """
-    if not Path(path).exists():
+    if not Path(path).is_file():
         from lpn.models.registered import open_registered
+        from lpn.models.shipped import model_file
 
         registered = open_registered(str(path))
         if registered is not None:
             return registered
+        path = model_file(path, trained=compiled)
     if Path(path).suffix == ".onnx":
         from lpn.models.onnx_engine import Engine
 
@@ -112,35 +116,43 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
             raise errors.InputError(
                 f"torch.compile is for .safetensors and .pth, and {Path(path).name} is exported; leave --compile out."
             )
-        _check_no_kind(path, kind)
+        if kind is not None:
+            raise errors.InputError(f"{Path(path).name} tells its kind itself; leave --kind out.")
         return Engine(path, provider=provider)
     try:
-        from lpn.models.adapters.load import load_published
-        from lpn.models.checkpoints import device_of, load_torch
+        from lpn.models.adapters.load import load_file
+        from lpn.models.checkpoints import device_of
     except ModuleNotFoundError as error:
+        from lpn.core.formats import check_trained_file
+
+        check_trained_file(Path(path))
         raise MissingPackageError(
             f"Opening {Path(path).name} needs the package {error.name}; "
             "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
         ) from error
     device = device_of(provider, Path(path).name)
-    if Path(path).suffix == ".safetensors":
-        _check_no_kind(path, kind)
-        return load_torch(path, device, compiled)
-    return load_published(path, device, compiled, kind)
+    return load_file(path, device, compiled, kind)
 
 
-def _check_no_kind(path: str | Path, kind: Kind | None) -> None:
-    if kind is not None:
-        raise errors.InputError(f"{Path(path).name} tells its kind itself; leave --kind out.")
+def explore(
+    model: Model | str | Path | None = None,
+    data: str | Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 0,
+) -> ServedPage:
+    """Serve a model on a data set to a browser, as the command `lpn explore` does, while the program goes on.
 
+        lpn.explore(model, "University-1652")               # in a notebook: the page, in the cell
+        lpn.explore(model, "University-1652").wait()        # in a script: until Ctrl-C
+        with lpn.explore() as page:                         # until the end of the block
+            print(page.url)
 
-def explore(model: Model | str | Path, data: str | Path, host: str = "127.0.0.1", port: int = 8080) -> None:
-    """Open a model on a data set in a browser, and serve it until KeyboardInterrupt, as the command `lpn explore` does.
+    The server ends with the page's `close()`, or with the process, such as the notebook's kernel.
 
     Args:
-        model: a model, or what `load` opens.
-        data: a data set in any layout of docs/data.md.
-        host, port: the address to listen on.
+        model: a model, or what `load` opens; by default the demo's.
+        data: a data set in any layout of docs/data.md; by default the demo's.
+        host, port: the address to listen on; 0 is any free port.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
@@ -153,4 +165,6 @@ def explore(model: Model | str | Path, data: str | Path, host: str = "127.0.0.1"
     if point is None:
         raise MissingPackageError("The explorer is not installed; pip install lpn-explorer.")
     given = Path(model) if isinstance(model, str) else model
-    point.load()(model=given, data=Path(data), host=host, port=port).run()
+    command = point.load()(model=given, data=None if data is None else Path(data), host=host, port=port)
+    page: ServedPage = command.run_in_background()
+    return page

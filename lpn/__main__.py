@@ -1,4 +1,4 @@
-"""The console script `lpn`, also `python -m lpn`."""
+"""The console scripts `lpn`, also `python -m lpn`, and `lpn-explorer`."""
 
 from __future__ import annotations
 
@@ -16,6 +16,14 @@ def run() -> None:
     else:
         main.run()
     sys.exit(_report(failure))
+
+
+def run_explorer() -> None:
+    """Run `lpn explore` with the options given, or the command of `lpn` that is given first; `uvx lpn-explorer` runs this."""
+    first = sys.argv[1] if len(sys.argv) > 1 else "-"
+    if first.startswith("-") and first not in ("-h", "--help", "--version"):
+        sys.argv.insert(1, "explore")
+    run()
 
 
 def _report(error: Exception) -> int:

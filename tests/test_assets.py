@@ -1,4 +1,4 @@
-"""What ships is what it says it is."""
+"""Tests of the shipped files against their own descriptions."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ import lpn
 from lpn import descriptors
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_QUERY
+from lpn.core.errors import ModelFileError
 from lpn.core.files import cache_folder
 from lpn.core.views import View
 from lpn.datasets import open_dataset
@@ -64,6 +65,18 @@ def test_the_demo_s_descriptors_are_its_models_(view: View, file: Path) -> None:
     found = model.descriptors(prepared, view)
     error = 1e-2 if view == "drone" else 1e-3  # 8 bits and 16
     np.testing.assert_allclose(shipped[list(some)], found, atol=error * float(np.abs(found).max()))
+
+
+@pytest.mark.parametrize("suffix", [".onnx", ".safetensors"])
+@pytest.mark.parametrize("file", MODELS, ids=["lpn", "baseline"])
+def test_a_flipped_bit_in_a_model_of_the_demo_is_refused(file: Path, suffix: str, tmp_path: Path) -> None:
+    damaged = bytearray(file.with_suffix(suffix).read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    (tmp_path / file.with_suffix(suffix).name).write_bytes(damaged)
+    with pytest.raises(
+        ModelFileError, match=rf"{file.stem}{suffix} is damaged: it does not match its checksum; copy it"
+    ):
+        lpn.load(tmp_path / file.with_suffix(suffix).name)
 
 
 @pytest.mark.parametrize("file", MODELS, ids=["lpn", "baseline"])
@@ -127,7 +140,7 @@ def test_the_demo_is_all_there() -> None:
     assert len(tiles) >= 150
     assert views == dict.fromkeys(tiles, 8)
     assert sorted(building["id"] for building in plan["buildings"]) == tiles
-    files = {file.relative_to(DEMO).as_posix() for file in (DEMO / "test").rglob("*") if file.is_file()}
+    files = {file.relative_to(DEMO).as_posix() for file in (DEMO / "test").rglob("*.*")}
     assert {picture["path"] for picture in plan["pictures"]} == files
     assert DEMO_QUERY in [picture.name for picture in dataset.queries("drone")]
 

@@ -66,3 +66,13 @@ def test_the_wheel_holds_every_template_style_sheet_and_script() -> None:
         packed = {file for pattern in patterns[package] for file in (ROOT / package).glob(pattern)}
         files = {file for file in (ROOT / package).rglob("*") if file.is_file() and "__pycache__" not in file.parts}
         assert not {file for file in files - packed if file.suffix != ".py"}
+
+
+def test_the_wheel_holds_every_folder_of_the_assets_and_no_link() -> None:
+    patterns = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
+    folders = {folder for folder in (ROOT / "assets").iterdir() if folder.is_dir() and folder.name != "__pycache__"}
+    packed = {
+        name.removeprefix("lpn.assets."): found for name, found in patterns.items() if name.startswith("lpn.assets.")
+    }
+    assert packed == {folder.name: ["**/*"] for folder in folders}  # setup.py makes a package of each
+    assert not [path for folder in folders for path in folder.rglob("*") if path.is_symlink() or path.name[0] == "."]

@@ -121,6 +121,39 @@ def test_the_ablation_takes_seeds_that_both_methods_have(docs: Path, tmp_path: P
     assert "--method lpn --infonce 0 --ema 0 --label-smoothing 0 --epochs 7" in text
 
 
+def test_the_table_of_a_cross_validation_joins_the_page(docs: Path, tmp_path: Path) -> None:
+    def figures(mean: float, spread: float | None) -> dict[str, object]:
+        one = {"R@1": {"mean": mean, "spread": spread, "runs": [mean]}}
+        return {"drone-to-satellite": {"plain": one, "centred": one}}
+
+    trials = {
+        "base": {"changes": {}, "figures": figures(60.0, None), "runs": 1, "training seconds of a run": 90.0},
+        "rings": {
+            "changes": {"part_dropout": 0.5},
+            "figures": figures(61.5, 2.0),
+            "runs": 2,
+            "training seconds of a run": 66.0,
+        },
+    }
+    differs = {"R@1": {"difference": 1.5, "interval": [-3.0, 6.0]}}
+    source = {"command": "lpn crossval --trial base", "version": "7.7", "machine": "CPU, 1 cores", "date": "2026-11-23"}
+    split = {"data": "pairs", "places": 320, "folds": 5, "trained folds": 2, "seeds": [0, 1]}
+    values = {
+        **source, **split, "recipe": {"size": 160, "epochs": 15}, "trials": trials, "against": "base",
+        "differences": {"rings": {"drone-to-satellite": {"plain": differs, "centred": differs}}},
+    }  # fmt: skip
+    (tmp_path / "first-look.json").write_text(json.dumps(values))
+    done = pages("--crossval", str(tmp_path / "first-look.json"), "--docs", str(docs))
+    assert done.returncode == 0, done.stderr
+    text = (docs / "strong.md").read_text("utf-8")
+    assert "**first-look**: pairs, 320 training places, 2 of 5 folds, seeds 0, 1" in text
+    assert "| base | those of the recipe | 60.0 | 60.0 | 1 | 1.5 |" in text
+    beside = "61.5 ± 2.0 (+1.5; -3.0 to +6.0)"
+    assert f"| rings | `part_dropout` 0.5 | {beside} | {beside} | 2 | 1.1 |" in text
+    assert "By `lpn crossval --trial base`, lpn 7.7, on CPU, 1 cores, 2026-11-23." in text
+    assert pages("--check", "--docs", str(docs)).returncode == 0
+
+
 def test_every_set_of_figures_names_its_source() -> None:
     def made(value: dict[str, object]) -> bool:
         return {"command", "version", "machine", "date"} <= set(value)
@@ -130,6 +163,9 @@ def test_every_set_of_figures_names_its_source() -> None:
         rows = [row for row in table["rows"] if row.get("mean")]
         assert rows
         assert all(row["measured"] and all(map(made, row["measured"].values())) for row in rows)
+    trials = json.loads((ROOT / "docs" / "measured" / "strong.json").read_bytes())["crossval"]
+    assert trials
+    assert all(map(made, trials.values()))
     for page in ("evaluation", "recipes"):
         for name, figures in json.loads((ROOT / "docs" / "measured" / f"{page}.json").read_bytes()).items():
             if name in ("format", "paper") or not figures.get("runs", True):

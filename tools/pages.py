@@ -1,9 +1,10 @@
 """The pages with measured figures, rendered from their data: `python -m tools.pages [--run runs/reproduce] [--check]`.
 
 `docs/measured/<page>.md.j2` is the page's text, and `docs/measured/<page>.json` holds its figures, each with its command, seed,
-version, machine, and date. The tables of docs/recipes.md come from `lpn.training.recipe_sources`. With `--run`, the tables and
-drawings of a run of `lpn reproduce` replace the page's own first. With `--check`, nothing is written: a page that differs from
-its data, and a figure in the text alone, end it with status 1.
+version, machine, and date. Those of docs/shipped.md are in the cards of the models that ship. The tables of docs/recipes.md come
+from `lpn.training.recipe_sources`. With `--run`, the tables and drawings of a run of `lpn reproduce` replace the page's own
+first. With `--crossval`, the table of an `lpn crossval` joins those of docs/strong.md. With `--check`, nothing is written: a page
+that differs from its data, and a figure in the text alone, end with status 1.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ from safetensors import safe_open
 
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import write_atomic
+from lpn.models.shipped import model_cards
 from lpn.reproduce import claims, report
 from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.paper_values import largest_drop
 from lpn.reproduce.record import Provenance, TableRecord, machine, row_record
 from lpn.training import recipe_sources, recipes
 
-PAGES = ("reproduction", "evaluation", "recipes")
+PAGES = ("reproduction", "evaluation", "recipes", "shipped", "strong")
 FORMAT = "lpn-page/1"
 
 # Drawings of a run, and the pictures of the page.
@@ -47,7 +49,8 @@ _SOURCE = "<!-- Rendered from docs/measured by python -m tools.pages; edit the t
 
 def render(page: str, docs: Path) -> str:
     """Return the text of a page."""
-    data = json.loads((docs / "measured" / f"{page}.json").read_bytes())
+    file = docs / "measured" / f"{page}.json"
+    data = json.loads(file.read_bytes()) if file.is_file() else {}
     environment = Environment(
         loader=FileSystemLoader(docs / "measured"), undefined=StrictUndefined, keep_trailing_newline=True, trim_blocks=True,
         lstrip_blocks=True,
@@ -58,6 +61,7 @@ def render(page: str, docs: Path) -> str:
         "cells": _cells,
         "verdicts": _verdicts,
         "origins": _origins,
+        "trials": _trials,
     }
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
@@ -69,6 +73,7 @@ def render(page: str, docs: Path) -> str:
         **data,
         tables=records,
         table=lambda key: table(records[key]),
+        cards=model_cards(),
         drawings=drawings,
         earlier=earlier,
         copied=copied,
@@ -170,6 +175,14 @@ def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
     write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
 
 
+def copy_crossval(file: Path, docs: Path) -> None:
+    """Put the table of an `lpn crossval` among those of docs/strong.md, under the name of its file."""
+    target = docs / "measured" / "strong.json"
+    data: dict[str, Any] = json.loads(target.read_bytes()) if target.is_file() else {"format": FORMAT}
+    data["crossval"] = {**data.get("crossval", {}), file.stem: json.loads(file.read_bytes())}
+    write_atomic(target, (json.dumps(data, indent=1) + "\n").encode())
+
+
 def _centre(runs: Path, seeds: list[int]) -> TableRecord:
     """Join the tables of Figure 7 that were measured on the networks of each seed alone."""
     tables = {
@@ -214,6 +227,31 @@ def _origins(value: Any) -> str:
     return " ".join(origins(_record(value)))
 
 
+def _trials(value: Any) -> str:
+    """Return the Markdown table of a cross-validation: R@1 of each trial, and its difference from the first trial."""
+    tasks = list(dict.fromkeys(task for trial in value["trials"].values() for task in trial["figures"]))
+    columns = [(task, reading) for task in tasks for reading in ("plain", "centred")]
+    titles = [f"{task}, {reading}" for task, reading in columns]
+    rows = [f"| trial | settings | {' | '.join(titles)} | runs | minutes a run |", "|---" * (len(columns) + 4) + "|"]
+    for name, trial in value["trials"].items():
+        cells = []
+        for task, reading in columns:
+            if not trial["figures"]:
+                cells.append("")
+                continue
+            one = trial["figures"][task][reading]["R@1"]
+            spread = "" if one["spread"] is None else f" ± {_figure(one['spread'])}"
+            differs = value["differences"].get(name, {}).get(task, {}).get(reading, {}).get("R@1")
+            low, high = differs["interval"] if differs else (0.0, 0.0)
+            beside = f" ({differs['difference']:+.1f}; {low:+.1f} to {high:+.1f})" if differs else ""
+            cells.append(f"{_figure(one['mean'])}{spread}{beside}")
+        settings = ", ".join(f"`{key}` {changed}" for key, changed in trial["changes"].items()) or "those of the recipe"
+        # A trial whose runs all diverged has neither figures nor a time.
+        minutes = _figure(trial["training seconds of a run"] / 60) if trial["runs"] else ""
+        rows.append(f"| {name} | {settings} | {' | '.join(cells)} | {trial['runs']} | {minutes} |")
+    return "\n".join(rows)
+
+
 def _figure(value: Any, digits: int = 1) -> str:
     """Format a number, or numbers with commas between them."""
     if isinstance(value, list):
@@ -249,6 +287,7 @@ def main() -> int:
     parser.add_argument("--ablation", type=Path, help="folder of the ablation's runs")
     parser.add_argument("--commit", default="", help="commit of the ablation's runs")
     parser.add_argument("--check", action="store_true", help="write nothing, and fail on a difference")
+    parser.add_argument("--crossval", type=Path, help="table of an lpn crossval")
     parser.add_argument("--docs", type=Path, default=Path(__file__).parents[1] / "docs")
     given = parser.parse_args()
     if given.check:
@@ -259,6 +298,8 @@ def main() -> int:
         copy_run(given.run, given.docs)
     if given.ablation is not None:
         copy_ablation(given.ablation, given.commit, given.docs)
+    if given.crossval is not None:
+        copy_crossval(given.crossval, given.docs)
     for page in PAGES:
         write_atomic(given.docs / f"{page}.md", render(page, given.docs).encode())
     return 0

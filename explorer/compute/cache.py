@@ -27,6 +27,11 @@ class SingleFlightCache(Generic[K, V]):
         self._values: OrderedDict[K, V] = OrderedDict()
         self._in_flight: dict[K, threading.Event] = {}
 
+    def peek(self, key: K) -> V | None:
+        """Return the value of a key if it is cached, else None; this is no use of it."""
+        with self._lock:
+            return self._values.get(key)
+
     def get(self, key: K, compute: Callable[[], V]) -> V:
         """Return the value of a key. An error of `compute` is raised in the calling thread only; the next caller retries."""
         while True:

@@ -11,7 +11,7 @@ from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, Repo
 from lpn.analysis import ranking_cache
 from lpn.analysis.ranking_cache import ResumableRanking
 from lpn.analysis.task import Task
-from lpn.core.arrays import Int64Array
+from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import LPNError
 from lpn.index.ranking import IndexRanking
 from lpn.index.task import IndexTask
@@ -80,6 +80,12 @@ class RankingJob:
         """0-based rank of each query's first true match, -1 without one, (Q,); only when the task is ranked."""
         assert self.result is not None
         return self.result.ranking.first
+
+    @property
+    def failed(self) -> BoolArray:
+        """The queries that Recall@1 counts as missed, (Q,), see `Outcomes.failed`; only when the task is ranked."""
+        known = self.task.known
+        return np.asarray((self.ranks != 0) & (True if known is None else known))
 
     @property
     def results(self) -> dict[str, float]:

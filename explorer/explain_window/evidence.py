@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explorer.explain_window._pictures import with_parts
+from explorer.stage.pictures import draw_parts
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Float64Array, FloatingArray
@@ -84,7 +84,7 @@ def _map(
         _rounded(cells),
         correspondences.cells.tolist(),
         _rounded(correspondences.shares),
-        with_parts(workspace, described, view, _SIZE, cells, limit),
+        overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 88),
     )
 
 

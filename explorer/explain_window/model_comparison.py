@@ -8,8 +8,8 @@ import numpy as np
 
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window._pictures import with_parts
 from explorer.session_state import SessionState
+from explorer.stage.pictures import draw_parts
 from explorer.web.render import render
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core.arrays import Int64Array
@@ -103,7 +103,7 @@ def _column(analysis: StateAnalysis, workspace: Workspace) -> _Column:
         return column
     cells, _ = maps = analysis.pair_evidence.evidence.cell_maps()
     limit = overlays.evidence_limit(*maps)
-    picture = with_parts(workspace, analysis.query, task.query_view, _SIZE, cells, limit)
+    picture = overlays.data_uri(draw_parts(workspace, analysis.query, task.query_view, _SIZE, cells, limit), 88)
     return replace(column, map=picture, limit=limit, compared=task.gallery[analysis.chosen.index].name)
 
 
@@ -113,7 +113,7 @@ def changes(first: RankingJob, second: RankingJob) -> Changes | None:
         return None
     ranks, others = first.ranks, second.ranks
     known = (ranks >= 0) & (others >= 0)
-    alone = int((known & (ranks == 0) & (others > 0)).sum()), int((known & (others == 0) & (ranks > 0)).sum())
+    alone = int(((ranks == 0) & (others != 0)).sum()), int(((others == 0) & (ranks != 0)).sum())
     # On a logarithmic scale, from 2nd to 1st is as much as from 200th to 100th.
     change = np.log(np.where(known, ranks + 1.0, 1.0) / np.where(known, others + 1.0, 1.0))
     order = np.argsort(-change, kind="stable")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from explorer.explain_window._pictures import with_parts
+from explorer.stage.pictures import draw_parts
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.drawing import overlays
 
 _SIZE = 460, 1200
 
@@ -18,7 +19,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         rows=rows,
         columns=columns,
         painted=[cell for cell in analysis.state.region if cell < rows * columns],
-        picture=with_parts(workspace, analysis.query, view, _SIZE),
+        picture=overlays.data_uri(draw_parts(workspace, analysis.query, view, _SIZE), 88),
         without_cells=workspace.without_cells,
         claim=workspace.contract.claim,
         stacked=workspace.layout.stacked,

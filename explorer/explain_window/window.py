@@ -78,6 +78,11 @@ class _Tab:
         gui.add_html(render("explain/close"))
         self._html, self._content, self._lock = Html(gui), content, Lock()
 
+    def wait(self) -> None:
+        """Say that the content is being computed."""
+        with self._lock:
+            self._html.show(render("explain/waiting"))
+
     def draw(self) -> None:
         with self._lock:
             html = self._content()
@@ -194,7 +199,7 @@ class ExplainWindow:
 
     def _reveal(self, tab: str) -> None:
         """Open the window at a tab, also if the user has collapsed it."""
-        self._change(lambda state: replace(state, why=True))
+        self._change(lambda state: replace(state, why=True, first_screen=False))
         self._panel.expand()
         self._open_tab(tab)
 
@@ -204,9 +209,18 @@ class ExplainWindow:
         self._worker.stop()
         self._models_worker.stop()
 
+    def announce(self) -> None:
+        """Open the window at once, and say what is being computed until `show` is called."""
+        if not self._open:
+            self._open = True
+            for tab in self._tabs[:5]:
+                tab.wait()
+            self._place()
+            self._panel.visible = True
+
     def show(self, analysis: StateAnalysis) -> None:
         """Open or close the window as the state says, and draw the analysis if it is open."""
-        is_open, before = analysis.state.why, self._content
+        is_open, before = analysis.state.why and not analysis.state.first_screen, self._content
         kept = before is not None and before.pair is not None and before.pair.belongs_to(analysis)
         pair = PairResult.of(analysis) if is_open and not kept else None
         with self._lock:  # meanwhile, other threads may have stored an effect for the same pair, or a sweep
@@ -218,12 +232,12 @@ class ExplainWindow:
         if is_open:
             for tab in self._tabs[:5]:
                 tab.draw()
-            if self._workspace.second is not None:
-                self._models_worker.wake()
         if is_open != self._open:
             self._open = is_open
             self._place()
             self._panel.visible = is_open
+        if is_open and self._workspace.second is not None:
+            self._models_worker.wake()  # after `_open` is set, which it reads
 
     def _renderer(self, render: Callable[[WindowContent], str]) -> Callable[[], str | None]:
         """Wrap a tab's function so that it renders the newest content."""
@@ -256,7 +270,7 @@ class ExplainWindow:
 
     def _draw_models(self) -> float | None:
         """Draw the tab; return the seconds after which to look again while the second model is being opened."""
-        if self._content is None or not self._content.analysis.state.why:
+        if self._content is None or not self._open:
             return None
         second = self._workspace.second
         opening = second is not None and second.opening

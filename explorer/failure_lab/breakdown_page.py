@@ -48,15 +48,20 @@ class _RateBar(NamedTuple):
 
 def page(findings: Findings, lab: LabState, workspace: Workspace) -> str:
     """Return the charts of the selected queries; a selection made in a chart does not narrow this chart."""
+    drawn = cards(findings, lab, workspace)
+    return render("failure_lab/breakdown", cards=drawn, has_columns=any(card.style == "rate" for card in drawn))
+
+
+def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card]:
+    """Return what the charts show."""
     columns = [(column, state.failure_rates(findings, lab, column)) for column in state.charted_columns(findings)]
     # A column says nothing if all queries share its value, or if each query has its own.
     columns = [(c, rates) for c, rates in columns if 1 < len(rates) <= max(len(findings.table) // 2, 2)]
     full = max(
         (rate.interval[1] for _, rates in columns for rate in rates if rate.queries >= _MIN_QUERIES), default=1.0
     )
-    cards = [_part_card(findings, lab), _pair_card(findings, lab, workspace)]
-    cards += [_rate_card(findings, lab, column, rates, full) for column, rates in columns]
-    return render("failure_lab/breakdown", cards=cards, has_columns=bool(columns))
+    drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace)]
+    return drawn + [_rate_card(findings, lab, column, rates, full) for column, rates in columns]
 
 
 def _part_card(findings: Findings, lab: LabState) -> _Card:

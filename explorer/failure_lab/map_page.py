@@ -1,19 +1,25 @@
-"""The laboratory's third tab: a map of the queries, redrawn only when something on it changes."""
+"""The laboratory's third tab: a map of the queries, which the page's script draws from arrays that it fetches."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import cv2
 import numpy as np
 
-from explorer.failure_lab import map_drawing, table
-from explorer.failure_lab.map_drawing import DrawnMap
-from explorer.failure_lab.messages import OpenPoint, SelectRectangle, ShowTip
-from explorer.failure_lab.service import FailureLab, Findings
+from explorer.browse.feeds import Feeds
+from explorer.failure_lab import map_data, table
+from explorer.failure_lab.messages import OpenPoint, SelectLasso, ShowTip
+from explorer.failure_lab.service import FailureLab, Findings, MapPoints
 from explorer.failure_lab.state import LabState, Selection, add_selection
-from explorer.web.render import render
-from lpn.core.arrays import Int64Array
-from lpn.drawing import overlays
+from explorer.web.render import call, render, run
+from lpn.analysis import embedding_map
+from lpn.core.arrays import Int64Array, UInt8Array
 
 NO_EMBEDDING = "The tiles of an index are not in memory, so their descriptors are not drawn as a map."
+_LABELS = {"pca": "the PCA", "umap": "the UMAP", "ground": "the ground"}
 
 
 class MapPage:
@@ -23,15 +29,17 @@ class MapPage:
         client: stands for the browser, which waits for the computation of maps.
     """
 
-    def __init__(self, service: FailureLab, client: object) -> None:
-        self._service, self._client = service, client
-        self._key: object = None
-        self.drawn: DrawnMap | None = None
+    def __init__(self, service: FailureLab, feeds: Feeds, client: object) -> None:
+        self._service, self._feeds, self._client = service, feeds, client
+        self._points: MapPoints | None = None
+        self._rows = np.zeros(0, np.int64)
+        # Published feeds by name, each with the object that it was made of.
+        self._published: dict[str, tuple[object, str]] = {}
 
     def page(
         self, findings: Findings, lab: LabState, query: int | None, rows: Int64Array, window: tuple[int, int]
-    ) -> tuple[str, bool]:
-        """Return the HTML, and whether it is final; if not, call again at once, because the map is being computed.
+    ) -> tuple[str, str, bool]:
+        """Return the HTML, what runs the script, and whether both are final; if not, call again at once: the map is computed.
 
         Args:
             query: the query that the explorer shows.
@@ -39,52 +47,98 @@ class MapPage:
             window: width and height in pixels.
         """
         embedded, ground = findings.task.depth is None, findings.task.geometry is not None
-        if not embedded and (lab.map != "ground" or not ground):
-            kinds = {"ground": "On the ground"} if ground else {}
-            return render("failure_lab/map", lab=lab, kinds=kinds, picture="", axes="", reason=NO_EMBEDDING), True
-        paused = lab.map in lab.paused
-        job = None if paused else self._service.points(lab.map, lab.task, self._client)
-        if paused:
-            self._service.leave(self._client, lab.task, lab.map)
         kinds = {"pca": "Descriptors, PCA"} if embedded else {}
         if embedded and self._service.has_umap:
             kinds["umap"] = "Descriptors, UMAP"
         if ground:
             kinds["ground"] = "On the ground"
+        context = {"lab": lab, "kinds": kinds, "columns": list(findings.table.columns)}
+        if not embedded and (lab.map != "ground" or not ground):
+            return render("failure_lab/map", **context, height=0, reason=NO_EMBEDDING), "", True
+        paused = lab.map in lab.paused
+        job = None if paused else self._service.points(lab.map, lab.task, self._client)
+        if paused:
+            self._service.leave(self._client, lab.task, lab.map)
         if job is None or not job.wait(0.4) or job.value is None:
-            self._key, self.drawn = None, None
-            html = render("failure_lab/map", lab=lab, kinds=kinds, picture="", axes="", reason="")
-            return html + table.waiting(job, "The map", paused, lab.map), job is None or job.error is not None
-        points = job.value
-        around = 210 + (30 if window[0] < 700 else 0)
-        size = (max(window[0] - 34, 280), max(window[1] - around, 180))
-        key = (points, id(rows), lab.zoomed, size, query)
-        if self.drawn is None or self._key != key:
-            selected = np.zeros(len(findings.table), bool)
-            selected[rows] = True
-            outcomes = findings.outcomes
-            selected &= outcomes.known
-            positive = -1 if query is None else int(outcomes.true[query])
-            self.drawn = map_drawing.draw(
-                points, outcomes.failed, selected, outcomes.answer, size, lab.zoomed, query, positive
-            )
-            self._key, self._rows = key, rows
-        picture = overlays.data_uri(self.drawn.picture, 86)
-        return render("failure_lab/map", lab=lab, kinds=kinds, picture=picture, axes=points.axes, reason=""), True
+            self._points = None
+            html = render("failure_lab/map", **context, height=0, reason="")
+            return html + table.waiting(job, "The map", paused, lab.map), "", job is None or job.error is not None
+        self._points = job.value
+        height = max(window[1] - (276 if window[0] < 700 else 232), 180)
+        html = render("failure_lab/map", **context, height=height, reason="")
+        # A canvas of another height is another element, which the script must fill.
+        data = {**self._data(findings, lab, query, rows, job.value), "height": height}
+        return html, run(call("labMap", data)), True
 
     def queries_at(self, findings: Findings, lab: LabState, message: OpenPoint | ShowTip) -> Int64Array | None:
-        """Return the queries at a point of the map that is shown, the lowest margin first; None if there are none."""
-        drawn = self.drawn  # the thread that draws may replace it meanwhile
-        if drawn is None or message.map != lab.map:
+        """Return the queries at the place of one on the map that is shown, the lowest margin first; None if there are none."""
+        points = self._points  # the thread that draws may replace it meanwhile
+        if points is None or message.map != lab.map or message.row >= len(points.queries):
             return None
-        rows = drawn.near(*message.point)
+        rows = np.flatnonzero((points.queries == points.queries[message.row]).all(axis=1))
         return findings.table.sort(rows, "margin") if len(rows) else None
 
-    def select_rectangle(self, lab: LabState, message: SelectRectangle) -> LabState:
-        """Select the queries in a rectangle of the map that is shown."""
-        drawn = self.drawn
-        if drawn is None or message.map != lab.map:
+    def select_lasso(self, lab: LabState, message: SelectLasso) -> LabState:
+        """Select the queries within a lasso on the map that is shown."""
+        points = self._points
+        if points is None or message.map != lab.map:
             return lab
-        label = "rectangle on the ground" if lab.map == "ground" else f"rectangle in the {lab.map.upper()}"
-        rows = drawn.inside(message.corner, message.opposite)
-        return add_selection(lab, Selection(f"in {lab.map}", label, rows))
+        origin, unit = map_data.scale(points)
+        rows = embedding_map.inside(points.queries, np.array(message.corners) * unit + origin)
+        return add_selection(lab, Selection(f"in {lab.map}", f"lasso on {_LABELS[lab.map]}", rows))
+
+    def _data(
+        self, findings: Findings, lab: LabState, query: int | None, rows: Int64Array, points: MapPoints
+    ) -> dict[str, Any]:
+        if rows is not self._rows:
+            self._rows = rows
+            self._published.pop("flags", None)
+        colour = lab.colour if lab.colour in findings.table.columns else map_data.OUTCOME
+        shown = map_data.colours(findings, colour)
+        origin, unit = map_data.scale(points)
+        data: dict[str, Any] = {
+            "map": lab.map,
+            "view": f"{lab.task} {lab.map}",
+            "address": self._feeds.address,
+            "queries": len(points.queries),
+            "tiles": len(points.tiles),
+            "plane": self._publish("plane", points, lambda: map_data.plane(points)),
+            "flags": self._publish("flags", findings.outcomes, lambda: map_data.flags(findings, rows)),
+            "codes": self._publish("codes", (findings, colour), shown.codes.tobytes),
+            "colour": colour,
+            "palette": shown.palette,
+            "legend": map_data.legend(shown, rows),
+            "lines": map_data.lines(findings, points, rows),
+            "axes": points.axes,
+            "selected": len(rows),
+            "ground": None,
+        }
+        if points.ground is not None and points.origin is not None:
+            west, south, east, north = points.ground[1]
+            corners = (np.array([[west, north], [east, south]]) - origin) / unit
+            data["ground"] = {
+                "picture": self._publish("ground", points, partial(_jpeg, points.ground[0]), "image/jpeg"),
+                "corners": corners.tolist(),
+                "metres": unit,
+                "degrees": map_data.degrees(points, points.origin),
+            }
+        if query is not None:
+            outcomes = findings.outcomes
+            data["query"] = [query, int(outcomes.answer[query]), int(outcomes.true[query])]
+        return data
+
+    def _publish(
+        self, name: str, key: object, make: Callable[[], bytes], media_type: str = "application/octet-stream"
+    ) -> str:
+        known = self._published.get(name)
+        if known is None or known[0] != key:
+            known = self._published[name] = key, self._feeds.publish_bytes(self, name, make, media_type)
+        return known[1]
+
+    def leave(self) -> None:
+        """Serve nothing more to a browser that left."""
+        self._feeds.leave(self)
+
+
+def _jpeg(picture: UInt8Array) -> bytes:
+    return bytes(cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())

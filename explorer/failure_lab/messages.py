@@ -12,14 +12,15 @@ import msgspec
 from msgspec import Meta
 
 from explorer.failure_lab import state
-from explorer.failure_lab.service import Findings, MapKind
-from explorer.failure_lab.state import LabState, OutcomeFilter, Tab
+from explorer.failure_lab.service import Findings
+from explorer.failure_lab.state import Drawer, LabState
+from explorer.session_state import MapKind, OutcomeFilter, Tab
 from explorer.web import messages
 
 Index = Annotated[int, Meta(ge=0)]
-Fraction = Annotated[float, Meta(ge=0, le=1)]
-# Fractions from the left and the top border of the map.
-MapPoint = tuple[Fraction, Fraction]
+# A place on a map, in units of half its longer side from its middle.
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
+MAX_CORNERS = 300
 Work = Literal["table", "pca", "umap", "ground"]
 
 
@@ -51,7 +52,8 @@ class ToggleColumn(LabMessage):
     column: str
 
 
-class ToggleColumnChoice(LabMessage): ...
+class ToggleDrawer(LabMessage):
+    drawer: Drawer
 
 
 class RemoveSelection(LabMessage):
@@ -80,27 +82,25 @@ class ShowMap(LabMessage):
     map: MapKind
 
 
-class ToggleZoom(LabMessage): ...
+class ColourBy(LabMessage):
+    """Colour the map by a column; by the outcome for an empty name."""
+
+    column: str
 
 
-class SelectRectangle(LabMessage):
+class SelectLasso(LabMessage):
     map: MapKind
-    corner: MapPoint
-    opposite: MapPoint
+    corners: Annotated[list[tuple[Coordinate, Coordinate]], Meta(min_length=3, max_length=MAX_CORNERS)]
 
 
 class OpenPoint(LabMessage):
     map: MapKind
-    point: MapPoint
+    row: Index
 
 
 class ShowTip(LabMessage):
     map: MapKind
-    point: MapPoint
-
-
-class TurnPage(LabMessage):
-    by: Literal[-1, 1]
+    row: Index
 
 
 class ToggleFullHeight(LabMessage): ...
@@ -125,10 +125,34 @@ class SaveNote(LabMessage):
     note: str
 
 
+class TagChosen(LabMessage):
+    """Add tags to all selected queries."""
+
+    tags: Annotated[str, Meta(max_length=1000)]
+
+
+ViewName = Annotated[str, Meta(max_length=200)]
+
+
+class OpenView(LabMessage):
+    name: ViewName
+
+
+class SaveView(LabMessage):
+    name: ViewName
+
+
+class RemoveView(LabMessage):
+    name: ViewName
+
+
 class SaveCsv(LabMessage): ...
 
 
 class SaveReport(LabMessage): ...
+
+
+class OpenSecond(LabMessage): ...
 
 
 class CloseLab(LabMessage): ...
@@ -141,18 +165,21 @@ MESSAGES: dict[str, type[LabMessage]] = {
     "lab-find": SearchNames,
     "lab-where": SetFilter,
     "lab-column": ToggleColumn,
-    "lab-choose": ToggleColumnChoice,
+    "lab-drawer": ToggleDrawer,
+    "lab-tag": TagChosen,
+    "lab-view": OpenView,
+    "lab-view-save": SaveView,
+    "lab-view-remove": RemoveView,
     "lab-unpick": RemoveSelection,
     "lab-clear": ClearSelections,
     "lab-part": SelectPart,
     "lab-pair": SelectPair,
     "lab-bin": SelectBin,
     "lab-map": ShowMap,
-    "lab-fit": ToggleZoom,
-    "lab-rect": SelectRectangle,
+    "lab-colour": ColourBy,
+    "lab-lasso": SelectLasso,
     "lab-point": OpenPoint,
     "lab-tip": ShowTip,
-    "lab-page": TurnPage,
     "lab-tall": ToggleFullHeight,
     "lab-stop": CancelWork,
     "lab-go": ResumeWork,
@@ -160,6 +187,7 @@ MESSAGES: dict[str, type[LabMessage]] = {
     "lab-note": SaveNote,
     "lab-csv": SaveCsv,
     "lab-report": SaveReport,
+    "lab-second": OpenSecond,
     "lab-close": CloseLab,
 }
 
@@ -178,8 +206,6 @@ def apply(message: LabMessage, lab: LabState, findings: Findings | None) -> LabS
     match message:
         case ToggleFullHeight():
             return replace(lab, full_height=not lab.full_height)
-        case TurnPage(by):
-            return replace(lab, page=max(lab.page + by, 0))
         case CancelWork(work):
             return replace(lab, paused=lab.paused | {work})
         case ResumeWork(work):
@@ -191,27 +217,27 @@ def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> L
     selection = None
     match message:
         case ShowTab(tab):
-            return replace(lab, tab=tab, page=0)
+            return replace(lab, tab=tab)
         case ShowOutcome(outcome):
-            return replace(lab, outcome=outcome, page=0)
+            return replace(lab, outcome=outcome)
         case SortBy(column) if column in findings.table.columns:
             return state.sort_by(lab, column)
         case SearchNames(text):
-            return replace(lab, name_search=text, page=0)
+            return replace(lab, name_search=text)
         case SetFilter(text):
             return state.set_filter(lab, text, findings.table)
         case ToggleColumn(column) if column in findings.table.columns:
             return state.toggle_column(lab, findings.table, column)
-        case ToggleColumnChoice():
-            return replace(lab, choosing_columns=not lab.choosing_columns)
+        case ToggleDrawer(drawer):
+            return replace(lab, drawer="" if lab.drawer == drawer else drawer)
         case RemoveSelection(kind):
             return state.remove_selection(lab, kind)
         case ClearSelections():
             return state.clear(lab)
         case ShowMap(kind) if kind != "ground" or findings.task.geometry is not None:
             return replace(lab, map=kind, paused=lab.paused - {kind})
-        case ToggleZoom():
-            return replace(lab, zoomed=not lab.zoomed)
+        case ColourBy(column) if not column or column in findings.table.columns:
+            return replace(lab, colour=column)
         case SelectPart(part) if part < len(findings.part_names):
             selection = state.select_part(findings, part)
         case SelectPair(place, answered):

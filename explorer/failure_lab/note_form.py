@@ -52,5 +52,5 @@ class NoteForm:
         newest = self._service.findings(message.task)
         if newest is not None and self._shown is not None and self._shown[0] == path:
             self._shown = path, newest.note(message.row)
-        self._message.show(table.message(f"Saved in {self._service.notes.name}, beside the data.", True))
+        self._message.show(table.message(f"Saved in {self._service.notes_place}.", True))
         return True

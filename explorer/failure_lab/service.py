@@ -3,26 +3,60 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
+from explorer.session_state import MapKind
 from explorer.workspace import Workspace
-from lpn.analysis import embedding_map, notes
+from lpn.analysis import embedding_map, named_views, notes, query_outcomes
+from lpn.analysis.named_views import NamedView
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.analysis.task import Task
-from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
+from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import LPNError
 from lpn.core.tables import Table
+from lpn.datasets.geo import Position
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.locate.pipeline import LocatedFlight
 from lpn.locate.task import stage_columns
 
-MapKind = Literal["pca", "umap", "ground"]
+_CHANGED = "rank B: none. The data set changed before the second model was opened; stop the app and start it again."
+
+
+@dataclass(frozen=True, eq=False)
+class SecondRanks:
+    """The second model's ranks of the same queries.
+
+    Attributes:
+        names: of the table's own model, which is A, and of the second one, which is B.
+        found: the queries whose true match B ranks first, (Q,).
+    """
+
+    names: tuple[str, str]
+    found: BoolArray
+
+
+@dataclass(frozen=True)
+class SecondProgress:
+    """How far the second model's ranks of a task are known.
+
+    Attributes:
+        text: a line that says what they wait for, or why there are none; empty once they are there.
+        pending: they are being computed.
+        offered: the second model's name, if it is opened on request only.
+    """
+
+    text: str = ""
+    pending: bool = False
+    offered: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +64,11 @@ class Findings:
     """The outcomes of all queries of a task, under equal part weights.
 
     Attributes:
-        table: see `query_outcomes.table`, with the columns of `notes`.
+        table: see `query_outcomes.table`, with the columns of `notes`, and those of `compared_ranks` where there is `second`.
         part_names: the names of the parts that `outcomes` numbers.
         notes_error: why the notes cannot be used, in one sentence; empty if they can.
         flight: the flight whose answers `table` has; None without one.
+        second: the second model's ranks; None without one, and until they are known.
     """
 
     task: Task
@@ -42,6 +77,7 @@ class Findings:
     part_names: list[str]
     notes_error: str
     flight: LocatedFlight | None = None
+    second: SecondRanks | None = None
 
     def note(self, row: int) -> Note:
         """Return the tags and the note of a query."""
@@ -57,12 +93,18 @@ class MapPoints:
         queries, tiles: (Q, 2) and (G, 2), y upwards; NaN for queries whose places are unknown.
         axes: the axes in words; may be empty.
         ground: a picture of the ground, and its west, south, east, and north border; None for embeddings.
+        origin: the position that a map of the ground counts its metres from; None for embeddings.
     """
 
     queries: Float64Array
     tiles: Float64Array
     axes: str = ""
     ground: tuple[UInt8Array, tuple[float, float, float, float]] | None = None
+    origin: Position | None = None
+
+
+def _same_queries(first: Task, second: Task) -> bool:
+    return [query.path for query in first.queries] == [query.path for query in second.queries]
 
 
 class FailureLab:
@@ -71,7 +113,16 @@ class FailureLab:
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._jobs, self._lock = workspace, BackgroundJobs(), threading.Lock()
         self._findings: dict[str, Findings] = {}
-        self.notes = workspace.root / notes.NAME
+
+    @property
+    def notes(self) -> Path:
+        """The file of tags and notes; OutputError for the demo's if the user has no folder for them."""
+        return own_file(self._workspace.root, notes.NAME)
+
+    @property
+    def notes_place(self) -> str:
+        """Where the notes are, in words and without the server's folders."""
+        return own_file_place(self._workspace.root, notes.NAME, "data")
 
     @property
     def has_umap(self) -> bool:
@@ -79,14 +130,66 @@ class FailureLab:
         return find_spec("umap") is not None
 
     def findings(self, task: str) -> Findings | None:
-        """Return a task's findings with the newest notes and the newest answers of a flight; None before they are computed."""
+        """Return a task's findings with all that is known by now; None before they are computed.
+
+        That is the newest notes, the newest answers of a flight, and the second model's ranks.
+        """
         flight = self._workspace.flight
         with self._lock:
             findings = self._findings.get(task)
             if findings is not None and flight is not None and findings.flight is not flight:
                 table = findings.table.with_columns(stage_columns(flight))
                 findings = self._findings[task] = replace(findings, table=table, flight=flight)
+            if findings is not None and findings.second is None:
+                findings = self._findings[task] = self._with_second(findings)
             return findings
+
+    def join_second(self, task: str, client: object) -> SecondProgress:
+        """Start or join the ranking of a task by the second model, once that is open; tell how far it is."""
+        second = self._workspace.second
+        if second is None:
+            return SecondProgress()
+        if second.workspace is None:
+            if second.opening:
+                return SecondProgress(f"rank B: opening {second.label}", True)
+            failed = f"rank B: {second.label} is not open. {second.error}" if second.error else ""
+            return SecondProgress(failed, offered=second.label)
+        ranking = second.workspace.rankings.get(task)
+        if ranking is None:
+            return SecondProgress(f"rank B: {second.workspace.model_name} does not know the views of {task}")
+        if ranking.result is not None:
+            same = _same_queries(self._workspace.tasks[task], ranking.task)
+            return SecondProgress("" if same else _CHANGED)
+        job = ranking.join(client)
+        if ranking.error:
+            return SecondProgress(f"rank B: none. {ranking.error}")
+        return SecondProgress(f"rank B: ranking {job.done:,} of {len(ranking.task.queries):,} queries", True)
+
+    def open_second(self) -> None:
+        """Open the second model in the background, if there is one that is not open."""
+        second = self._workspace.second
+        if second is not None and second.workspace is None:
+            second.open()
+
+    def leave_second(self, client: object) -> None:
+        """Stop waiting for the second model's ranks."""
+        second = self._workspace.second
+        for ranking in () if second is None or second.workspace is None else second.workspace.rankings.values():
+            ranking.leave(client)
+
+    def _with_second(self, findings: Findings) -> Findings:
+        second = None if self._workspace.second is None else self._workspace.second.workspace
+        ranking = None if second is None else second.rankings.get(findings.task.name)
+        if second is None or ranking is None or ranking.result is None:
+            return findings
+        if not _same_queries(findings.task, ranking.task):
+            return findings
+        ranked = ranking.result.ranking
+        columns = query_outcomes.compared_ranks(findings.table, ranked.first, ranked.depth)
+        ranks = SecondRanks(
+            (self._workspace.model_name, second.model_name), findings.outcomes.known & (ranked.first == 0)
+        )
+        return replace(findings, table=findings.table.with_columns(columns), second=ranks)
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:
         """Start or join the computation of a task's findings."""
@@ -115,11 +218,38 @@ class FailureLab:
         Raises:
             LPNError: as `notes.set_note`; then nothing has changed.
         """
-        stored = notes.set_note(self.notes, path, tags, text)
+        self._show_notes(notes.set_note(self.notes, path, tags, text))
+
+    def add_tags(self, paths: Sequence[str], tags: str) -> None:
+        """Add tags to several queries on disk, and show them in all browsers; errors as for `notes.add_tags`."""
+        self._show_notes(notes.add_tags(self.notes, paths, tags))
+
+    def _show_notes(self, stored: Mapping[str, Note]) -> None:
         with self._lock:
             for name, findings in self._findings.items():
                 table = findings.table.with_columns(notes.columns(stored, findings.table.paths))
                 self._findings[name] = replace(findings, table=table, notes_error="")
+
+    @property
+    def views_place(self) -> str:
+        """Where the named views are, in words and without the server's folders."""
+        return own_file_place(self._workspace.root, named_views.NAME, "data")
+
+    def views(self, task: str) -> tuple[NamedView, ...]:
+        """Return a task's named views, by name; DataError if their file is damaged."""
+        return tuple(view for view in named_views.read_views(self._views_file) if view.task == task)
+
+    def save_view(self, view: NamedView) -> None:
+        """Save a view, see `named_views.save_view`."""
+        named_views.save_view(self._views_file, view)
+
+    def remove_view(self, task: str, name: str) -> None:
+        """Remove a view, see `named_views.remove_view`."""
+        named_views.remove_view(self._views_file, task, name)
+
+    @property
+    def _views_file(self) -> Path:
+        return own_file(self._workspace.root, named_views.NAME)
 
     def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
@@ -144,8 +274,9 @@ class FailureLab:
         if kind == "ground":
             task = task.current()
             assert task.geometry is not None
-            ground = self._workspace.mosaic(task), task.geometry.bounds()
-            return MapPoints(task.geometry.query_ground, task.geometry.ground, ground=ground)
+            places = task.geometry
+            ground = self._workspace.mosaic(task), places.bounds()
+            return MapPoints(places.query_ground, places.ground, ground=ground, origin=places.origin)
         if kind == "umap":
             descriptors = np.asarray(task.query_descriptors), np.asarray(task.gallery_descriptors)
             embedding = run_in_process(progress, embedding_map.umap, *descriptors)

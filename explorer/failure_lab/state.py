@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, fields, replace
+from typing import Literal, get_args
 
 import numpy as np
 
-from explorer.failure_lab.service import Findings, MapKind
+from explorer import session_state
+from explorer.failure_lab.service import Findings
+from explorer.session_state import Chosen, LabChoices, MapKind, OutcomeFilter, Tab
 from lpn.analysis import breakdown, query_outcomes
 from lpn.analysis.breakdown import Rate
-from lpn.core.arrays import Int64Array
+from lpn.analysis.named_views import ChosenQueries, NamedView
+from lpn.analysis.query_outcomes import RANK_A, RANK_B
+from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table
 from lpn.locate.task import REASON
 
-Tab = Literal["table", "breakdown", "maps"]
-OutcomeFilter = Literal["all", "failed", "found"]
-# Columns that the table always shows, if they exist.
-FIXED_COLUMNS = ("name", "rank", "margin", "part", "answer", "distance")
-# Further columns, shown until the user chooses others. A column without any value is left out.
+# The part of the page that is open below the summary.
+Drawer = Literal["", "columns", "tag", "views"]
+_FIXED_COLUMNS = ("name", "rank", "margin", "part", "answer", "distance")
+# Columns shown until the user chooses others. A column without any value is left out.
 _DEFAULT_COLUMNS = ("altitude", "district", "verdict", "tags")
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Queries selected by a click or a rectangle.
+    """Queries selected by a click or a lasso.
 
     Attributes:
         kind: a new selection replaces an earlier one of the same kind.
@@ -51,19 +54,18 @@ class LabState:
 
     Attributes:
         task: the name of the task.
-        outcome: show all queries, those that failed, or those that were found.
+        outcome: show all queries, those that failed, those that were found, or those that one of two models finds alone.
         filter: the filter in force, see `lpn.core.tables`.
         filter_typed: the text in the filter's box.
         filter_error: why `filter_typed` is invalid; empty if it is valid.
         name_search: text that the names of the queries contain.
         selections: a query must be in all of them.
         sort_column, descending: the order of the table.
-        page: page of the table, from 0.
-        columns: shown beside `FIXED_COLUMNS`; None for the default ones.
-        choosing_columns: the list of columns is open.
+        columns: shown beside `fixed_columns`; None for the default ones.
+        drawer: what is open below the summary.
         full_height: the window covers the whole stage.
         map: the map that is shown.
-        zoomed: the map shows only the selected queries, enlarged to fit.
+        colour: the column that colours the map; empty for the outcome.
         paused: computations that start only on request: kinds of maps, or "table".
         text_revision: number of times that the app, not the user, has changed the text boxes.
     """
@@ -78,12 +80,11 @@ class LabState:
     selections: tuple[Selection, ...] = ()
     sort_column: str = "margin"
     descending: bool = False
-    page: int = 0
     columns: tuple[str, ...] | None = None
-    choosing_columns: bool = False
+    drawer: Drawer = ""
     full_height: bool = False
     map: MapKind = "pca"
-    zoomed: bool = False
+    colour: str = ""
     paused: frozenset[str] = frozenset({"umap"})
     text_revision: int = 0
 
@@ -92,14 +93,47 @@ def for_task(lab: LabState, task: str) -> LabState:
     """Return the state for another task, with the choices that suit every task."""
     if lab.task == task:
         return lab
+    kept = session_state.choices_for_any_task(choices(lab))
     return LabState(
-        task, lab.tab, lab.outcome, full_height=lab.full_height, paused=lab.paused, text_revision=lab.text_revision + 1
+        task,
+        kept.tab,
+        kept.outcome,
+        full_height=kept.full_height,
+        paused=lab.paused,
+        text_revision=lab.text_revision + 1,
     )
+
+
+def choices(lab: LabState) -> LabChoices:
+    """Return what an address keeps of the state."""
+    same = {field.name: getattr(lab, field.name) for field in fields(LabChoices) if field.name != "chosen"}
+    chosen = tuple(Chosen(one.kind, one.label, tuple(one.rows.tolist())) for one in lab.selections)
+    return LabChoices(chosen=chosen, **same)
+
+
+def with_choices(findings: Findings, lab: LabState, shown: LabChoices) -> LabState:
+    """Return the state that shows what an address says; an invalid filter is left out, and told."""
+    selections = [Selection(one.kind, one.label, np.array(one.rows, np.int64)) for one in shown.chosen]
+    lab = replace(
+        clear(lab),
+        tab=shown.tab,
+        outcome=shown.outcome,
+        name_search=shown.name_search,
+        selections=tuple(one for one in selections if not len(one.rows) or one.rows[-1] < len(findings.table)),
+        sort_column=shown.sort_column,
+        descending=shown.descending,
+        columns=shown.columns,
+        full_height=shown.full_height,
+        map=shown.map,
+        colour=shown.colour,
+        paused=lab.paused - {shown.map} if shown.tab == "maps" else lab.paused,
+    )
+    return set_filter(lab, shown.filter, findings.table)
 
 
 def sort_by(lab: LabState, column: str) -> LabState:
     """Sort by a column, or reverse the order if the table is sorted by it already."""
-    return replace(lab, sort_column=column, descending=lab.sort_column == column and not lab.descending, page=0)
+    return replace(lab, sort_column=column, descending=lab.sort_column == column and not lab.descending)
 
 
 def set_filter(lab: LabState, text: str, table: Table) -> LabState:
@@ -108,7 +142,7 @@ def set_filter(lab: LabState, text: str, table: Table) -> LabState:
         table.filter(table.rows(), text)
     except InputError as error:
         return replace(lab, filter_typed=text, filter_error=str(error))
-    return replace(lab, filter_typed=text, filter=text, filter_error="", page=0)
+    return replace(lab, filter_typed=text, filter=text, filter_error="")
 
 
 def toggle_selection(lab: LabState, selection: Selection) -> LabState:
@@ -121,12 +155,12 @@ def toggle_selection(lab: LabState, selection: Selection) -> LabState:
 def add_selection(lab: LabState, selection: Selection) -> LabState:
     """Add a selection; it replaces an earlier one of the same kind."""
     others = remove_selection(lab, selection.kind).selections
-    return replace(lab, selections=(*others, selection), page=0)
+    return replace(lab, selections=(*others, selection))
 
 
 def remove_selection(lab: LabState, kind: str) -> LabState:
     """Remove the selection of a kind."""
-    return replace(lab, selections=tuple(one for one in lab.selections if one.kind != kind), page=0)
+    return replace(lab, selections=tuple(one for one in lab.selections if one.kind != kind))
 
 
 def clear(lab: LabState) -> LabState:
@@ -139,10 +173,58 @@ def clear(lab: LabState) -> LabState:
         filter_error="",
         name_search="",
         selections=(),
-        page=0,
-        zoomed=False,
         text_revision=lab.text_revision + 1,
     )
+
+
+def to_view(findings: Findings, lab: LabState, name: str) -> NamedView:
+    """Return what is selected, and how it is shown, under a name."""
+    paths = findings.table.paths
+    chosen = tuple(
+        ChosenQueries(one.kind, one.label, tuple(paths[row] for row in one.rows.tolist())) for one in lab.selections
+    )
+    return NamedView(
+        name.strip(),
+        lab.task,
+        lab.outcome,
+        lab.filter,
+        lab.name_search,
+        chosen,
+        _sort_column(findings, lab),
+        lab.descending,
+        lab.map,
+        lab.colour,
+    )
+
+
+def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
+    """Return the state that shows a view; queries that are no longer there are left out, and counted in its label."""
+    row_of = {path: row for row, path in enumerate(findings.table.paths)}
+    selections = []
+    for one in view.chosen:
+        rows = np.array(sorted({row_of[path] for path in one.paths if path in row_of}), np.int64)
+        missing = len(set(one.paths)) - len(rows)
+        label = f"{one.label} ({missing} no longer there)" if missing else one.label
+        selections.append(Selection(one.kind, label, rows))
+    maps: tuple[MapKind, ...] = get_args(MapKind)
+    shown = replace(
+        choices(lab),
+        outcome=next((outcome for outcome in get_args(OutcomeFilter) if outcome == view.outcome), "all"),
+        filter=view.filter,
+        name_search=view.search,
+        sort_column=view.sort,
+        descending=view.descending,
+        map=next((kind for kind in maps if kind == view.map), lab.map),
+        colour=view.colour,
+    )
+    return replace(with_choices(findings, lab, shown), selections=tuple(selections))
+
+
+def fixed_columns(table: Table) -> list[str]:
+    """Return the columns that the table always shows: with a second model, `rank A` and `rank B` stand for `rank`."""
+    ranks = [RANK_A, RANK_B] if RANK_B in table.columns else ["rank"]
+    names = [_FIXED_COLUMNS[0], *ranks, *_FIXED_COLUMNS[2:]]
+    return [name for name in names if name in table.columns]
 
 
 def toggle_column(lab: LabState, table: Table, name: str) -> LabState:
@@ -152,10 +234,23 @@ def toggle_column(lab: LabState, table: Table, name: str) -> LabState:
 
 
 def extra_columns(lab: LabState, table: Table) -> list[str]:
-    """Return the names of the columns shown beside `FIXED_COLUMNS`."""
+    """Return the names of the columns shown beside `fixed_columns`."""
     if lab.columns is not None:
         return [name for name in lab.columns if name in table.columns]
     return [name for name in _DEFAULT_COLUMNS if name in table.columns and table.columns[name].known.any()]
+
+
+def outcome_masks(findings: Findings) -> dict[OutcomeFilter, BoolArray]:
+    """Return which queries each choice of an outcome shows, (Q,) each; those about two models only where there are two."""
+    outcomes, second = findings.outcomes, findings.second
+    masks: dict[OutcomeFilter, BoolArray] = {
+        "all": np.ones(len(outcomes), bool),
+        "failed": outcomes.failed,
+        "found": outcomes.found,
+    }
+    if second is not None:
+        masks |= {"only A": outcomes.found & ~second.found, "only B": second.found & ~outcomes.found}
+    return masks
 
 
 def selected_rows(findings: Findings, lab: LabState, without: str = "", any_outcome: bool = False) -> Int64Array:
@@ -163,12 +258,12 @@ def selected_rows(findings: Findings, lab: LabState, without: str = "", any_outc
 
     Args:
         without: a kind of selection to ignore.
-        any_outcome: ignore the choice of failed or found queries.
+        any_outcome: ignore the choice of an outcome.
     """
-    table, outcomes = findings.table, findings.outcomes
+    table = findings.table
     rows = table.filter(table.rows(), lab.filter)
-    if lab.outcome != "all" and not any_outcome:
-        rows = rows[(outcomes.failed if lab.outcome == "failed" else outcomes.found)[rows]]
+    if (shown := outcome_masks(findings).get(lab.outcome)) is not None and not any_outcome:
+        rows = rows[shown[rows]]
     for selection in lab.selections:
         if selection.kind != without:
             rows = np.intersect1d(rows, selection.rows, assume_unique=True)
@@ -184,7 +279,7 @@ def describe(findings: Findings, lab: LabState) -> str:
     """Say what selects and orders the queries, such as "failed and rank > 5, sorted by margin"."""
     name = lab.name_search.strip()
     conditions = [
-        "" if lab.outcome == "all" else lab.outcome,
+        _outcome_in_words(findings, lab.outcome),
         lab.filter.strip(),
         f"name ~ {name}" if name else "",
         *(selection.label for selection in lab.selections),
@@ -192,6 +287,16 @@ def describe(findings: Findings, lab: LabState) -> str:
     descending = ", descending" if lab.descending else ""
     selected = " and ".join(filter(None, conditions)) or "all"
     return f"{selected}, sorted by {_sort_column(findings, lab)}{descending}"
+
+
+def _outcome_in_words(findings: Findings, outcome: OutcomeFilter) -> str:
+    if outcome == "all" or outcome not in outcome_masks(findings):
+        return ""
+    if findings.second is None or outcome in ("failed", "found"):
+        return outcome
+    first, second = (f"{letter} ({name})" for letter, name in zip("AB", findings.second.names, strict=True))
+    finds, misses = (first, second) if outcome == "only A" else (second, first)
+    return f"found by {finds} and not by {misses}"
 
 
 def _sort_column(findings: Findings, lab: LabState) -> str:

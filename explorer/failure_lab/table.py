@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, get_args
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol, get_args
 
 import numpy as np
 
+from explorer.browse.feeds import Feeds, Side
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.failure_lab.service import Findings
-from explorer.failure_lab.state import FIXED_COLUMNS, LabState, OutcomeFilter, Tab, extra_columns
+from explorer.failure_lab.service import Findings, SecondProgress
+from explorer.failure_lab.state import Drawer, LabState, extra_columns, fixed_columns, outcome_masks
+from explorer.session_state import Tab
 from explorer.web.render import render
 from explorer.workspace import Workspace
+from lpn.analysis.named_views import LONGEST_NAME, NamedView
 from lpn.analysis.notes import Note
+from lpn.analysis.query_outcomes import RANK_A, RANK_B
+from lpn.analysis.task import Task
 from lpn.core.arrays import Int64Array
+from lpn.core.numbers import signed
 from lpn.core.tables import Column
 from lpn.drawing import theme
+from lpn.report.page import MOST
 
 _HINTS = {
     "rank": "Rank of the nearest true tile",
@@ -23,6 +31,8 @@ _HINTS = {
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
 }
+# Examples of filters, without and with a second model.
+_EXAMPLE, _EXAMPLE_OF_TWO = "rank > 5", f"{RANK_A} > 1 and {RANK_B} = 1"
 
 
 class _Cell(NamedTuple):
@@ -37,66 +47,143 @@ class _Cell(NamedTuple):
     bar: tuple[float, float, str] | None = None
 
 
-def bar(findings: Findings, lab: LabState) -> str:
-    """Return the bar of tabs, outcomes, and actions."""
-    failed, found = int(findings.outcomes.failed.sum()), int(findings.outcomes.found.sum())
-    counts = dict(zip(get_args(OutcomeFilter), (len(findings.table), failed, found), strict=True))
-    return render("failure_lab/bar", lab=lab, tabs=get_args(Tab), counts=counts)
+def bar(findings: Findings, lab: LabState, selected: int) -> str:
+    """Return the bar of tabs, outcomes, and actions on the selected queries, given their number."""
+    counts = {outcome: int(mask.sum()) for outcome, mask in outcome_masks(findings).items()}
+    names = None if findings.second is None else findings.second.names
+    return render(
+        "failure_lab/bar", lab=lab, tabs=get_args(Tab), counts=counts, names=names, selected=selected, most=MOST
+    )
 
 
 def search_boxes(findings: Findings, lab: LabState) -> str:
     """Return the text boxes. Sending them again discards what the user is typing: do so after other changes only."""
     altitude = findings.table.columns.get("altitude")
     example = "" if altitude is None else f" and altitude > {np.nanmedian(altitude.values):.0f}"
-    return render("failure_lab/search_boxes", lab=lab, example=f"rank > 5{example}")
+    first = _EXAMPLE if findings.second is None else _EXAMPLE_OF_TWO
+    return render("failure_lab/search_boxes", lab=lab, example=f"{first}{example}")
 
 
-def summary(findings: Findings, lab: LabState, rows: Int64Array, page: tuple[int, int]) -> str:
-    """Return the number of selected queries, the selections, and errors of the filter and the notes.
-
-    Args:
-        page: position of the first row on the page, and rows on a page.
-    """
+def summary(findings: Findings, lab: LabState, rows: Int64Array) -> str:
+    """Return the number of selected queries, the selections, and errors of the filter and the notes."""
     return render(
         "failure_lab/summary",
         lab=lab,
         selected=len(rows),
         queries=len(findings.table),
         failed=int(findings.outcomes.failed[rows].sum()),
-        first=min(page[0] + 1, len(rows)),
-        last=min(sum(page), len(rows)),
         narrowed=bool(lab.selections or lab.filter or lab.name_search.strip() or lab.outcome != "all"),
         notes_error=findings.notes_error,
         claim=findings.task.contract.claim,
+        names=None if findings.second is None else findings.second.names,
+        drawers=_drawers(lab, len(rows)),
     )
+
+
+def _drawers(lab: LabState, selected: int) -> dict[Drawer, str]:
+    """Return the labels of what can be opened below the summary."""
+    columns: dict[Drawer, str] = {"columns": "Columns"} if lab.tab == "table" else {}
+    return columns | ({"tag": "Tag"} if selected else {}) | {"views": "Views"}
+
+
+def second_progress(progress: SecondProgress) -> str:
+    """Return a line about the second model's ranks while they are not there; empty without a second model."""
+    return render("failure_lab/second", progress=progress) if progress.text or progress.offered else ""
+
+
+def drawer(
+    findings: Findings, lab: LabState, selected: int, views: Sequence[NamedView], message: tuple[str, bool] | None
+) -> str:
+    """Return what is open below the summary.
+
+    Args:
+        selected: number of selected queries.
+        views: of the task.
+        message: the result of the last change made there, and whether it succeeded.
+    """
+    if lab.drawer not in _drawers(lab, selected):
+        return ""
+    if lab.drawer == "columns":
+        return column_choice(findings, lab)
+    if lab.drawer == "tag":
+        return render("failure_lab/tag", selected=selected, message=message)
+    return render("failure_lab/views", views=views, message=message, longest=LONGEST_NAME)
 
 
 def column_choice(findings: Findings, lab: LabState) -> str:
     """Return the columns to choose from."""
-    names = [name for name in findings.table.columns if name not in FIXED_COLUMNS]
+    fixed = fixed_columns(findings.table)
+    names = [name for name in findings.table.columns if name not in fixed]
     return render("failure_lab/columns", names=names, shown=extra_columns(lab, findings.table))
 
 
-def table(findings: Findings, lab: LabState, workspace: Workspace, rows: Int64Array, query: int | None) -> str:
-    """Return one page of the table.
+def shown_columns(findings: Findings, lab: LabState) -> list[Column]:
+    """Return the columns of the table."""
+    # A column of the user's choice may have become one that is always shown.
+    names = dict.fromkeys((*fixed_columns(findings.table), *extra_columns(lab, findings.table)))
+    return [findings.table.columns[name] for name in names]
+
+
+def table(findings: Findings, lab: LabState, selected: int, shell: int, height: int) -> str:
+    """Return the table without its rows, which the script fetches and draws.
 
     Args:
-        rows: the queries on the page.
-        query: the query that the explorer shows.
+        selected: the number of rows.
+        shell: number of the table, another one if its columns, rows, or their order are others.
+        height: of the table in pixels.
     """
-    names = [name for name in (*FIXED_COLUMNS, *extra_columns(lab, findings.table)) if name in findings.table.columns]
-    columns = [findings.table.columns[name] for name in names]
+    hints = _HINTS
+    if findings.second is not None:
+        of_both = zip((RANK_A, RANK_B), findings.second.names, strict=True)
+        hints = hints | {rank: f"{_HINTS['rank']} by {name}" for rank, name in of_both}
+    columns = shown_columns(findings, lab)
+    return render(
+        "failure_lab/table", lab=lab, columns=columns, hints=hints, selected=selected, shell=shell, height=height
+    )
+
+
+def publish(feeds: Feeds, owner: object, findings: Findings, lab: LabState, rows: Int64Array) -> str:
+    """Publish the table's rows, and return their feed.
+
+    Args:
+        rows: the selected queries, in the table's order.
+    """
+    columns = shown_columns(findings, lab)
+
+    def entries(start: int, end: int) -> list[tuple[int, str]]:
+        return lines(findings, columns, feeds, rows[start:end])
+
+    return feeds.publish_list(owner, "rows", len(rows), entries)
+
+
+class Thumbnails(Protocol):
+    """Returns the source of a query's or a tile's thumbnail."""
+
+    def thumbnail(self, task: Task, side: Side, index: int) -> str: ...
+
+
+def lines(
+    findings: Findings, columns: Sequence[Column], feeds: Thumbnails, rows: Int64Array, loaded: bool = False
+) -> list[tuple[int, str]]:
+    """Return rows of the table: each query, and the HTML of its cells.
+
+    Args:
+        loaded: the thumbnails' sources are themselves the pictures, which no script has to load.
+    """
     margins = findings.outcomes.margin
     limit = float(np.nanmax(np.abs(margins))) if np.isfinite(margins).any() else 1.0
-    lines = [
+    return [
         (
             row,
-            workspace.thumbnail(findings.task.queries[row]),
-            [_cell(findings, workspace, column, row, limit) for column in columns],
+            render(
+                "failure_lab/row",
+                source="src" if loaded else "data-src",
+                picture=feeds.thumbnail(findings.task, "query", row),
+                cells=[_cell(findings, feeds, column, row, limit) for column in columns],
+            ),
         )
         for row in rows.tolist()
     ]
-    return render("failure_lab/table", lab=lab, columns=columns, hints=_HINTS, lines=lines, query=query)
 
 
 def note(findings: Findings, row: int, note: Note, revision: int) -> str:
@@ -140,7 +227,8 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
     """
     row = int(rows[0])
     picture = findings.task.queries[row]
-    rank, answer, margin = (findings.table.columns[name].text(row) for name in ("rank", "answer", "margin"))
+    rank, answer = (findings.table.columns[name].text(row) for name in ("rank", "answer"))
+    margin = float(findings.outcomes.margin[row])
     return render(
         "failure_lab/tip",
         row=row,
@@ -150,31 +238,32 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
         right=findings.outcomes.verdict(row),
         rank=rank,
         answer=answer,
-        margin=margin,
+        margin="" if np.isnan(margin) else signed(margin),
         count=len(rows),
         failed=int(findings.outcomes.failed[rows].sum()),
     )
 
 
-def _cell(findings: Findings, workspace: Workspace, column: Column, row: int, limit: float) -> _Cell:
+def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit: float) -> _Cell:
     """Format a cell; `limit` is the margin at the end of the margins' scale."""
     text, outcomes = column.text(row), findings.outcomes
-    if column.name == "rank":
+    if column.name in ("rank", RANK_A):
         return _Cell("number", text or "–", right=outcomes.verdict(row))
+    if column.name == RANK_B and findings.second is not None:
+        return _Cell("number", text or "–", right=bool(findings.second.found[row]) if outcomes.known[row] else None)
     if not text:
         return _Cell(column.kind, "")
     if column.name == "answer":
-        tile = findings.task.gallery[outcomes.answer[row]]
-        return _Cell("text pic", text, picture=workspace.thumbnail(tile))
+        return _Cell("text pic", text, picture=feeds.thumbnail(findings.task, "tile", int(outcomes.answer[row])))
     if column.name == "part":
         return _Cell("text", text, swatch=int(outcomes.deciding_part[row]))
     if column.name == "margin":
         value = float(column.values[row])
         start, width = 50 - max(-value, 0) / limit * 50, abs(value) / limit * 50
         colour = theme.css(theme.verdict_colour(value >= 0))
-        return _Cell("number margin", f"{value:+.3f}", bar=(start, width, colour))
+        return _Cell("number margin", signed(value), bar=(start, width, colour))
     if column.name == "distance":
         text = f"{float(column.values[row]):,.0f}"
     elif column.name.startswith("margin_"):
-        text = f"{float(column.values[row]):+.3f}"
+        text = signed(float(column.values[row]))
     return _Cell(column.kind, text, title=text)

@@ -13,6 +13,7 @@ import numpy as np
 import viser
 
 from explorer import reports, session_state
+from explorer.browse.feeds import Feeds
 from explorer.compute.worker import Worker
 from explorer.failure_lab import breakdown_page, messages, state, table
 from explorer.failure_lab.map_page import MapPage
@@ -21,18 +22,22 @@ from explorer.failure_lab.note_form import NoteForm
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
 from explorer.reports import Reporter
-from explorer.session_state import SessionState, StateChange
+from explorer.session_state import LabChoices, SessionState, StateChange
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
+from explorer.web.render import call, run
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis.named_views import NamedView
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
 
 # Share of the stage, from its top, that the compared pair takes.
 _PAIR_SHARE = 0.49
 _ROW_HEIGHT = 27  # pixels
-# Height of the window without the rows of the table, in pixels.
-_FRAME_HEIGHT = 185
+# Height of the window without the table, in pixels.
+_FRAME_HEIGHT = 172
+# Seconds between two looks at the second model's ranks.
+_SECOND_INTERVAL = 0.5
 
 
 @dataclass(frozen=True)
@@ -52,30 +57,41 @@ class FailureLabWindow:
         client: viser.ClientHandle,
         workspace: Workspace,
         service: FailureLab,
+        feeds: Feeds,
         change: Callable[[StateChange], None],
         viewport: Viewport,
         reporter: Reporter,
     ) -> None:
         self._client, self._workspace, self._service, self._change = client, workspace, service, change
-        self._viewport, self._reporter = viewport, reporter
+        self._feeds, self._viewport, self._reporter = feeds, viewport, reporter
         self._lock = threading.RLock()
         task = next(iter(workspace.tasks))
         self._lab, self._view = LabState(task), _View(task, None, False)
-        self._last_query: int | None = None
+        self._table_rows = np.zeros(0, np.int64)
+        # The task and the choices of an address, until there is a table that they can be applied to.
+        self._wanted: tuple[str, LabChoices] | None = None
+        self._feed: tuple[object, str] = None, ""
+        self._shell: tuple[object, int] = None, 0
+        # The result of the last change in the drawer, and whether it succeeded.
+        self._drawer_message: tuple[str, bool] | None = None
         self._sorted: tuple[object, Int64Array] = ((), np.zeros(0, np.int64))
         self._full_height_shown: bool | None = None
         self._size = (760, 400)
         self._tips = 0
         self._left = False
         self._text_revision: int | None = None
-        self._map = MapPage(service, self)
+        self._map = MapPage(service, feeds, self)
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
-            self._bar, self._boxes, self._summary, self._columns, self._body = (Html(gui) for _ in range(5))
+            self._bar, self._boxes, self._summary, self._second = (Html(gui) for _ in range(4))
+            # The script of `_data` runs again when the page shows the window again.
+            self._drawer, self._body, self._data = Html(gui), Html(gui), Html(gui)
             self._notes = NoteForm(gui, service)
             self._tip = Html(gui)
         self._worker = Worker(self._work, self._show_error)
+        # The second model's ranks take their own thread, so that the table need not be drawn anew to tell how far they are.
+        self._second_worker = Worker(self._follow_second, self._show_error)
         viewport.watch(self._resize)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
@@ -89,6 +105,14 @@ class FailureLabWindow:
         with self._lock:
             self._lab = state.for_task(self._lab, shown.task)
             self._view = _View(shown.task, query, shown.lab)
+        self._worker.wake()
+
+    def restore(self, session: SessionState) -> None:
+        """Show what an address says of the laboratory, as soon as there is a table."""
+        with self._lock:
+            self._lab = state.for_task(self._lab, session.task)
+            if session.lab:
+                self._wanted = session.task, session.laboratory
         self._worker.wake()
 
     def order(self, session: SessionState) -> Int64Array | None:
@@ -110,7 +134,11 @@ class FailureLabWindow:
         """Stop working for a browser that left."""
         self._left = True
         self._worker.stop()
+        self._second_worker.stop()
         self._service.leave(self)
+        self._service.leave_second(self)
+        self._feeds.leave(self)
+        self._map.leave()
 
     def _receive(self, kind: str, value: Any) -> None:
         message = messages.decode(kind, value)
@@ -131,10 +159,16 @@ class FailureLabWindow:
             case messages.SaveNote():
                 if self._notes.save(message):
                     self._worker.wake()
+            case messages.TagChosen() | messages.SaveView() | messages.RemoveView() | messages.OpenView():
+                if findings is not None:
+                    self._change_drawer(message, findings)
             case messages.SaveCsv():
                 self._download()
             case messages.SaveReport():
                 self._report()
+            case messages.OpenSecond():
+                self._service.open_second()
+                self._second_worker.wake()
             case messages.CloseLab():
                 self._change(lambda session: replace(session, lab=False))
             case messages.ResumeWork(work):
@@ -144,16 +178,66 @@ class FailureLabWindow:
             case _:
                 self._update(message)
 
+    def _drawn_drawer(self, findings: Findings, lab: LabState, selected: int) -> str:
+        views: tuple[NamedView, ...] = ()
+        if lab.drawer == "views":
+            try:
+                views = self._service.views(lab.task)
+            except LPNError as error:
+                self._drawer_message = str(error), False
+        return table.drawer(findings, lab, selected, views, self._drawer_message)
+
+    def _change_drawer(self, message: LabMessage, findings: Findings) -> None:
+        """Tag the selected queries, or save, open, or remove a view; tell the result in the drawer."""
+        with self._lock:
+            lab = self._lab
+        try:
+            match message:
+                case messages.TagChosen(tags):
+                    rows = self._rows(findings, lab)
+                    self._service.add_tags([findings.table.paths[row] for row in rows.tolist()], tags)
+                    told = f"{len(rows):,} queries are tagged in {self._service.notes_place}."
+                case messages.SaveView(name):
+                    self._service.save_view(state.to_view(findings, lab, name))
+                    told = f"Saved in {self._service.views_place}."
+                case messages.RemoveView(name):
+                    self._service.remove_view(lab.task, name)
+                    told = ""
+                case messages.OpenView(name):
+                    told = ""
+                    for view in self._service.views(lab.task):
+                        if view.name == name:
+                            with self._lock:
+                                self._lab = shown = state.from_view(findings, self._lab, view)
+                            self._tell(shown)
+            self._drawer_message = (told, True) if told else None
+        except LPNError as error:
+            self._drawer_message = str(error), False
+        self._worker.wake()
+
     def _update(self, message: LabMessage) -> None:
         with self._lock:
-            if isinstance(message, messages.SelectRectangle):
-                changed = self._map.select_rectangle(self._lab, message)
+            if isinstance(message, messages.ToggleDrawer):
+                self._drawer_message = None
+            if isinstance(message, messages.SelectLasso):
+                changed = self._map.select_lasso(self._lab, message)
             else:
                 changed = messages.apply(message, self._lab, self._service.findings(self._lab.task))
             if changed == self._lab:
                 return
             self._lab = changed
+            if self._wanted is not None and isinstance(message, messages.ToggleFullHeight):
+                self._wanted = self._wanted[0], replace(self._wanted[1], full_height=changed.full_height)
+        self._tell(changed)
         self._worker.wake()
+
+    def _tell(self, lab: LabState) -> None:
+        """Let the address follow, unless the laboratory has yet to show what the address says."""
+        with self._lock:
+            if self._wanted is not None and self._wanted[0] == lab.task:
+                return
+        shown = state.choices(lab)
+        self._change(lambda session: replace(session, laboratory=shown) if session.task == lab.task else session)
 
     def _rows(self, findings: Findings, lab: LabState) -> Int64Array:
         """Return the selected queries in the table's order, the same array until the selection or the order changes."""
@@ -163,7 +247,8 @@ class FailureLabWindow:
         )
         with self._lock:
             if self._sorted[0] != key:
-                self._sorted = key, state.sorted_rows(findings, lab)
+                rows, before = state.sorted_rows(findings, lab), self._sorted[1]
+                self._sorted = key, before if np.array_equal(rows, before) else rows
             return self._sorted[1]
 
     def _work(self) -> None:
@@ -173,39 +258,60 @@ class FailureLabWindow:
 
     def _draw(self) -> None:
         with self._lock:
+            findings = self._service.findings(self._lab.task)
+            wanted, restored = self._wanted, False
+            if findings is not None and wanted is not None and wanted[0] == self._lab.task:
+                self._lab, self._wanted, restored = state.with_choices(findings, self._lab, wanted[1]), None, True
             lab, view = self._lab, self._view
+        if restored:
+            self._tell(lab)
         if not view.open:
             self._service.leave(self)
+            self._service.leave_second(self)
             self._place(None)
             return
         self._place(lab.full_height)
-        findings = self._service.findings(lab.task)
         if findings is None:
             self._wait_for_table(lab)
             return
+        if findings.second is not None:
+            self._second.show("")
+        elif self._workspace.second is not None:
+            self._second_worker.wake()
         rows = self._rows(findings, lab)
-        if lab.tab == "table":
-            lab = self._turn_to_query(lab, view, rows)
-        self._bar.show(table.bar(findings, lab))
+        self._bar.show(table.bar(findings, lab, len(rows)))
         if lab.text_revision != self._text_revision:  # sending the boxes discards what the user is typing
             self._text_revision = lab.text_revision
             self._boxes.show(table.search_boxes(findings, lab))
-        first = lab.page * self._page_length
-        self._summary.show(table.summary(findings, lab, rows, (first, self._page_length)))
-        choosing = lab.choosing_columns and lab.tab == "table"
-        self._columns.show(table.column_choice(findings, lab) if choosing else "")
+        self._summary.show(table.summary(findings, lab, rows))
+        self._drawer.show(self._drawn_drawer(findings, lab, len(rows)))
         if lab.tab == "table":
-            page = rows[first : first + self._page_length]
-            self._body.show(table.table(findings, lab, self._workspace, page, view.query))
+            self._show_table(findings, lab, view.query, rows)
         elif lab.tab == "breakdown":
             self._body.show(breakdown_page.page(findings, lab, self._workspace))
         else:
-            html, final = self._map.page(findings, lab, view.query, rows, self._size)
+            html, script, final = self._map.page(findings, lab, view.query, rows, self._size)
             self._body.show(html)
+            self._data.show(script)
             if not final:
                 self._worker.wake()
         self._tip.show("")
-        self._notes.show(findings, view.query if lab.tab == "table" else None)
+        self._notes.show(findings, None if lab.tab == "breakdown" else view.query)
+
+    def _follow_second(self) -> float | None:
+        """Wait for the second model's ranks while the window is open, and say how far they are."""
+        with self._lock:
+            task, is_open = self._lab.task, self._view.open
+        if not is_open:
+            return None
+        progress = self._service.join_second(task, self)
+        self._second.show(table.second_progress(progress))
+        findings = self._service.findings(task)
+        if findings is not None and findings.second is not None:
+            self._worker.wake()
+        if self._left:
+            self._service.leave_second(self)
+        return _SECOND_INTERVAL if progress.pending else None
 
     def _wait_for_table(self, lab: LabState) -> None:
         paused = "table" in lab.paused
@@ -217,7 +323,7 @@ class FailureLabWindow:
             if job.wait(0.4) and job.error is None:
                 self._worker.wake()
                 return
-        for part in (self._bar, self._boxes, self._summary, self._columns):
+        for part in (self._bar, self._boxes, self._summary, self._second, self._drawer):
             part.show("")
         self._text_revision = None
         self._notes.show(None, None)
@@ -226,23 +332,33 @@ class FailureLabWindow:
         if job is not None and job.error is None:
             self._worker.wake()
 
-    def _turn_to_query(self, lab: LabState, view: _View, rows: Int64Array) -> LabState:
-        """Turn to the page of the current query if that changed, and limit the page to those that exist."""
-        page = min(max(lab.page, 0), max(-(-len(rows) // self._page_length) - 1, 0))
-        if view.query != self._last_query:
-            positions = np.flatnonzero(rows == view.query)
-            if self._last_query is not None and len(positions):
-                page = int(positions[0]) // self._page_length
-            self._last_query = view.query
-        turned = replace(lab, page=page)
-        with self._lock:
-            if self._lab is lab:
-                self._lab = turned
-        return turned
-
-    @property
-    def _page_length(self) -> int:
-        return min(max((self._size[1] - _FRAME_HEIGHT) // _ROW_HEIGHT, 5), 25)
+    def _show_table(self, findings: Findings, lab: LabState, query: int | None, rows: Int64Array) -> None:
+        """Show the table of the selected queries; its rows are published again only when something in them changed."""
+        if rows is not self._table_rows:
+            self._table_rows, self._feed, self._shell = rows, (None, ""), (None, self._shell[1])
+        key = findings, lab.columns
+        if self._feed[0] != key:
+            self._feed = key, table.publish(self._feeds, self, findings, lab, rows)
+        feed = self._feed[1]
+        # A table of other columns or rows is another element, which begins at its top.
+        shell = lab.columns, lab.sort_column, lab.descending
+        if self._shell[0] != shell:
+            self._shell = shell, self._shell[1] + 1
+        height = max(self._size[1] - _FRAME_HEIGHT, 6 * _ROW_HEIGHT)
+        self._body.show(table.table(findings, lab, len(rows), self._shell[1], height))
+        if not len(rows):
+            self._data.show("")
+            return
+        places = np.flatnonzero(rows == query)
+        chosen = int(places[0]) if len(places) else -1
+        data = {
+            "kind": "table",
+            "shell": self._shell[1],
+            "address": self._feeds.address,
+            "feed": feed,
+            "total": len(rows),
+        }
+        self._data.show(run(call("list", "lpn-lab-rows", {**data, "chosen": chosen, "height": height})))
 
     def _place(self, full_height: bool | None) -> None:
         """Cover the whole stage or its lower half; None hides the window."""

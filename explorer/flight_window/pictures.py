@@ -158,6 +158,11 @@ def ground_window(located: LocatedFrame, stage: str | None) -> Window | None:
     return Window(answer.x, answer.y, best.size, best.heading)
 
 
+def pair(town: Map, located: LocatedFrame) -> tuple[EncodedPicture, EncodedPicture]:
+    """Return the middle of a frame, and the map where its answer is, empty without one."""
+    return _square_photo(located), _ground(town, located)
+
+
 def _photo(located: LocatedFrame) -> EncodedPicture:
     return encoded(images.shrink(images.load_picture(located.frame.file), _PHOTO))
 

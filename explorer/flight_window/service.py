@@ -5,11 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
+from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import LPNError
 from lpn.locate import corrections
 from lpn.locate.belief import Belief, Disagreement, beliefs, disagreements
@@ -64,17 +66,22 @@ class FlightView:
 
 
 class FlightService:
-    """The view of a workspace's flight; thread-safe.
-
-    Attributes:
-        corrections_file: lies in the flight's folder.
-    """
+    """The view of a workspace's flight; thread-safe."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._lock = workspace, threading.RLock()
         self._watchers: list[Callable[[], None]] = []
-        self.corrections_file = workspace.root / corrections.NAME
         self._view: FlightView | None = None
+
+    @property
+    def corrections_file(self) -> Path:
+        """The file of corrections; OutputError for the demo's if the user has no folder for them."""
+        return own_file(self._workspace.root, corrections.NAME)
+
+    @property
+    def corrections_place(self) -> str:
+        """Where the corrections are, in words and without the server's folders."""
+        return own_file_place(self._workspace.root, corrections.NAME, "flight")
 
     def view(self) -> FlightView:
         """Return the view of the flight as far as it is located; the same one until that or a correction changes."""

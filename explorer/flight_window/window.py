@@ -53,7 +53,7 @@ class _Choices:
 
 
 @dataclass(frozen=True)
-class _Said:
+class _Message:
     """The result of the last correction, its frame, and the end of its display in seconds of the monotonic clock."""
 
     frame: int
@@ -91,7 +91,7 @@ class FlightWindow:
         self._view: FlightView | None = None
         self._placed: bool | None = None
         self._resized = False
-        self._said: _Said | None = None
+        self._message: _Message | None = None
         self._saves = 0
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
@@ -163,7 +163,7 @@ class FlightWindow:
             return
         try:
             self._service.correct(frame, corners)
-            text = "" if corners is None else f"Saved in {self._service.corrections_file.name}, beside the flight."
+            text = "" if corners is None else f"Saved in {self._service.corrections_place}."
         except LPNError as error:
             self._say(frame, f"Not saved. {error}")
         else:
@@ -173,15 +173,15 @@ class FlightWindow:
 
     def _say(self, frame: int, text: str) -> None:
         with self._lock:
-            self._said = _Said(frame, text, time.monotonic() + _SHOWN)
+            self._message = _Message(frame, text, time.monotonic() + _SHOWN)
         self._worker.wake()
 
-    def _said_of(self, frame: int | None) -> _Said | None:
+    def _message_of(self, frame: int | None) -> _Message | None:
         """Return what is told of a frame; it is forgotten at the next frame, and after some seconds."""
         with self._lock:
-            if self._said is not None and (self._said.frame != frame or time.monotonic() >= self._said.until):
-                self._said = None
-            return self._said
+            if self._message is not None and (self._message.frame != frame or time.monotonic() >= self._message.until):
+                self._message = None
+            return self._message
 
     def _choose_query(self, state: SessionState, frame: int) -> SessionState:
         return session_state.choose_query(state, frame, len(self._workspace.tasks[state.task].queries))
@@ -205,8 +205,10 @@ class FlightWindow:
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height))
         shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
-        said = self._said_of(shown)
-        self._progress.show(page.calls({"status": (said and said.text) or page.progress(job, len(view.flight.frames))}))
+        message = self._message_of(shown)
+        self._progress.show(
+            page.calls({"status": (message and message.text) or page.progress(job, len(view.flight.frames))})
+        )
         self._chosen.show(
             page.calls(
                 {
@@ -222,7 +224,7 @@ class FlightWindow:
             self._spot.show(page.calls({"spot": {"spot": choices.spot, "frames": frames, "html": html}}))
         if running:
             return _INTERVAL
-        return None if said is None else max(said.until - time.monotonic(), 0.0)
+        return None if message is None else max(message.until - time.monotonic(), 0.0)
 
     @property
     def _panel_height(self) -> int:

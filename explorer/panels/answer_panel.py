@@ -24,11 +24,14 @@ class AnswerPanel:
 
     Args:
         change: updates the browser's state with a function.
+
+    Attributes:
+        stories: the row of the names of stories.
     """
 
     def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
         self._workspace, self._change = workspace, change
-        self._header, self._verdict = Html(gui), Html(gui)
+        self._header, self.stories, self._verdict = Html(gui), Html(gui), Html(gui)
         self._shown: pages.ShownAnalysis | None = None
         self._status = Html(gui, pages.status(None))
         with gui.add_folder("Matches"):

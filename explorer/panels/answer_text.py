@@ -3,9 +3,39 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+
+import numpy as np
 
 from explorer.workspace import StateAnalysis
+from lpn.core.arrays import FloatingArray
 from lpn.drawing import verdicts
+from lpn.retrieval import Match
+
+_PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
+
+
+@dataclass(frozen=True, eq=False)
+class Lead:
+    """By how much the answer leads another tile, part by part.
+
+    Attributes:
+        shares: d² of the other tile minus d² of the answer, each part's share, (n,).
+        other: the other tile in words.
+    """
+
+    shares: FloatingArray
+    other: str
+
+    @property
+    def total(self) -> float:
+        """The lead in d²."""
+        return float(self.shares.sum())
+
+    @property
+    def decisive(self) -> int:
+        """The part that makes most of it."""
+        return int(np.argmax(self.shares))
 
 
 def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None, str, str]:
@@ -15,12 +45,52 @@ def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None
         gap = "there is no other tile"
         if first.gap is not None:
             gap = f"the next tile is {first.gap:.3f} further away (d²)"
-        own = "Your picture: nearest tile" if analysis.state.upload is not None else "Nearest tile"
-        return None, own, f"Its true place is not known here; {gap}."
+        if analysis.state.upload is None:
+            return None, "Nearest tile", f"Its true place is not known here; {gap}."
+        place = "Its true place is not known here"
+        if analysis.errors_m is not None and math.isfinite(error := float(analysis.errors_m[first.index])):
+            place = f"Its GPS tag lies {error:,.0f} m from the middle of this tile"
+        return None, "Your picture: nearest tile", f"{place}; {gap}."
     if analysis.positive is None and depth is not None:
         return False, f"No true tile among the {depth} found", "The search does not tell what follows them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)
-    error_m = None if analysis.errors_m is None else float(analysis.errors_m[first.index])
-    if error_m is not None and not math.isfinite(error_m):  # a tile of an index without a position
-        error_m = None
-    return verdicts.verdict(first, analysis.positive, hardest_negative, part_names, error_m)
+    return verdicts.verdict(first, analysis.positive, hardest_negative, part_names, _error_m(analysis))
+
+
+def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
+    """Return whether the top match is right (None: unknown), one word for it, and one sentence without a technical term."""
+    first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
+    pictures = f"{analysis.task.tiles:,} {_PICTURES[analysis.task.gallery_view]}"
+    if analysis.ranking.relevant is None:
+        text = f"This is the most similar of {pictures}. The true place is not known here, so it is not graded."
+        return None, "Best match", text
+    if positive is None and analysis.ranking.depth is None:
+        return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."
+    if first.true:
+        off = "" if error_m is None else f", {error_m:,.0f} m off"
+        return True, "Right", f"The model compared {pictures} and found the right place{off}."
+    away = "another place" if error_m is None else f"a place {error_m:,.0f} m away"
+    rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
+    return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
+
+
+def lead(analysis: StateAnalysis) -> Lead | None:
+    """Return the lead of the top match over the tile that it is best compared with; None where there is none.
+
+    For a right answer, that is the hardest negative; for a wrong one, the nearest positive; without a truth, the next tile.
+    """
+    first, others = analysis.matches[0], analysis.matches[1:]
+    rival: Match | None
+    if first.true is None or (first.true is False and analysis.positive is None):
+        rival, name = next(iter(others), None), "the next best picture"
+    elif first.true:
+        rival, name = next((match for match in others if not match.true), None), "the best wrong picture"
+    else:
+        rival, name = analysis.positive, "the right picture"
+    return None if rival is None else Lead(rival.shares - first.shares, name)
+
+
+def _error_m(analysis: StateAnalysis) -> float | None:
+    """Return the metres from what the query shows to the top match; None where that is unknown."""
+    error_m = math.nan if analysis.errors_m is None else float(analysis.errors_m[analysis.matches[0].index])
+    return error_m if math.isfinite(error_m) else None  # a tile of an index may have no position

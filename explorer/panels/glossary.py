@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import viser
 
-_PAGE = Path(__file__).parents[1] / "web" / "glossary.md"
+from explorer.web.terms import GLOSSARY
 
 
 class Glossary:
@@ -35,5 +34,5 @@ class Glossary:
 
 def text() -> str:
     """Return the glossary as Markdown without its title and without links, which lead to files of the project."""
-    page = _PAGE.read_text("utf-8").partition("\n")[2]
+    page = GLOSSARY.read_text("utf-8").partition("\n")[2]
     return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", page)

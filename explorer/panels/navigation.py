@@ -19,12 +19,14 @@ class Navigation:
         notify: shows a notification with a title and a text.
 
     Attributes:
+        step_own: returns the state so many own pictures further, None unless one of several is shown.
         order: returns the queries that `next` and `previous` step through; None for all queries.
     """
 
     def __init__(self, workspace: Workspace, notify: Callable[[str, str], object]) -> None:
         self._workspace, self._notify, self._rng = workspace, notify, Random()
         self._last_query: dict[str, int] = {}
+        self.step_own: Callable[[SessionState, int], SessionState | None] = lambda *_: None
         self.order: Callable[[SessionState], Int64Array | None] = lambda _: None
 
     def next(self, state: SessionState) -> SessionState:
@@ -45,7 +47,7 @@ class Navigation:
         if ranking.result is None:
             self._notify("Not known yet", "All queries are still being ranked; try again later.")
             return None
-        chosen = session_state.random_failure(state, ranking.ranks.tolist(), self._rng)
+        chosen = session_state.random_failure(state, ranking.failed, self._rng)
         known = ranking.task.known
         if chosen is None and known is not None and not known.any():
             self._notify("Nothing is known", "No query of this task has a known place, so none can fail.")
@@ -72,6 +74,8 @@ class Navigation:
         return choose
 
     def _step(self, state: SessionState, by: int) -> SessionState:
+        if state.upload is not None and (own := self.step_own(state, by)) is not None:
+            return own
         order, count = self.order(state), self._count(state)
         return (
             session_state.step(state, by, count)

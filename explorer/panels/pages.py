@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
+from explorer import session_state
 from explorer.panels import answer_text
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
@@ -76,6 +78,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
         reason=reason,
         note=f"The query: {note}." if note else "",
         all_parts_off=all_parts_off,
+        alterations=session_state.alterations(analysis.state, math.prod(workspace.map_sizes[analysis.task.query_view])),
     )
 
 
@@ -119,33 +122,4 @@ def parts_table(analysis: StateAnalysis, workspace: Workspace) -> str:
         weights=analysis.ranking.weights,
         part_names=workspace.part_names,
         claim=analysis.task.contract.claim,
-    )
-
-
-def picker(
-    workspace: Workspace,
-    task: Task,
-    shown: Sequence[int],
-    query: int | None,
-    page: int,
-    pages: int,
-    buttons: Sequence[str],
-) -> str:
-    """Return the thumbnails of one page of queries; the last two buttons turn the page."""
-    ranking = workspace.rankings[task.name]
-    ranks = None if ranking.result is None else ranking.ranks
-    known = task.known
-    queries = [
-        (index, None if ranks is None or (known is not None and not known[index]) else bool(ranks[index] == 0))
-        for index in shown
-    ]
-    return render(
-        "panels/picker",
-        task=task,
-        queries=queries,
-        chosen=query,
-        page=page,
-        pages=pages,
-        buttons=buttons,
-        thumbnail=workspace.thumbnail,
     )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import viser
 
+from explorer.browse.feeds import Feeds
 from explorer.panels import parts_panel
 from explorer.panels.answer_panel import AnswerPanel
 from explorer.panels.controls import Controls
@@ -25,6 +26,7 @@ class Panels:
         self,
         client: viser.ClientHandle,
         workspace: Workspace,
+        feeds: Feeds,
         state: SessionState,
         change: Callable[[StateChange], None],
     ) -> None:
@@ -33,7 +35,7 @@ class Panels:
         self.controls = Controls(gui, state, change)
         self._left = left = gui.add_panel()
         with left.add_tab("Query", viser.Icon.DRONE):
-            self.query = QueryPanel(gui, workspace, self.controls, self.navigation, change, self.notify_error)
+            self.query = QueryPanel(gui, workspace, feeds, self.controls, self.navigation, change, self.notify_error)
         with left.add_tab("Parts", viser.Icon.ADJUSTMENTS):
             parts_panel.add(gui, workspace, self.controls, change)
         left.dock_left()

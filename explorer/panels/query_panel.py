@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import viser
 
 from explorer import session_state
+from explorer.browse.feeds import Feeds
+from explorer.browse.own_pictures import OwnPictures
+from explorer.browse.query_list import QueryList
 from explorer.panels import pages
 from explorer.panels.controls import Controls
 from explorer.panels.navigation import Navigation
 from explorer.panels.upload_control import UploadControl
-from explorer.server.viser_compat import uuid_of
-from explorer.session_state import MAX_ZOOM, PAGE_SIZE, SessionState, StateChange
-from explorer.web.html import Html
+from explorer.session_state import MAX_ZOOM, SessionState, StateChange
 from explorer.workspace import StateAnalysis, Workspace
 
 _HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
@@ -37,6 +38,7 @@ class QueryPanel:
         self,
         gui: viser.GuiApi,
         workspace: Workspace,
+        feeds: Feeds,
         controls: Controls,
         navigation: Navigation,
         change: Callable[[StateChange], None],
@@ -69,10 +71,14 @@ class QueryPanel:
             controls.slider("Zoom", "zoom", 1 / MAX_ZOOM, MAX_ZOOM, 0.05)
             gui.add_html(pages.note(pages.SHIFT_NOTE))
         # viser shows an upload button even if `visible` is false.
-        self._upload = UploadControl(gui, change, notify_error) if has_model else None
+        self._own: OwnPictures | None = None
+        if has_model:
+            UploadControl(gui, lambda name, content: own.take(name, content), notify_error)
+            own = self._own = OwnPictures(gui, feeds, change, notify_error)
+            navigation.step_own = own.step
         with gui.add_folder("Pictures"):
             self.find_box = gui.add_text("Find name", "")
-            self._picker = _Picker(gui, workspace, change)
+            self.list = QueryList(gui, workspace, feeds, change)
         # Inputs are read in order. The search comes after the sliders, because it resets them when it finds a query.
         controls.bind("find", self.find_box, self._search)
         with gui.add_folder("Look"):
@@ -101,15 +107,28 @@ class QueryPanel:
             self._city.visible = visible
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Show the page of the picker that the state selects."""
-        self._picker.show(analysis)
+        """Show the list of pictures around the state's query, and one's own."""
+        self.list.show(analysis)
+        if self._own is not None:
+            self._own.show(analysis.state)
+
+    def handlers(self) -> dict[str, Callable[[Any], None]]:
+        """Return a handler for each kind of message of the panel's HTML."""
+        own = {} if self._own is None else self._own.handlers()
+        return {**self.list.handlers(), **own}
+
+    def leave(self) -> None:
+        """Serve nothing more to a browser that left, and forget its pictures."""
+        self.list.leave()
+        if self._own is not None:
+            self._own.leave()
 
     def _search(self, state: SessionState, value: Any) -> SessionState:
         """Filter the pictures by name; if exactly one name matches, choose that query."""
         find = str(value)[:_MAX_FIND]
         if find == state.find:
             return state
-        state = replace(state, find=find, page=0)
+        state = replace(state, find=find)
         names = self._workspace.tasks[state.task].query_names
         hits = session_state.matching_names(names, find) if find.strip() else []
         return session_state.choose_query(state, hits[0], len(names)) if len(hits) == 1 else state
@@ -118,59 +137,3 @@ class QueryPanel:
 def city_available(workspace: Workspace, state: SessionState) -> bool:
     """Return True if the map is shown and has a 3-D city model."""
     return state.map and workspace.city is not None and workspace.tasks[state.task].geometry is not None
-
-
-@dataclass(frozen=True)
-class _Page:
-    """The pictures that the picker shows: positions among a task's queries."""
-
-    task: str
-    find: str
-    queries: tuple[int, ...]
-
-
-class _Picker:
-    """Pages of thumbnails; a click on one presses its hidden button."""
-
-    def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
-        self._workspace, self._change = workspace, change
-        self._page: _Page | None = None
-        self._html = Html(gui)
-        buttons = [gui.add_button(f"picture {slot}") for slot in range(PAGE_SIZE)]
-        for slot, button in enumerate(buttons):
-            button.on_click(self._choose(slot))
-        for label, by in (("earlier", -1), ("later", 1)):
-            buttons.append(gui.add_button(label))
-            buttons[-1].on_click(self._turn_page(by))
-        self._buttons = [uuid_of(button) for button in buttons]
-        gui.add_html(pages.hidden(self._buttons))
-
-    def show(self, analysis: StateAnalysis) -> None:
-        state, task = analysis.state, analysis.task
-        hits = session_state.matching_names(task.query_names, state.find)
-        count = max(-(-len(hits) // PAGE_SIZE), 1)
-        page = state.page % count
-        shown = hits[page * PAGE_SIZE : (page + 1) * PAGE_SIZE]
-        self._page = _Page(state.task, state.find, tuple(shown))
-        query = None if state.upload else state.query
-        self._html.show(pages.picker(self._workspace, task, shown, query, page, count, self._buttons))
-
-    def _choose(self, slot: int) -> Callable[[Any], None]:
-        def on_click(_: Any) -> None:
-            page = self._page
-            if page is None or slot >= len(page.queries):
-                return
-
-            def choose(state: SessionState) -> SessionState:
-                if (state.task, state.find) != (page.task, page.find):
-                    return state
-                return session_state.choose_query(
-                    state, page.queries[slot], len(self._workspace.tasks[state.task].queries)
-                )
-
-            self._change(choose)
-
-        return on_click
-
-    def _turn_page(self, by: int) -> Callable[[Any], None]:
-        return lambda _: self._change(lambda state: replace(state, page=state.page + by))

@@ -26,7 +26,7 @@ def add(
     panels: Panels,
     change: Callable[[StateChange], None],
     bridge: PageBridge,
-    window_commands: Sequence[tuple[str, Callable[[], None]]],
+    window_commands: Sequence[tuple[str, str | None, Callable[[], None]]],
 ) -> None:
     """Register all commands for one browser."""
     for label, key, state_change in _changes(workspace, panels):
@@ -35,12 +35,11 @@ def add(
         _register(gui, f"Compare match {slot + 1}", str(slot + 1), panels.answer.compare(slot))
     calls: list[tuple[str, str | None, Callable[[], None]]] = [
         ("Copy link to what is shown", "I", lambda: bridge.call("copy")),
-        ("Show the tour", None, lambda: bridge.call("tour")),
         ("Find a picture by name", None, lambda: bridge.call("focus", uuid_of(panels.query.find_box))),
     ]
     if workspace.model is not None:
         calls.append(("Use my own picture", "U", lambda: bridge.call("upload")))
-    calls += [(label, None, call) for label, call in window_commands]
+    calls += window_commands
     for label, key, call in calls:
         _register(gui, label, key, _without_event(call))
 

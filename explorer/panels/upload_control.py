@@ -1,36 +1,36 @@
-"""The button for a picture of the user's own."""
+"""The button for pictures of the user's own."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import viser
 
-from explorer import session_state, uploads
 from explorer.server.viser_compat import forget_upload
-from explorer.session_state import StateChange
-from lpn.core.errors import LPNError
+from explorer.web.render import render
 
 
 class UploadControl:
     """One browser's upload button; it reads one picture at a time.
 
     Args:
-        change: updates the browser's state with a function.
+        take: takes the name and the content of each file.
         notify_error: shows an error with a title and a text.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, change: Callable[[StateChange], None], notify_error: Callable[[str, str], None]
+        self, gui: viser.GuiApi, take: Callable[[str, bytes], None], notify_error: Callable[[str, str], None]
     ) -> None:
-        self._change, self._notify_error, self._reading = change, notify_error, threading.Lock()
+        self._take, self._notify_error, self._taking = take, notify_error, threading.Lock()
+        # One picture, and the next of a batch, which may arrive before the thread of the one before has ended.
+        self._reading = threading.BoundedSemaphore(2)
         self._button = gui.add_upload_button(
             "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
         )
         self._button.on_upload(self._on_upload)
+        gui.add_html(render("browse/several"))
 
     def _on_upload(self, _: Any) -> None:
         if not self._reading.acquire(blocking=False):
@@ -46,14 +46,12 @@ class UploadControl:
 
     def _read(self) -> None:
         try:
-            file = self._button.value
-            if not file.name:  # of two simultaneous uploads, only the later one is read
-                return
-            forget_upload(self._button)
-            upload = uploads.read(file.name, file.content)
-        except LPNError as error:
-            self._notify_error("Upload failed", str(error))
-            return
+            with self._taking:
+                file = self._button.value
+                if not file.name:  # of two simultaneous uploads, only the later one is read
+                    return
+                forget_upload(self._button)
+                name, content = file.name, file.content
+            self._take(name, content)
         finally:
             self._reading.release()
-        self._change(lambda state: replace(session_state.upright(state), upload=upload, selected=None))

@@ -11,7 +11,7 @@ import asyncio
 import functools
 import itertools
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Generator, Iterator, Sequence
 from typing import Any
 
 import viser
@@ -22,6 +22,7 @@ from websockets.frames import CTRL_OPCODES, Frame
 from websockets.http11 import Request as WebsocketRequest
 from websockets.http11 import Response
 from websockets.protocol import CONNECTING, Event
+from websockets.streams import StreamReader
 
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
@@ -38,6 +39,9 @@ PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
+# Characters of an address, which has the state of a page, and bytes of a request's first line that are read. websockets reads
+# 8,192 bytes of it, and closes the connection without an answer to a longer one.
+MAX_ADDRESS, MAX_REQUEST_LINE = 20_000, 1 << 16
 # Limits on control frames and small message fragments: tokens per second, and the size of the token bucket.
 # A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
@@ -47,9 +51,16 @@ _WEB_LOG = logging.getLogger(f"{__name__}.web")
 _WEB_LOG.setLevel(logging.WARNING)  # at debug level, websockets logs requests, and thus tokens
 # websockets logs a traceback for each malformed request.
 _WEB_LOG.addFilter(lambda record: record.getMessage() != "opening handshake failed")
+# websockets fails to answer a page that has aborted its request, as one does that scrolls on.
+_WEB_LOG.addFilter(lambda record: record.exc_info is None or not isinstance(record.exc_info[1], AssertionError))
 _TOO_MANY = "Too many wrong tokens came from your address. Wait some seconds."
 _BLOCKED = Refusal(429, "Too many wrong tokens", _TOO_MANY, ask_token=True)
 _SERVER_START = "the way it starts its server"
+_LONG = Refusal(
+    414,
+    "The address is too long",
+    f"An address has up to {MAX_ADDRESS:,} characters. Open the page without what follows its ?.",
+)
 _MALFORMED = Refusal(400, "Malformed request", "The request is not for an address of this server.")
 
 
@@ -59,13 +70,16 @@ class Gateway:
     Args:
         authenticator: decides which requests are let in.
         pictures: answers requests for pictures; None refuses them like any other unknown address.
+        embedders: sources of pages that may show this one in a frame, beside its own server, as CSP writes them.
 
     Raises:
         MissingPackageError: when viser's private API is not that of the supported version.
     """
 
-    def __init__(self, authenticator: Authenticator, pictures: PictureRoute | None = None) -> None:
-        self.authenticator, self._pictures = authenticator, pictures
+    def __init__(
+        self, authenticator: Authenticator, pictures: PictureRoute | None = None, embedders: Sequence[str] = ()
+    ) -> None:
+        self.authenticator, self._pictures, self._embedders = authenticator, pictures, tuple(embedders)
         self._rate_limiter = RateLimiter()
         self._server: viser.ViserServer | None = None
         self._protecting = False
@@ -121,6 +135,8 @@ class Gateway:
     def _authenticate_and_respond(
         self, page: PageServer, connection: ServerConnection, raw: WebsocketRequest
     ) -> Response | Awaitable[Response] | None:
+        if len(raw.path) > MAX_ADDRESS:
+            return refusal_page(_LONG)
         port = int(connection.local_address[1])
         request = _http_request(connection, raw)
         if self.authenticator.has_token(request) and self._rate_limiter.blocked(request.address):
@@ -137,10 +153,24 @@ class Gateway:
         if self._pictures is not None and self._pictures.serves(raw.path) and not request.upgrade:
             return self._picture(self._pictures, raw.path, request)
         response = page(connection, raw)
-        return None if response is None else _add_security_headers(response, request.only("host"))
+        return None if response is None else self._secured(response, request)
 
     async def _picture(self, pictures: PictureRoute, path: str, request: HttpRequest) -> Response:
-        return _add_security_headers(await pictures.respond(path, request.address), request.only("host"))
+        return self._secured(await pictures.respond(path, request.address), request)
+
+    def _secured(self, response: Response, request: HttpRequest) -> Response:
+        return _add_security_headers(response, request.only("host"), self._embedders)
+
+
+class _RequestReader(StreamReader):
+    """Reads up to `MAX_REQUEST_LINE` bytes of a request's first line; header lines keep the limit of websockets."""
+
+    _first = True
+
+    def read_line(self, m: int) -> Generator[None, None, bytearray]:
+        """Read a line of at most `m` bytes; see the base class for the errors."""
+        m, self._first = max(m, MAX_REQUEST_LINE) if self._first else m, False
+        return super().read_line(m)
 
 
 class _Connection(ServerConnection):
@@ -148,15 +178,24 @@ class _Connection(ServerConnection):
 
     def __init__(self, is_upload_button: Callable[[str], bool], *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
+        # The parser has begun to read by the other reader.
+        self.protocol.reader = _RequestReader()
+        self.protocol.parser = self.protocol.parse()
+        next(self.protocol.parser)
         self.filter = MessageFilter(is_upload_button)
         self._small_frames = TokenBucket(SMALL_FRAME_RATE, SMALL_FRAME_BURST)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Abort the connection if too many are pending; otherwise the process could run out of file descriptors."""
+        """Abort a connection if too many are pending; otherwise the process could run out of file descriptors.
+
+        That is the oldest one that has not sent its request: somebody who holds half-open connections keeps nobody else out.
+        """
         super().connection_made(transport)
-        pending = [_address(one) for one in self.server.handlers if one.state is CONNECTING]
-        if len(pending) > MAX_ALL_PENDING or pending.count(_address(self)) > MAX_PENDING:
-            self.transport.abort()
+        pending = [one for one in self.server.handlers if one.state is CONNECTING and not one.transport.is_closing()]
+        own = [one for one in pending if _address(one) == _address(self)]
+        excess = own if len(own) > MAX_PENDING else pending if len(pending) > MAX_ALL_PENDING else []
+        if excess:
+            next(one for one in excess if one.request is None).transport.abort()
 
     def process_event(self, event: Event) -> None:
         """Abort a connection that floods the server with control frames or small fragments: `recv` delays only whole messages."""
@@ -226,16 +265,17 @@ def _address(connection: ServerConnection) -> str:
     return str(remote[0]) if isinstance(remote, tuple) else ""
 
 
-def _add_security_headers(response: Response, host: str) -> Response:
+def _add_security_headers(response: Response, host: str, embedders: Sequence[str]) -> Response:
     """Add security headers to a response.
 
-    The page may load resources only from its own server. Other sites may not embed the page.
+    The page may load resources only from its own server. Only the embedders may show it in a frame.
     """
+    frames = " ".join(("'self'", *embedders))
     own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
     response.headers["Content-Security-Policy"] = (
         "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
         f"img-src 'self' data: blob:; font-src 'self' data:; connect-src {own} data: blob:; worker-src 'self' blob: data:; "
-        "object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'self'"
+        f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {frames}"
     )
     response.headers["X-Content-Type-Options"] = "nosniff"
     response.headers["Referrer-Policy"] = "no-referrer"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
+from base64 import b64encode
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -33,6 +34,11 @@ class EncodedPicture:
 
     data: bytes
     mime: str
+
+    @property
+    def data_uri(self) -> str:
+        """The picture itself in place of an address."""
+        return f"data:{self.mime};base64,{b64encode(self.data).decode()}"
 
 
 # Returns what computes the picture of a path below `PREFIX`, None if there is no such picture. It must return at once.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from typing import Any
 
@@ -92,6 +93,11 @@ class _Override:
 def uuid_of(handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle) -> str:
     """Return the id that a control's element or label has in the page."""
     return str(handle._impl.uuid)
+
+
+def thread_pool(gui: viser.GuiApi) -> Executor:
+    """Return the pool that runs the functions which viser calls."""
+    return gui._thread_executor
 
 
 def is_upload_button(server: viser.ViserServer, uuid: str) -> bool:

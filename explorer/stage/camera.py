@@ -16,6 +16,12 @@ MAP_CENTRE = np.array([60.0, 0.0, 0.0])
 SIDE = 8.0
 # Side of a picture on the sign when the view shows the whole map, in stage units.
 SIGN_PICTURE = 2.1
+# Width of the sign's caption, between its two pictures.
+SIGN_CAPTION = SIDE - 2 * SIGN_PICTURE
+# The camera's field of view from bottom to top, in radians.
+FOV = 0.45
+# The area of the compared pair and the ranked tiles, which is always in view, in stage units.
+HEIGHT, WIDTH = 8.1, 8.3
 
 _MAP_TILT = math.radians(38)
 _CITY_TILT = math.radians(52)
@@ -68,6 +74,13 @@ class Viewpoint:
         distance = self.scale * self._height(aspect) / math.tan(fov / 2)
         target = self._target
         return target + distance * np.array([0.0, -math.sin(self.tilt), math.cos(self.tilt)]), target
+
+    def sign_share(self, aspect: float, fov: float) -> float:
+        """Return the share of the view's height that a unit of the sign takes, in the units of the whole map."""
+        height = self._height(aspect)
+        distance = height / math.tan(fov / 2)
+        behind = 0.0 if self.floating else self.depth / 2 * math.sin(self.tilt) / self.scale
+        return distance / (distance + behind) / (2 * height)
 
     @property
     def _ground(self) -> Float64Array:

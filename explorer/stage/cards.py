@@ -6,24 +6,29 @@ Each row is two pictures, one with all photos and one with all labels: few large
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from threading import RLock
 from typing import Any
 
 import numpy as np
 import viser
 
+from explorer.compute.request_context import QueuedModel
+from explorer.compute.worker import Worker
 from explorer.layout import Layout
 from explorer.session_state import SessionState
 from explorer.stage.image_planes import UPRIGHT, Plane
+from explorer.stage.lettering import LABEL_HEIGHT, Lettering, label_width
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.core.errors import LPNError
 from lpn.drawing import captions, overlays, theme
+from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import Colour, Palette
 from lpn.retrieval import Match
 
 # Number of ranked tiles on the stage.
 SHOWN = 10
-# Height of a label in pixels.
-_LABEL = 58
 # Width of the marker's line, in stage units.
 _MARGIN = 0.04
 
@@ -31,16 +36,26 @@ _MARGIN = 0.04
 class Cards:
     """One browser's ranked tiles.
 
+    Where parts differ from picture to picture, a worker describes the shown tiles in the background, one at a time, and draws
+    the parts of a row when it has all of them.
+
     Args:
         on_select: called with the shown state and the gallery position of a clicked tile.
+        model: describes tiles in the background; None if there are only stored descriptors.
     """
 
     def __init__(
-        self, scene: viser.SceneApi, workspace: Workspace, on_select: Callable[[SessionState, int], None]
+        self,
+        scene: viser.SceneApi,
+        workspace: Workspace,
+        on_select: Callable[[SessionState, int], None],
+        model: QueuedModel | None,
     ) -> None:
-        self._workspace, self._on_select = workspace, on_select
+        self._workspace, self._on_select, self._model = workspace, on_select, model
         self._layout = layout = workspace.layout
+        self._gap = (layout.step[0] - layout.card[0]) / layout.card[0]
         self._shown: StateAnalysis | None = None
+        self._label_size = 0
         width, height, above = layout.card
         across = (layout.columns - 1) * layout.step[0] + width
         self._rows: list[tuple[Plane, Plane]] = []
@@ -50,11 +65,21 @@ class Cards:
             labels = Plane(scene, f"/cards{first}/labels", across, above, (0.0, y + height / 2, 0.0))
             self._rows.append((photos, labels))
         self._drawn: list[object] = [None] * len(self._rows)
-        self._marker = Plane(scene, "/marker", width + 2 * _MARGIN, height + above + 2 * _MARGIN, (0, 0, 0.02), "png")
+        # Lines, not a picture: the transparent inside of one would hide the card from a side.
+        self._marker = scene.add_line_segments(
+            "/marker", _frame(width, height + above), np.zeros((4, 2, 3), np.uint8), thickness=_MARGIN
+        )
         self._targets = [self._target(scene, slot) for slot in range(SHOWN)]
+        self._lock = RLock()
+        # An error is in the log; the tile has no borders then.
+        self._worker = Worker(self._find_areas, lambda _: None)
+
+    def leave(self) -> None:
+        """Stop describing tiles: the browser has left."""
+        self._worker.stop()
 
     def _target(self, scene: viser.SceneApi, slot: int) -> viser.ImageHandle:
-        """Add an invisible plane in front of a card to receive clicks."""
+        """Add an invisible plane behind a card to receive clicks; in front, it would hide the card from a side."""
         x, y = self._layout.card_centre(slot)
         handle = scene.add_image(
             f"/card{slot}",
@@ -65,52 +90,88 @@ class Cards:
             cast_shadow=False,
             receive_shadow=False,
             wxyz=UPRIGHT,
-            position=(x, y, 0.01),
+            position=(x, y, -0.01),
         )
         handle.on_click(self._clicked(slot))
         return handle
 
-    def show(self, analysis: StateAnalysis) -> None:
+    def show(self, analysis: StateAnalysis, lettering: Lettering) -> None:
         """Draw the matches of an analysis."""
-        self._shown = analysis
+        with self._lock:
+            self._shown, self._label_size = analysis, lettering.label
+            self._draw(analysis)
+        if self._model is not None and analysis.state.rings and self._unknown(analysis):
+            self._worker.wake()
+
+    def _draw(self, analysis: StateAnalysis) -> None:
         state, layout, matches = analysis.state, self._layout, analysis.matches
         ground = state.palette.background
         full = max(match.distance2 for match in matches)
         self._mark(analysis)
         for slot, target in enumerate(self._targets):
             target.visible = slot < len(matches)
-        gap = (layout.step[0] - layout.card[0]) / layout.card[0]
         for row, (photos, labels) in enumerate(self._rows):
-            some = matches[row * layout.columns : (row + 1) * layout.columns]
+            some = self._row(analysis, row)
             photos.handle.visible = labels.handle.visible = bool(some)
-            drawn = (analysis.task.name, state.rings, ground, tuple((match.index, match.true) for match in some))
-            if some and self._drawn[row] != drawn:
-                photos.show(_join_row([self._photo(analysis, match) for match in some], layout.columns, gap, ground))
-                self._drawn[row] = drawn
             if some:
+                self._draw_photos(analysis, row)
                 labels.show(
-                    _join_row([self._label(analysis, match, full) for match in some], layout.columns, gap, ground)
+                    _join_row([self._label(analysis, match, full) for match in some], layout.columns, self._gap, ground)
                 )
+
+    def _row(self, analysis: StateAnalysis, row: int) -> Sequence[Match]:
+        return analysis.matches[row * self._layout.columns : (row + 1) * self._layout.columns]
+
+    def _draw_photos(self, analysis: StateAnalysis, row: int) -> None:
+        """Draw a row's photos, unless the same ones are drawn."""
+        state, some, ground = analysis.state, self._row(analysis, row), analysis.state.palette.background
+        areas = [
+            self._workspace.known_tile_areas(analysis.task, match.index) if state.rings else None for match in some
+        ]
+        cards = [(match.index, match.true, known is not None) for match, known in zip(some, areas, strict=True)]
+        drawn = (analysis.task.name, ground, cards)
+        if self._drawn[row] != drawn:
+            photos = [self._photo(analysis, match, known) for match, known in zip(some, areas, strict=True)]
+            self._rows[row][0].show(_join_row(photos, self._layout.columns, self._gap, ground))
+            self._drawn[row] = drawn
+
+    def _unknown(self, analysis: StateAnalysis) -> list[Match]:
+        """Return the shown tiles whose parts are not known, though the model gives their cells."""
+        if not self._workspace.contract.has_cells:
+            return []
+        return [
+            match for match in analysis.matches if self._workspace.known_tile_areas(analysis.task, match.index) is None
+        ]
+
+    def _find_areas(self) -> None:
+        analysis = self._shown
+        if analysis is None:
+            return
+        for row in range(len(self._rows)):
+            for match in self._row(analysis, row):
+                if self._shown is not analysis:  # `show` has asked for a newer one
+                    return
+                with suppress(LPNError):  # a damaged picture
+                    self._workspace.find_tile_areas(analysis.task, match.index, self._model)
+            with self._lock:
+                if self._shown is analysis and self._row(analysis, row):
+                    self._draw_photos(analysis, row)
 
     def _mark(self, analysis: StateAnalysis) -> None:
         """Frame the compared card if it is shown."""
         slots = [slot for slot, match in enumerate(analysis.matches) if match.index == analysis.chosen.index]
-        self._marker.handle.visible = bool(slots)
+        self._marker.visible = bool(slots)
         if slots:
             x, y = self._layout.card_centre(slots[0])
-            self._marker.handle.position = (x, y, 0.02)
-            self._marker.show(_frame(self._layout, analysis.state.palette.text))
+            self._marker.position = (x, y, 0.02)
+            self._marker.colors = np.full((4, 2, 3), analysis.state.palette.text, np.uint8)
 
-    def _photo(self, analysis: StateAnalysis, match: Match) -> UInt8Array:
-        task, workspace = analysis.task, self._workspace
-        picture = workspace.card(task, match.index)
-        if analysis.state.rings:
-            # Areas that differ from picture to picture would need a forward pass for each card.
-            picture = overlays.with_parts(picture, workspace.areas(task.gallery_view), 1)
+    def _photo(self, analysis: StateAnalysis, match: Match, areas: PartAreas | None) -> UInt8Array:
+        picture = overlays.with_parts(self._workspace.card(analysis.task, match.index), areas, 1)
         return overlays.framed(picture, theme.verdict_colour(match.true), 7)
 
     def _label(self, analysis: StateAnalysis, match: Match, full: float) -> UInt8Array:
-        return _card_label(self._layout, match, analysis.task.gallery[match.index].name, full, analysis.state.palette)
+        return _card_label(self._layout, match, full, analysis.state.palette, self._label_size)
 
     def _clicked(self, slot: int) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
@@ -132,26 +193,25 @@ def _join_row(pictures: Sequence[UInt8Array], columns: int, gap: float, ground: 
     return row
 
 
-def _frame(layout: Layout, colour: Colour) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Draw a frame around a card, transparent inside."""
-    width, height = layout.card[0] + 2 * _MARGIN, sum(layout.card[1:]) + 2 * _MARGIN
-    drawn = np.zeros((round(100 * height), round(100 * width), 4), np.uint8)
-    drawn[..., :3], line = colour, round(100 * _MARGIN)
-    drawn[:line, :, 3] = drawn[-line:, :, 3] = drawn[:, :line, 3] = drawn[:, -line:, 3] = 255
-    return drawn
+def _frame(width: float, height: float) -> Float32Array:
+    """Return the four lines around a card, (4, 2, 3), from its centre in stage units; they meet at their outer edges."""
+    x, y, half = (width + _MARGIN) / 2, (height + _MARGIN) / 2, _MARGIN / 2
+    lines = [
+        ((-x - half, y), (x + half, y)),
+        ((-x - half, -y), (x + half, -y)),
+        ((-x, -y), (-x, y)),
+        ((x, -y), (x, y)),
+    ]
+    return np.array([[(*point, 0.0) for point in line] for line in lines], np.float32)
 
 
-def _card_label(layout: Layout, match: Match, name: str, full: float, palette: Palette) -> UInt8Array:
-    width = round(_LABEL * layout.card[0] / layout.card[2])
-    image, draw = captions.caption(width, _LABEL, palette)
-    draw.text((2, 20), str(match.rank), palette.text, captions.font(26), anchor="lm")
-    x = 8 + draw.textlength(str(match.rank), font=captions.font(26))
+def _card_label(layout: Layout, match: Match, full: float, palette: Palette, size: int) -> UInt8Array:
+    width, font = label_width(layout), captions.font(size)
+    image, draw = captions.caption(width, LABEL_HEIGHT, palette)
+    draw.text((2, 20), str(match.rank), palette.text, font, anchor="lm")
+    x = 8 + draw.textlength(str(match.rank), font=font)
     if match.true is not None:
-        captions.draw_sign(draw, x + 2, 11, 17, match.true, palette)
-        x += 28
-    value = f"{match.distance2:.3f}"
-    draw.text((width - 2, 20), value, palette.text, captions.font(22), anchor="rm")
-    room = width - 2 - draw.textlength(value, font=captions.font(22)) - x - 8
-    draw.text((x, 21), captions.fitted(draw, name, 20, room), palette.dim, captions.font(20), anchor="lm")
+        captions.draw_sign(draw, x + 2, 20 - size / 3, 0.66 * size, match.true, palette)
+    draw.text((width - 2, 20), f"{match.distance2:.3f}", palette.text, font, anchor="rm")
     captions.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
     return np.asarray(image)

@@ -12,6 +12,8 @@ from lpn.drawing import captions, theme
 from lpn.drawing.theme import Palette
 from lpn.retrieval import Match
 
+# Width and height of a caption in pixels.
+CAPTION_PIXELS = 528, 58
 # A quaternion (w, x, y, z).
 Rotation = tuple[float, float, float, float]
 # Scene images have y down and face away from +z; half a turn about x sets them upright, facing the camera.
@@ -57,16 +59,25 @@ def rank_title(match: Match) -> str:
     return match.rank_text.upper() if match.missed else f"RANK {match.rank_text}"
 
 
-def title(headline: str, text: str, true: bool | None, palette: Palette, distance2: float | None = None) -> UInt8Array:
-    """Draw a caption: headline, sign, a text shortened to fit, and on the right a distance d²."""
-    image, draw = captions.caption(528, 58, palette)
-    draw.text((2, 29), headline, palette.text, captions.font(26), anchor="lm")
-    x = 2 + draw.textlength(headline, font=captions.font(26)) + 14
+def title(
+    headline: str, text: str, true: bool | None, palette: Palette, size: int, distance2: float | None = None
+) -> UInt8Array:
+    """Draw a caption: headline, sign, a text shortened to fit, and on the right a distance d².
+
+    Args:
+        size: of the texts in pixels.
+    """
+    image, draw = captions.caption(*CAPTION_PIXELS, palette)
+    width, middle = CAPTION_PIXELS[0], CAPTION_PIXELS[1] / 2
+    draw.text((2, middle), headline, palette.text, captions.font(size + 1), anchor="lm")
+    x = 2 + draw.textlength(headline, font=captions.font(size + 1)) + size / 2
     if true is not None:
-        captions.draw_sign(draw, x, 18, 22, true, palette)
-        x += 36
-    right = 526.0
+        captions.draw_sign(draw, x, middle - 0.4 * size, 0.8 * size, true, palette)
+        x += 1.3 * size
+    right = width - 2.0
     if distance2 is not None:
-        right = captions.draw_squared(draw, right, 29, f"{distance2:.3f}", 24, palette.text) - 14
-    draw.text((x, 30), captions.fitted(draw, text, 22, right - x), palette.dim, captions.font(22), anchor="lm")
+        right = captions.draw_squared(draw, right, middle, f"{distance2:.3f}", size, palette.text) - size / 2
+    draw.text(
+        (x, middle + 1), captions.fitted(draw, text, size, right - x), palette.dim, captions.font(size), anchor="lm"
+    )
     return np.asarray(image)

@@ -10,21 +10,24 @@ import numpy as np
 import viser
 
 from explorer.session_state import SessionState
-from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_PICTURE, Viewpoint, oblique_view
+from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_CAPTION, SIGN_PICTURE, Viewpoint, oblique_view
 from explorer.stage.image_planes import Plane, Rotation, rank_title
+from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.datasets import geo
+from lpn.datasets.geo import Position
 from lpn.drawing import captions, overlays, theme
 
 # Height of lines over the mosaic, in stage units.
 _LINE_HEIGHT = 0.2
-_CAPTION_WIDTH = SIDE - 2 * SIGN_PICTURE
 # Height of tiles and lines over the city, in metres.
 _ROOFS = 42.0
 # Smallest side of a view of the city, in metres.
 _MIN_VIEW = 520.0
+# Half the width of the mark of a GPS tag, in stage units.
+_TAG = 0.1
 # The view includes the query's camera up to this distance from the compared tile, in metres.
 _MAX_CAMERA_DISTANCE = 5000.0
 # Rotation from glTF (y is up) to the stage (z is up).
@@ -53,7 +56,7 @@ class GalleryMap:
         self._scene = scene = client.scene
         self._city: viser.GlbHandle | None = None
         self._ground = Plane(scene, "/map/ground", 1.0, 1.0, _point(0, 0, 0))
-        self._caption = Plane(scene, "/map/caption", _CAPTION_WIDTH, SIGN_PICTURE, _point(0, 0, 0))
+        self._caption = Plane(scene, "/map/caption", SIGN_CAPTION, SIGN_PICTURE, _point(0, 0, 0))
         self._query = Plane(scene, "/map/query", SIGN_PICTURE, SIGN_PICTURE, _point(0, 0, 0))
         self._tile = Plane(scene, "/map/tile", SIGN_PICTURE, SIGN_PICTURE, _point(0, 0, 0))
         self._lines = scene.add_line_segments(
@@ -76,7 +79,7 @@ class GalleryMap:
             cast_shadow=False,
         )
 
-    def show(self, analysis: StateAnalysis) -> Viewpoint:
+    def show(self, analysis: StateAnalysis, lettering: Lettering) -> Viewpoint:
         """Draw an analysis whose task has positions, and return the view of it."""
         places = analysis.task.geometry
         assert places is not None
@@ -84,19 +87,34 @@ class GalleryMap:
         if self._task != analysis.task.name:
             self._set_scale(analysis, places)
         city = self._show_city(analysis, places)
-        self._show_tiles(analysis, places, city, _ROOFS * self._scale if city else 0.03)
         camera = self._show_camera(analysis, places)
+        viewpoint = self._city_viewpoint(analysis, places, camera) if city else self._map_viewpoint(places)
+        pixels = lettering.ground / viewpoint.scale
+        self._show_tiles(analysis, places, city, _ROOFS * self._scale if city else 0.03, pixels)
         self._show_lines(analysis, places, camera, _ROOFS * self._scale if city else _LINE_HEIGHT)
         self._lines.thickness = 5.0 if city else 3.0
-        viewpoint = self._city_viewpoint(analysis, places, camera) if city else self._map_viewpoint(places)
         self._camera.scale = 0.5 * viewpoint.scale
-        self._caption.show(self._draw_caption(analysis))
+        self._caption.show(self._draw_caption(analysis, lettering.sign))
         palette = analysis.state.palette
         self._camera.color = palette.text
         self._query.show(overlays.framed(overlays.square(analysis.query.picture, 256), palette.text, 4))
         colour = theme.verdict_colour(analysis.chosen.true)
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
+
+    def ground(self, places: GalleryGeometry) -> dict[str, object]:
+        """Return what the page needs to measure on the ground, as JSON takes it.
+
+        These are the `middle` of the positions' metres in stage units, (2,), the `metres` of a stage unit, and for latitude and
+        longitude the `degrees` of that middle and of a metre.
+        """
+        origin = places.origin
+        steps = geo.metres_per_degree(origin.latitude)
+        return {
+            "middle": self._to_stage(np.zeros(2), 0.0)[:2].tolist(),
+            "metres": 1 / self._scale,
+            "degrees": [[origin.latitude, 1 / steps[0]], [origin.longitude, 1 / steps[1]]],
+        }
 
     def _set_scale(self, analysis: StateAnalysis, places: GalleryGeometry) -> None:
         west, south, east, north = places.bounds()
@@ -145,7 +163,7 @@ class GalleryMap:
         edge = (SIDE - SIGN_PICTURE) / 2
         for plane, x, width in (
             (self._query, -edge, SIGN_PICTURE),
-            (self._caption, 0.0, _CAPTION_WIDTH),
+            (self._caption, 0.0, SIGN_CAPTION),
             (self._tile, edge, SIGN_PICTURE),
         ):
             plane.handle.render_width, plane.handle.render_height = (
@@ -164,8 +182,14 @@ class GalleryMap:
         """Return the side of a tile in stage units; windows of a map have several sizes."""
         return max((places.tiles[index].width or places.width) * self._scale, 0.12)
 
-    def _show_tiles(self, analysis: StateAnalysis, places: GalleryGeometry, city: bool, lift: float) -> None:
-        """Draw the ranked tiles as pictures on the ground, or as frames above the roofs."""
+    def _show_tiles(
+        self, analysis: StateAnalysis, places: GalleryGeometry, city: bool, lift: float, pixels: float
+    ) -> None:
+        """Draw the ranked tiles as pictures on the ground, or as frames above the roofs.
+
+        Args:
+            pixels: CSS pixels of a stage unit.
+        """
         for slot, plane in enumerate(self._tiles):
             match = analysis.matches[slot] if slot < len(analysis.matches) else None
             # Tiles of an index may lack a position.
@@ -179,8 +203,11 @@ class GalleryMap:
             else:
                 picture = overlays.square(self._workspace.load_picture(analysis.task.gallery[match.index]), 96)
                 framed = overlays.framed(picture, colour, 5)
-            plane.show(captions.numbered(framed, match.rank))
-            plane.handle.render_width = plane.handle.render_height = self._tile_side(places, match.index)
+            side = self._tile_side(places, match.index)
+            if side * pixels > 1.3 * LEAST:  # otherwise the number would not fit
+                framed = captions.numbered(framed, match.rank, legible(30, framed.shape[0], side * pixels))
+            plane.show(framed)
+            plane.handle.render_width = plane.handle.render_height = side
             # Where tiles overlap, the highest ranked one lies on top.
             height = (0.001 if city else 0.012) * (len(self._tiles) - slot)
             plane.handle.position = self._to_stage(places.ground[match.index], 0.0, lift + height)
@@ -207,7 +234,10 @@ class GalleryMap:
     def _show_lines(
         self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
     ) -> None:
-        """Draw a line to the compared tile from the camera, or without a pose from the positive, and frame the positive."""
+        """Draw a line to the compared tile, and frame the positive.
+
+        The line begins at the query's camera, at the marked GPS tag of one's own picture, or without either at the positive.
+        """
         segments: list[tuple[AnyArray, AnyArray, theme.Colour]] = []
         chosen = self._to_stage(places.ground[analysis.chosen.index], 0.0, lift)
         truth = None
@@ -218,6 +248,13 @@ class GalleryMap:
             corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]
             segments += [(corners[i], corners[(i + 1) % 4], theme.TRUE_COLOUR) for i in range(4)]
         start = camera if camera is not None else truth
+        own = analysis.state.upload
+        if own is not None and own.place is not None:
+            tag = self._to_stage(geo.on_plane([Position(*own.place)], places.origin)[0], 0.0, lift)
+            if float(np.abs(tag - chosen).max()) < _MAX_CAMERA_DISTANCE * self._scale:
+                start = tag
+                tips = [np.add(tag, (x, y, 0.0)) for x, y in ((-_TAG, 0), (0, -_TAG), (_TAG, 0), (0, _TAG))]
+                segments += [(tips[i], tips[(i + 1) % 4], analysis.state.palette.text) for i in range(4)]
         if start is not None:
             segments.append((start, chosen, theme.verdict_colour(analysis.chosen.true)))
         if camera is not None and truth is not None and not analysis.chosen.true:
@@ -228,32 +265,37 @@ class GalleryMap:
             self._lines.points = np.array([(a, b) for a, b, _ in segments], np.float32)
             self._lines.colors = np.array([(c, c) for *_, c in segments], np.uint8)
 
-    def _draw_caption(self, analysis: StateAnalysis) -> UInt8Array:
-        """Draw the names of the query and the compared tile, and the error in metres."""
+    def _draw_caption(self, analysis: StateAnalysis, size: int) -> UInt8Array:
+        """Draw the names of the query and the compared tile, at a size in pixels, and the error in metres."""
         chosen = analysis.chosen
         name = analysis.task.gallery[chosen.index].name
         palette = analysis.state.palette
-        image, draw = captions.caption(456, 252, palette)
+        image, draw = captions.caption(*SIGN_PIXELS, palette)
+        head, step = max(30, size), max(36, round(1.1 * size))
         source = "your picture" if analysis.state.upload else analysis.task.query_view
         draw.text((18, 30), "‹", palette.dim, captions.font(34), anchor="lm")
-        draw.text((44, 30), "QUERY", palette.text, captions.font(30), anchor="lm")
+        draw.text((44, 30), "QUERY", palette.text, captions.font(head), anchor="lm")
         draw.text(
-            (44, 66),
-            captions.fitted(draw, f"{source} {analysis.name}", 24, 394),
+            (44, 30 + step),
+            captions.fitted(draw, f"{source} {analysis.name}", size, 394),
             palette.dim,
-            captions.font(24),
+            captions.font(size),
             anchor="lm",
         )
-        draw.text((438, 186), "›", palette.dim, captions.font(34), anchor="rm")
-        draw.text((412, 186), rank_title(chosen), palette.text, captions.font(30), anchor="rm")
-        left = 412 - draw.textlength(rank_title(chosen), font=captions.font(30))
-        captions.draw_sign(draw, left - 40, 174, 24, chosen.true, palette)
-        tile = captions.fitted(draw, f"{analysis.task.gallery_view} {name}", 24, 394)
-        draw.text((412, 222), tile, palette.dim, captions.font(24), anchor="rm")
+        draw.text((438, 222 - step), "›", palette.dim, captions.font(34), anchor="rm")
+        draw.text((412, 222 - step), rank_title(chosen), palette.text, captions.font(head), anchor="rm")
+        left = 412 - draw.textlength(rank_title(chosen), font=captions.font(head))
+        captions.draw_sign(draw, left - 40, 210 - step, 24, chosen.true, palette)
+        tile = captions.fitted(draw, f"{analysis.task.gallery_view} {name}", size, 394)
+        draw.text((412, 222), tile, palette.dim, captions.font(size), anchor="rm")
         if analysis.errors_m is not None and np.isfinite(analysis.errors_m[chosen.index]):
             colour = palette.ink(theme.verdict_colour(chosen.true))
             draw.text(
-                (228, 126), f"{analysis.errors_m[chosen.index]:,.0f} m off", colour, captions.font(40), anchor="mm"
+                (228, 126),
+                f"{analysis.errors_m[chosen.index]:,.0f} m off",
+                colour,
+                captions.font(max(40, size)),
+                anchor="mm",
             )
         return np.asarray(image)
 

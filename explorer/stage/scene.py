@@ -10,21 +10,24 @@ import numpy as np
 import viser
 from PIL.ImageDraw import ImageDraw
 
+from explorer.compute.request_context import QueuedModel
 from explorer.layout import CAPTION, Layout, Point
 from explorer.session_state import SessionState
-from explorer.stage.camera import Viewpoint
+from explorer.stage import pair_picture
+from explorer.stage.camera import FOV, HEIGHT, WIDTH, Viewpoint
 from explorer.stage.cards import SHOWN, Cards
 from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, rank_title, title
+from explorer.stage.lettering import GUTTER_COLUMN, GUTTER_ROW, Lettering
 from explorer.stage.map_view import GalleryMap
+from explorer.stage.viewport import Viewport
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.core import images
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.views import View
 from lpn.drawing import captions, overlays, theme
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import Palette
 from lpn.explain import Evidence
-from lpn.retrieval import DescribedPicture, Match, scoring
+from lpn.retrieval import DescribedPicture, Match
 
 # Distance between the parts of an exploded picture, in stage units, if the pictures are side by side.
 _LIFT = 0.5
@@ -32,12 +35,9 @@ _LIFT = 0.5
 _STEP = 0.12
 # Shift of an exploded picture towards the other picture, in stage units.
 _INWARD = 0.3
-_FOV = 0.45
-_HEIGHT = 8.1
-_WIDTH = 8.3
 _MIDDLE = (0.0, 0.36)
 # The area of the stage that is always in view, in stage units.
-SCENE = {"width": _WIDTH, "height": _HEIGHT, "middle": _MIDDLE}
+SCENE = {"width": WIDTH, "height": HEIGHT, "middle": _MIDDLE}
 
 
 class StagePicture:
@@ -129,6 +129,10 @@ class Stage:
 
     Args:
         on_select: called with the shown state and the gallery position of a clicked tile.
+        viewport: the size of the stage, which the sizes of texts follow.
+
+    Attributes:
+        ground: what the page needs to measure on the map, see `GalleryMap.ground`; None while the pair is shown.
     """
 
     def __init__(
@@ -136,8 +140,10 @@ class Stage:
         client: viser.ClientHandle,
         workspace: Workspace,
         on_select: Callable[[SessionState, int], None],
+        model: QueuedModel | None,
+        viewport: Viewport,
     ) -> None:
-        self._client, self._workspace = client, workspace
+        self._client, self._workspace, self._viewport = client, workspace, viewport
         self._n = workspace.contract.n_parts
         scene = client.scene
         scene.configure_default_lights(cast_shadow=False)
@@ -153,13 +159,28 @@ class Stage:
             thickness=2.5,
             thickness_units="screen",
         )
-        self._cards = Cards(scene, workspace, on_select)
+        self._cards = Cards(scene, workspace, on_select, model)
         self._aspect, self._on_select = 0.0, on_select
         self._framing = RLock()
         self._drawn: list[tuple[DescribedPicture, Evidence | None, View, object, UInt8Array] | None] = [None, None]
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
+        self.ground: dict[str, object] | None = None
+        self._lettering = self._new_lettering()
         self.fit()
+
+    def leave(self) -> None:
+        """Stop all work: the browser has left."""
+        self._cards.leave()
+
+    @property
+    def outgrown(self) -> bool:
+        """Return True if the stage has another size than its texts were drawn for, so that `show` would draw others."""
+        now = self._new_lettering()
+        return now != self._lettering or (self._viewpoint is not None and now.ground != self._lettering.ground)
+
+    def _new_lettering(self) -> Lettering:
+        return Lettering.of(self._layout, self._n, self._viewport)
 
     def fit(self) -> None:
         """Reset the camera if the window's aspect has changed; otherwise keep the user's orbit."""
@@ -174,14 +195,14 @@ class Stage:
         if not self._aspect:
             return
         camera, viewpoint = self._client.camera, self._viewpoint
-        tangent = math.tan(_FOV / 2)
-        distance = max(_HEIGHT / 2 / tangent, _WIDTH / 2 / (tangent * self._aspect))
+        tangent = math.tan(FOV / 2)
+        distance = max(HEIGHT / 2 / tangent, WIDTH / 2 / (tangent * self._aspect))
         position, target = np.array([*_MIDDLE, distance]), np.array([*_MIDDLE, 0.0])
         if viewpoint is not None and self._map is not None:
             self._map.put_sign(viewpoint, self._aspect)
-            position, target = viewpoint.camera(self._aspect, _FOV)
+            position, target = viewpoint.camera(self._aspect, FOV)
         with self._client.atomic():
-            camera.fov = _FOV
+            camera.fov = FOV
             camera.up_direction = (0.0, 0.0, 1.0) if viewpoint else (0.0, 1.0, 0.0)
             # viser skips a position equal to the last reported one, although the page may still be about to receive another.
             # Setting a different value first makes viser send position and target.
@@ -192,11 +213,14 @@ class Stage:
     def show(self, analysis: StateAnalysis) -> None:
         """Draw an analysis."""
         state, task = analysis.state, analysis.task
-        viewpoint = None
+        self._lettering = self._new_lettering()
+        viewpoint, ground = None, None
         if state.map and task.geometry is not None:
             self._map = self._map or GalleryMap(self._client, self._workspace, SHOWN, self._on_select)
             with self._client.atomic():
-                viewpoint = self._map.show(analysis)
+                viewpoint = self._map.show(analysis, self._lettering)
+            ground = self._map.ground(task.geometry)
+        self.ground = ground
         with self._framing:
             if viewpoint != self._viewpoint:
                 self._viewpoint = viewpoint
@@ -217,7 +241,7 @@ class Stage:
             self._gutter.show(draw(analysis.chosen, state.palette))
             self._links.points = self._link_points(analysis)
             self._links.colors = _link_colours(analysis.ranking.weights, state.palette)
-            self._cards.show(analysis)
+            self._cards.show(analysis, self._lettering)
 
     def _with_overlays(
         self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View, areas: PartAreas | None
@@ -232,61 +256,41 @@ class Stage:
         look = (state.heat, state.heat_kind, state.heat_part, state.opacity, state.rings)
         before = self._drawn[side]
         if before is None or before[0] is not described or before[1] is not evidence or before[2:4] != (view, look):
-            picture = self._draw(analysis, side, described, view, areas)
+            picture = pair_picture.draw(self._workspace, analysis, side, areas)
             before = self._drawn[side] = (described, evidence, view, look, picture)
         return before[4]
-
-    def _draw(
-        self, analysis: StateAnalysis, side: int, described: DescribedPicture, view: View, areas: PartAreas | None
-    ) -> UInt8Array:
-        state = analysis.state
-        picture = images.resize(self._workspace.as_partitioned(described.picture, view), *self._layout.pixels)
-        if state.heat and state.heat_kind == "evidence" and analysis.pair_evidence is not None:
-            maps = analysis.pair_evidence.evidence.cell_maps(state.heat_part)
-            picture = overlays.with_evidence(picture, maps[side], overlays.evidence_limit(*maps), state.opacity)
-        elif state.heat and described.activation is not None:
-            part, activation, inside = state.heat_part, described.activation, None
-            if part is not None and areas is not None:
-                inside = areas.mask(part, picture.shape[:2])
-                trace = described.trace
-                activation = activation if trace is None else scoring.activation(trace.activation_of(part))
-            # A part without a cell has no place to show.
-            if inside is None or inside.any():
-                picture = overlays.with_heat(picture, activation, inside, state.opacity)
-        return overlays.with_parts(picture, areas, 3) if state.rings else picture
 
     def _query_caption(self, analysis: StateAnalysis) -> UInt8Array:
         own = analysis.state.upload is not None
         source = "your picture" if own else analysis.task.query_view
         note = "" if own else analysis.task.queries[analysis.state.query].note
         text = ", ".join(filter(None, (f"{source} {analysis.name}", note, analysis.state.change.describe())))
-        return title("QUERY", text, None, analysis.state.palette)
+        return title("QUERY", text, None, analysis.state.palette, self._lettering.caption)
 
     def _tile_caption(self, analysis: StateAnalysis) -> UInt8Array:
         chosen = analysis.chosen
         name = analysis.task.gallery[chosen.index].name
         text, palette = f"{analysis.task.gallery_view} {name}", analysis.state.palette
-        return title(rank_title(chosen), text, chosen.true, palette, chosen.distance2)
+        return title(rank_title(chosen), text, chosen.true, palette, self._lettering.caption, chosen.distance2)
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
         """Draw the part bars in a column, between pictures side by side."""
-        image, draw = captions.caption(260, 660, palette)
+        width, height = GUTTER_COLUMN
+        image, draw = captions.caption(width, height, palette)
         rows = _row_heights(self._layout, self._n)
-        size = 30 if self._n <= 6 else 22
         for part in range(self._n):
-            y = (0.5 - rows[part] / self._layout.picture[1]) * 660
-            self._draw_part(draw, palette, chosen, part, (10, 250), y, (size, size - 6))
+            y = (0.5 - rows[part] / self._layout.picture[1]) * height
+            self._draw_part(draw, palette, chosen, part, (10, width - 10), y, height / self._n)
         return np.asarray(image)
 
     def _gutter_row(self, chosen: Match, palette: Palette) -> UInt8Array:
         """Draw the part bars in a row, between stacked pictures."""
         width, height = self._layout.gutter[1]
-        image, draw = captions.caption(1280, round(1280 * height / width), palette)
-        room = 1280 / self._n
-        size = 24 if self._n <= 6 else 19
+        image, draw = captions.caption(GUTTER_ROW, round(GUTTER_ROW * height / width), palette)
+        room = GUTTER_ROW / self._n
         for part in range(self._n):
             sides = (part * room + 8, (part + 1) * room - 8)
-            self._draw_part(draw, palette, chosen, part, sides, 37, (size, size - 4))
+            self._draw_part(draw, palette, chosen, part, sides, 37, image.height)
         return np.asarray(image)
 
     def _draw_part(
@@ -297,26 +301,36 @@ class Stage:
         part: int,
         sides: tuple[float, float],
         y: float,
-        sizes: tuple[int, int],
+        room: float,
     ) -> None:
-        """Draw a part's share of the distance as a bar at the height `y`, its name above, cosine and share below."""
+        """Draw a part's share of the distance as a bar at the height `y`, its name above, the share below.
+
+        Where these two lines take more than the room in pixels, both are above.
+        """
         left, right = sides
-        (size, small), middle = sizes, (left + right) / 2
-        colour = theme.part_colour(part)
-        name = captions.fitted(draw, self._workspace.part_names[part], size, right - left)
-        draw.text((middle, y - 6), name, palette.ink(colour), captions.font(size), anchor="mb")
+        size, small, middle = self._lettering.part, self._lettering.share, (left + right) / 2
+        colour, name = theme.part_colour(part), self._workspace.part_names[part]
+        off = chosen.shares[part] == 0 and chosen.cosines[part] < 1
+        share = "off" if off else f"{chosen.shares[part]:.3f}"
+        one_line = size + small + 31 > room
+        if one_line:
+            y = max(y, size + 4)
+            draw.text((right, y - 6), share, palette.dim, captions.font(small), anchor="rb")
+            name = captions.fitted(draw, name, size, right - left - draw.textlength(share, captions.font(small)) - 8)
+            draw.text((left, y - 6), name, palette.ink(colour), captions.font(size), anchor="lb")
+        else:
+            name = captions.fitted(draw, name, size, right - left)
+            draw.text((middle, y - 6), name, palette.ink(colour), captions.font(size), anchor="mb")
         draw.rectangle((left, y, right, y + 9), fill=palette.track)
         full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
         length = (right - left) * float(chosen.shares[part]) / full
         if length >= 1:
             draw.rectangle((left, y, left + length, y + 9), fill=colour)
         below = y + 16 + small / 2
-        if chosen.shares[part] == 0 and chosen.cosines[part] < 1:
-            draw.text((middle, below), "off", palette.dim, captions.font(small), anchor="mm")
-        else:
-            cosine = f"cos {chosen.cosines[part]:.2f}"
-            draw.text((left, below), cosine, palette.dim, captions.font(small), anchor="lm")
-            captions.draw_squared(draw, right, below, f"{chosen.shares[part]:.3f}", small, palette.dim)
+        if off and not one_line:
+            draw.text((middle, below), share, palette.dim, captions.font(small), anchor="mm")
+        elif not one_line:
+            captions.draw_squared(draw, right, below, share, small, palette.dim)
 
     def _link_points(self, analysis: StateAnalysis) -> Float32Array:
         """Return two segments per part, from the query's ring to its bar and on to the tile's ring: (2n, 2, 3)."""

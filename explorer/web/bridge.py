@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
@@ -11,23 +12,34 @@ from typing import Any
 import viser
 
 from explorer.server.message_filter import MAX_TEXT
-from explorer.server.viser_compat import uuid_of
+from explorer.server.viser_compat import thread_pool, uuid_of
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 
 log = logging.getLogger(__name__)
+
+# Messages of one browser that wait for their handlers; further ones are dropped. A page sends 17 a second.
+MAX_WAITING = 200
 
 _SCRIPT = ";".join(
     (Path(__file__).parent / "js" / name).read_text("utf-8")
     for name in (
         "page.js",
         "viewport.js",
-        "tour.js",
+        "lists.js",
+        "own.js",
+        "pointer.js",
+        "first_screen.js",
+        "tips.js",
         "tiles.js",
         "pens.js",
+        "map_marks.js",
+        "stage_map.js",
+        "lab_map.js",
         "homography.js",
         "timeline.js",
         "flight.js",
+        "stories.js",
         "url_state.js",
     )
 )
@@ -51,22 +63,48 @@ class PageBridge:
     ) -> None:
         self._handlers = handlers
         self._text = gui.add_text("page", "")
-        self._text.on_update(lambda _: self.receive(self._text.value))
+        self._text.on_update(self._updated)
+        self._pool = thread_pool(gui)
+        self._turn = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._dropped = 0
         uuid = uuid_of(self._text)
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
-        self._address, self._call = Html(gui), Html(gui)
+        self._address, self._ground, self._call = Html(gui), Html(gui), Html(gui)
         self._calls = 0
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
         """Replace the values of `keys` in the page's address by a query string without "?"."""
         self._address.show(run(call("address", query, keys)))
 
+    def set_ground(self, ground: Mapping[str, object] | None) -> None:
+        """Tell the page where the ground of the stage's map lies, see `GalleryMap.ground`; None without a map."""
+        self._ground.show(run(call("stageMap", ground)))
+
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of the page's script. The page may run only the last of several quick calls."""
         self._calls += 1
         self._call.show(run(f"{call(function, *arguments)};/*{self._calls}*/"))
+
+    async def _updated(self, _: object) -> None:
+        # viser runs a coroutine before it takes the next message. A function, in a thread of a pool, might find that one here.
+        if len(self._tasks) >= MAX_WAITING:
+            self._dropped += 1
+            level = logging.DEBUG if self._dropped > 1 else logging.WARNING  # a flood would fill the log
+            log.log(level, "Dropped message %d of a page of which %d wait", self._dropped, MAX_WAITING)
+            return
+        task = asyncio.create_task(self._hand_on(self._text.value))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _hand_on(self, message: Any) -> None:
+        async with self._turn:
+            try:
+                await asyncio.get_running_loop().run_in_executor(self._pool, self.receive, message)
+            except Exception:
+                log.exception("A message of a page was not handled")
 
     def receive(self, message: Any) -> None:
         """Hand a message to its handler; drop anything else."""

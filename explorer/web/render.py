@@ -7,6 +7,7 @@ import json
 from markupsafe import Markup
 
 from explorer.web.style import part_ink, verdict_ink
+from explorer.web.terms import term
 from lpn.core.templates import environment
 from lpn.drawing import charts, theme
 
@@ -45,6 +46,7 @@ _ENVIRONMENT.filters["format"] = format
 _ENVIRONMENT.globals.update(
     send=send,
     press=press,
+    term=term,
     part_ink=part_ink,
     verdict_ink=verdict_ink,
     part_colour=charts.part_colour,

@@ -7,7 +7,10 @@ from pathlib import Path
 from lpn.drawing import charts, theme
 
 # In the order of the cascade: a later sheet overrides an earlier one.
-_SHEETS = ("panels", "page", "tour", "explain", "failure_lab", "flight")
+_SHEETS = (
+    *("tokens", "panels", "page", "explain", "failure_lab", "flight", "stories", "browse", "lab_map"),
+    "first_screen",
+)
 _VARIABLES = {f"part-{i}": colour for i, colour in enumerate(theme.PART_COLOURS)} | {
     "true": theme.TRUE_COLOUR,
     "false": theme.FALSE_COLOUR,
@@ -23,6 +26,11 @@ def part_ink(part: int) -> str:
 def verdict_ink(true: bool | None) -> str:
     """Return the text colour of a right, wrong, or unknown (None) match; it follows the page's theme."""
     return f"var(--lpn-{'unknown' if true is None else 'true' if true else 'false'})"
+
+
+def variables(dark: bool) -> str:
+    """Return a rule with the theme's colours as CSS variables, for a page of one theme."""
+    return f":root{{{_variables(theme.DARK if dark else theme.LIGHT)}}}"
 
 
 def _variables(palette: theme.Palette) -> str:

@@ -18,6 +18,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.datasets import Picture as Picture
+from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Correspondences, Evidence
 from lpn.models.base import Model
@@ -32,10 +33,12 @@ class OwnPicture:
 
     Attributes:
         picture: (H, W, 3) uint8.
+        place: latitude and longitude of the camera in degrees; None where the file does not tell.
     """
 
     name: str
     picture: UInt8Array
+    place: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,8 @@ class Analysis:
         chosen: the compared tile.
         tile: the compared tile, described.
         positive: the nearest positive; None if the query has none, or its place is not known.
-        errors_m: metres from the place that the query shows to each tile, (G,); None without positions.
+        errors_m: metres from the place that the query shows to each tile, (G,); of one's own picture, from its camera. None
+            without positions.
         source: the query's picture before the change, (H, W, 3) uint8.
         pair_evidence: None if it was not requested, or there is no network.
         seconds: time that the analysis took.
@@ -176,7 +180,7 @@ class QueryAnalyser:
             chosen=chosen,
             tile=tile,
             positive=ranking.positive(),
-            errors_m=None if task.geometry is None or index is None else task.geometry.errors_m(index),
+            errors_m=_errors_m(task, index, own),
             source=source,
             pair_evidence=pair_evidence(query, tile, weights, request.correspondences) if request.evidence else None,
             seconds=time.perf_counter() - started,
@@ -194,6 +198,15 @@ class QueryAnalyser:
                 f"{task.model_name} has descriptors but no network to describe other pictures; choose a query of the data set."
             )
         return DescribedPicture(source, task.query_descriptors[index], None, None)
+
+
+def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64Array | None:
+    """Return metres from a query's place to each tile, (G,); of one's own picture, from its camera."""
+    if task.geometry is None:
+        return None
+    if index is not None:
+        return task.geometry.errors_m(index)
+    return None if own is None or own.place is None else task.geometry.metres_from(Position(*own.place))
 
 
 def pair_evidence(

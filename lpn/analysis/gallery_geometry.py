@@ -48,7 +48,11 @@ class GalleryGeometry:
     def errors_m(self, query: int) -> Float64Array | None:
         """Metres from the place that a query shows to the centre of each tile, (G,); None if its place is unknown."""
         place = self.queries[query]
-        return None if place is None else geo.metres_between(geo.radians([place]), self._radians)
+        return None if place is None else self.metres_from(place)
+
+    def metres_from(self, place: Position) -> Float64Array:
+        """Metres from a place to the centre of each tile, (G,)."""
+        return geo.metres_between(geo.radians([place]), self._radians)
 
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
         """Metres from the place that each query shows to its answer, (Q,).

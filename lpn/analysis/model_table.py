@@ -30,7 +30,7 @@ from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
 from lpn.retrieval import metrics
 from lpn.retrieval.evaluate import FULL, WITHOUT
-from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.published_results import PublishedResult, truth_of_rows
 
 GalleryChoice = Literal["full", "without-distractors"]
 DEPTHS = (1, 5, 10)
@@ -258,7 +258,7 @@ def rank_saved(
     for side in (queries, tiles):
         if repeated := _repeated([picture.path.as_posix() for picture in side]):
             raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
-    truth = _truth_of_rows(dataset, task, queries, tiles)
+    truth = truth_of_rows(dataset, task, queries, tiles)
     labels = (saved.query_labels, saved.gallery_labels) if truth is None else _labels(queries, tiles)
     return _ranked(name, dataset, task, gallery, (queries, tiles), (saved.query, saved.gallery), labels, truth)
 
@@ -271,26 +271,6 @@ def _labels(queries: Sequence[Picture], gallery: Sequence[Picture]) -> tuple[Int
 def _repeated(names: Sequence[str]) -> str:
     """Return the first name that occurs twice, or ""."""
     return next((name for name, count in Counter(names).items() if count > 1), "")
-
-
-def _truth_of_rows(
-    dataset: Dataset, task: str, queries: Sequence[Picture], gallery: Sequence[Picture]
-) -> list[Truth] | None:
-    """Return the data set's true matches for queries and gallery pictures of it in another order; None without lists."""
-    truth = dataset.truth(task)
-    if truth is None:
-        return None
-    views = views_of(task)
-    of_query = {picture.path: lists for picture, lists in zip(dataset.queries(views[0]), truth, strict=True)}
-    rows = {picture.path: row for row, picture in enumerate(gallery)}
-    row_of = np.array([rows.get(picture.path, -1) for picture in dataset.gallery(views[1])], np.int64)
-    return [_in_rows(of_query[picture.path], row_of) for picture in queries]
-
-
-def _in_rows(lists: Truth, row_of: Int64Array) -> Truth:
-    """Return true matches and junk as rows; `row_of` has the row of each gallery position, -1 for those without one."""
-    good, junk = (np.sort(rows[rows >= 0]) for rows in (row_of[lists.good], row_of[lists.junk]))
-    return Truth(good, junk, lists.known, lists.trapezoid)
 
 
 def _ranked(
@@ -317,15 +297,15 @@ def _ranked(
                 f"Each place of the gallery of {dataset.root.name} has a query, so it has no distractors; leave --gallery out."
             )
     found = metrics.retrieve(sides[0], labels[0], sides[1], of_gallery, truth)
-    asked, tiles = (np.array(geo.names_below(dataset.root, of_side), object) for of_side in pictures)
+    query_names, tiles = (np.array(geo.names_below(dataset.root, of_side), object) for of_side in pictures)
     known = metrics.known_queries(truth)
-    known = np.ones(len(asked), bool) if known is None else known
+    known = np.ones(len(query_names), bool) if known is None else known
     size = int(kept.sum())
     return RankedModel(
         name,
         task,
         f"{FULL if gallery == 'full' else WITHOUT}, {size:,}",
-        tuple(asked[known].tolist()),
+        tuple(query_names[known].tolist()),
         frozenset(tiles[kept].tolist()),
         labels[0][known],
         found.first[known],

@@ -1,4 +1,4 @@
-"""A person's tags and notes on queries, in `notes.csv` in the data set's folder or in another file.
+"""A person's tags and notes on queries, in `notes.csv` in the data set's folder (of the demo, in the user's) or in another file.
 
     path,tags,note
     test/query_drone/0005/image-01.jpeg,night blur,"Looks like the twin next door."
@@ -16,9 +16,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpn.core.errors import DataError, InputError, OutputError
-from lpn.core.files import check_writable, exclusive_lock, printable, write_atomic
-from lpn.core.shutdown import uninterrupted
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
+from lpn.core.own_files import OwnFileFormat
 from lpn.core.tables import Column, text_column
 from lpn.datasets.metadata import NOTE, TAGS
 
@@ -28,7 +28,6 @@ LONGEST_TAG, MOST_TAGS, LONGEST_NOTE = 30, 20, 2000
 _HEADER = ["path", TAGS, NOTE]
 _TAG = re.compile(rf"\w[\w-]{{0,{LONGEST_TAG - 1}}}")
 _SEPARATORS = re.compile(r"[\s,;]+")
-_MAX_BYTES = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -50,19 +49,7 @@ def read_notes(file: Path) -> dict[str, Note]:
     Raises:
         DataError: when the file is not in the format above; the message names the line.
     """
-    try:
-        if not file.exists():
-            return {}
-        if file.stat().st_size > _MAX_BYTES:
-            raise DataError(
-                f"{file} has more than {_MAX_BYTES // 1_000_000} MB; which is too large for notes; move it away."
-            )
-        text = file.read_text(encoding="utf-8-sig")
-        return _parse(csv.reader(io.StringIO(text, newline=""), strict=True), file)
-    except OSError as error:
-        raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
+    return _FORMAT.read(file)
 
 
 def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dict[str, Note]:
@@ -90,19 +77,38 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
         )
     if len(note.text) > LONGEST_NOTE:
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
-    check_writable(file)
-    try:
-        with exclusive_lock(file.parent, wait=True), uninterrupted():
-            notes = read_notes(file)
-            notes.pop(path, None)
-            if note != Note():
-                notes[path] = note
-            write_atomic(file, _to_csv(notes))
-    except OSError as error:
-        raise OutputError(
-            f"{file} cannot be written ({error.strerror or error}); choose another place for notes."
-        ) from error
-    return notes
+
+    def change(notes: dict[str, Note]) -> dict[str, Note]:
+        notes.pop(path, None)
+        return notes if note == Note() else notes | {path: note}
+
+    return _FORMAT.change(file, change)
+
+
+def add_tags(file: Path, paths: Sequence[str], tags: str | Iterable[str]) -> dict[str, Note]:
+    """Add tags to the annotations of several queries on disk, in one change; notes and other tags stay.
+
+    Returns:
+        All notes after the change.
+
+    Raises:
+        LPNError: as `set_note`, and InputError without a tag; then nothing has changed.
+    """
+    added = parse_tags(tags)
+    if not added:
+        raise InputError("There is no tag; write a word, such as night.")
+    if unusable := [path for path in paths if not path or not path.isprintable()]:
+        raise InputError(
+            f"The query's path is {printable(unusable[0])!r}; expected printable UTF-8, so rename the file."
+        )
+
+    def change(notes: dict[str, Note]) -> dict[str, Note]:
+        for path in paths:
+            before = notes.get(path, Note())
+            notes[path] = Note(parse_tags((*before.tags, *added)), before.text)
+        return notes
+
+    return _FORMAT.change(file, change)
 
 
 def parse_tags(tags: str | Iterable[str]) -> tuple[str, ...]:
@@ -130,10 +136,15 @@ def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:
     return [text_column(TAGS, [" ".join(note.tags) for note in rows]), text_column(NOTE, [note.text for note in rows])]
 
 
-def _parse(lines: Iterable[list[str]], file: Path) -> dict[str, Note]:
+def _decode(content: bytes, file: Path) -> dict[str, Note]:
+    try:
+        text = content.decode("utf-8-sig")
+        lines = [values for values in csv.reader(io.StringIO(text, newline=""), strict=True) if values]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
     notes: dict[str, Note] = {}
     header: list[str] | None = None
-    for number, values in enumerate((values for values in lines if values), 1):
+    for number, values in enumerate(lines, 1):
         if header is None:
             header = [value.strip().lower() for value in values]
             if header != _HEADER:
@@ -156,7 +167,7 @@ def _parse(lines: Iterable[list[str]], file: Path) -> dict[str, Note]:
     return notes
 
 
-def _to_csv(notes: dict[str, Note]) -> bytes:
+def _encode(notes: dict[str, Note]) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_HEADER)
@@ -168,3 +179,6 @@ def _clean(text: str) -> str:
     """Remove control characters other than line breaks and tabs, which CSV cannot represent."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n")
     return "".join(c for c in lines if c.isprintable() or c in "\n\t").strip()
+
+
+_FORMAT = OwnFileFormat("notes", _decode, _encode, dict, "shorten other notes first")

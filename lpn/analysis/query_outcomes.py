@@ -9,9 +9,10 @@ an exact sum over the parts, which is positive when the query is found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +28,14 @@ from lpn.retrieval.gallery_search import NOT_RETURNED
 from lpn.retrieval.metrics import Retrieval
 
 _CHUNK_BYTES = 64_000_000
+# Columns of a table that compares two models: A is the table's own.
+RANK_A, RANK_B = "rank A", "rank B"
 # Columns of every table besides `margin_1` .. `margin_n`. A task without positions has no `distance`, and one without measured
-# footprints no `overlap`, and one without semi-positives no `semi`.
-OUTCOME_COLUMNS = ("name", "rank", "margin", "part", "truth", "answer", "false", "distance", "overlap", "semi")
+# footprints no `overlap`, and one without semi-positives no `semi`. A table of one model has neither `rank A` nor `rank B`.
+OUTCOME_COLUMNS = (
+    *("name", "rank", RANK_A, RANK_B, "margin", "part"),
+    *("truth", "answer", "false", "distance", "overlap", "semi"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +195,7 @@ def table(
     missed = {} if outcomes.missed is None else dict.fromkeys(np.flatnonzero(outcomes.missed).tolist(), NOT_RETURNED)
     columns = [
         text_column("name", [query.name for query in queries]),
-        number_column(
-            "rank", np.where(outcomes.rank < 0, np.nan, outcomes.rank + 1.0), limit=outcomes.depth, texts=missed
-        ),
+        _rank_column("rank", outcomes.rank, outcomes.depth, missed),
         number_column("margin", outcomes.margin),
         Column("part", "text", parts[outcomes.deciding_part]),
         Column("truth", "text", tiles[outcomes.true]),
@@ -202,7 +206,24 @@ def table(
         *more,
     ]
     paths = metadata.relative(root, queries)
-    return Table(paths, columns).with_columns(metadata.columns(root, paths, [column.name for column in columns]))
+    taken = [*(column.name for column in columns), RANK_A, RANK_B]
+    return Table(paths, columns).with_columns(metadata.columns(root, paths, taken))
+
+
+def compared_ranks(table: Table, rank: Int64Array, depth: int | None = None) -> list[Column]:
+    """Columns `rank A` and `rank B` of a table: its own ranks, and those of a second model.
+
+    Args:
+        rank, depth: the second model's for the same queries, see `Outcomes`.
+
+    Raises:
+        InputError: when there are not as many ranks as rows.
+    """
+    if len(rank) != len(table):
+        raise InputError(
+            f"There are {len(table)} queries and {len(rank)} ranks of the second model; give two models on the same queries."
+        )
+    return [replace(table.columns["rank"], name=RANK_A), _rank_column(RANK_B, rank, depth)]
 
 
 def listed_columns(outcomes: Outcomes, truth: Sequence[Truth] | None) -> list[Column]:
@@ -240,6 +261,12 @@ def _normalised(n: int, weights: npt.ArrayLike | None) -> Float64Array:
     used = scoring.part_weights(n, weights).astype(np.float64)
     used /= used.sum()
     return used
+
+
+def _rank_column(
+    name: str, rank: Int64Array, depth: int | None = None, texts: Mapping[int, str] = MappingProxyType({})
+) -> Column:
+    return number_column(name, np.where(rank < 0, np.nan, rank + 1.0), limit=depth, texts=texts)
 
 
 def _distance(geometry: GalleryGeometry, outcomes: Outcomes) -> Column:

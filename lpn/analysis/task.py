@@ -16,7 +16,8 @@ from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array
-from lpn.core.errors import InputError
+from lpn.core.demo import own_file
+from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
 from lpn.core.tables import Column, Table
 from lpn.core.views import View, views_of
@@ -26,6 +27,7 @@ from lpn.explain.counterfactual import Effect
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval.evaluate import check_test_split
 from lpn.retrieval.metrics import Retrieval
 
 
@@ -110,7 +112,7 @@ class Task:
 
     @property
     def gallery_description(self) -> str:
-        """What is searched, in words, such as "951 tiles"."""
+        """The gallery in words, such as "951 tiles"."""
         return f"{self.tiles:,} {'tiles' if self.gallery_view == 'satellite' else 'gallery pictures'}"
 
     @property
@@ -262,16 +264,20 @@ def open_task(
         InputError: when model and data set do not offer the task, or the weights are invalid.
         LPNError: when pictures, positions, truth, or stores cannot be read.
     """
-    name = choose_task(model, dataset, name)
+    name, offered = choose_task(model, dataset, name), offered_tasks(model, dataset)
     scoring.part_weights(model.n_parts, weights)
     if tags_and_notes is None:
-        tags_and_notes = notes.read_notes(dataset.root / notes.NAME)
+        tags_and_notes = notes.read_notes(own_file(dataset.root, notes.NAME))
     views = views_of(name)
     model = model.for_task(*views)
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
     geometry = gallery_geometry(dataset, queries, gallery)
-    query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
-    gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
+    try:
+        query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
+        gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
+    except PictureError:  # of one list; name the broken pictures of all lists at once
+        check_test_split(dataset, offered)
+        raise
     identities = query_side.identity, gallery_side.identity
     return Task(
         name=name,
@@ -309,17 +315,27 @@ def offered_tasks(model: Model, dataset: Dataset) -> list[str]:
     return [name for name in dataset.tasks() if set(views_of(name)) <= set(model.views)]
 
 
+def no_task_error(model: Model, dataset: Dataset) -> DataError:
+    """Return the error for a model and a data set without any of `offered_tasks`."""
+    name = printable(dataset.root.resolve().name)
+    if not (tasks := dataset.tasks()):
+        return DataError(f"{name} {dataset.why_no_task()}.")
+    return DataError(
+        f"The test split of {name} is for {', '.join(tasks)}, and the model knows only {' and '.join(model.views)} pictures; "
+        "choose another data set or model."
+    )
+
+
 def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
     """The given task, or the first of `offered_tasks`.
 
     Raises:
+        DataError: when there is none.
         InputError: when the data set does not have the task, or the model does not know its views.
     """
     offered = offered_tasks(model, dataset)
     if not offered:
-        raise InputError(
-            f"{dataset.root.name} has no task whose views this model knows; choose another data set or model."
-        )
+        raise no_task_error(model, dataset)
     name = name or offered[0]
     if name not in offered:
         raise InputError(

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -55,7 +53,7 @@ class CompareCommand:
 
         from lpn.analysis.model_table import compare, rank_model, rank_saved
         from lpn.core.errors import InputError
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.files import check_writable, distinct_names, write_atomic
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.published_results import load_saved
@@ -76,7 +74,7 @@ class CompareCommand:
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         ranked = []
-        for file, name, kind in zip(self.models, _names(self.models), kinds, strict=True):
+        for file, name, kind in zip(self.models, distinct_names(self.models), kinds, strict=True):
             if file.suffix.lower() == ".mat":
                 if kind is not None:
                     raise InputError(f"{name} holds descriptors and needs no kind; give auto in place of {kind}.")
@@ -92,19 +90,6 @@ class CompareCommand:
             write_atomic(self.csv, found.to_csv())
         if self.json is not None:
             write_atomic(self.json, (json.dumps(found.to_dict(), indent=1) + "\n").encode())
-
-
-def _names(files: Sequence[Path]) -> list[str]:
-    """Return the file names, with as many folders above as it takes to tell them apart."""
-    from lpn.core.files import printable
-
-    depth, resolved = 1, [file.resolve() for file in files]
-    while depth < 10:
-        names = ["/".join(file.parts[-depth:]) for file in resolved]
-        if max(Counter(names).values()) == 1:
-            break
-        depth += 1
-    return [printable(name) for name in names]
 
 
 def _print(found: ModelTable, console: Console) -> None:

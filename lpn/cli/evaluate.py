@@ -65,6 +65,9 @@ class EvaluateCommand:
     """Branch of the model that describes both queries and gallery (Table VI); by default the branch of each view."""
     average_queries: bool = False
     """Average all query pictures of a place into one query."""
+    centre: bool = False
+    """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
+    no labels, and makes up for places and cameras that differ from those of the training."""
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     flight: Path | None = None
@@ -93,7 +96,11 @@ class EvaluateCommand:
             raise InputError(
                 "An order belongs to plain arrays; give --order with --query and --gallery, or leave it out."
             )
+        if self.kind is not None and self.model is None:
+            raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
         if self.flight is not None or self.map is not None:
+            if self.centre:
+                raise InputError("The descriptors of a flight and of its map are always centred; leave --centre out.")
             self._evaluate_flight()
             return
         if self.prior is not None or self.map_error is not None or not self.register or not self.corrections:
@@ -108,6 +115,7 @@ class EvaluateCommand:
             self.branch,
             self.average_queries,
             self.whole,
+            self.centre,
         )
         if self.query is not None or self.gallery is not None or self.paths is not None:
             title, result = self._evaluate_arrays(protocol)
@@ -189,10 +197,10 @@ class EvaluateCommand:
             )
         if self.provider != "auto" or self.compile:
             raise InputError("A saved result needs no network; leave --provider and --compile out.")
-        if protocol.average and self.n_parts is None:
+        if (protocol.average or protocol.centre) and self.n_parts is None:
             raise InputError(
-                "Averaging normalises each part, and a saved result does not contain the number of parts; give it with "
-                "--n-parts (1 for a baseline)."
+                "Averaging and centring normalise each part, and a saved result does not contain the number of parts; give it "
+                "with --n-parts (1 for a baseline)."
             )
         opened = load_saved(saved, check_n_parts(self.n_parts))
         return opened.name, evaluate_saved(opened, protocol)

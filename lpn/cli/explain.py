@@ -12,6 +12,7 @@ import lpn
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.numbers import signed
 from lpn.core.views import View
 from lpn.models.adapters import Kind
 
@@ -149,7 +150,7 @@ def _show(
     for part, name in enumerate(names):
         numbers = (cosines[part] * weights[part], *(values[part] for values in sums))
         table.add_row(
-            name, f"{cosines[part]:+.4f}", f"{100 * weights[part]:.0f} %", *(f"{number:+.4f}" for number in numbers)
+            name, signed(cosines[part], 4), f"{100 * weights[part]:.0f} %", *(signed(number, 4) for number in numbers)
         )
     console.print(table)
 

@@ -43,12 +43,21 @@ class QuantizeCommand:
     """Number of calibration pictures, spread evenly over the training split, or the test split if there is none."""
     provider: ProviderName = "auto"
     """Provider of the calibration: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or tensorrt."""
+    least_cosine: float = 0.98
+    """Nothing is written if the mean cosine with the float32 descriptors of a view's pictures is below this."""
 
     def run(self) -> None:
         dataset = import_module("lpn.datasets").open_dataset(self.data)
         quantize = import_module("lpn.models.quantize").quantize
-        files, agreement = quantize(self.model, dataset, self.out, self.pictures, self.provider)
+        files, agreement = quantize(
+            self.model, dataset, self.out, self.pictures, self.provider, least_cosine=self.least_cosine
+        )
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
-        cosines = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.items())
+        cosines = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.cosines.items())
         print(f"Mean cosine with the float32 descriptors of calibration pictures: {cosines}.")
+        if agreement.same_first is not None:
+            print(
+                f"Both models rank the same of {agreement.gallery} pictures first for {100 * agreement.same_first:.1f} % of "
+                f"{agreement.queries} queries among them."
+            )
         print("Measure what it costs on your data: lpn evaluate with either model.")

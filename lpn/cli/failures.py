@@ -45,6 +45,10 @@ class FailuresCommand:
     """Maximum number of listed queries, and of lines of each other table."""
     notes: Path | None = None
     """File of tags and notes; by default notes.csv in the data set's folder."""
+    beside: Path | None = None
+    """Second trained model on the same queries; adds the columns rank A (of --model) and rank B, also for --where and --sort."""
+    beside_kind: Kind | None = None
+    """Method of --beside, as --kind is that of --model."""
     csv: Path | None = None
     """File to write all queries that match --where to, with all columns, tags, and notes."""
 
@@ -52,13 +56,17 @@ class FailuresCommand:
         from rich.console import Console
 
         from lpn.analysis.notes import read_notes
-        from lpn.analysis.query_outcomes import OUTCOME_COLUMNS
+        from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, compared_ranks
         from lpn.analysis.task import open_task
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata, open_dataset
 
         if self.top < 1:
             raise InputError(f"The number of queries listed is {self.top}; expected 1 or more.")
+        if self.beside_kind is not None and self.beside is None:
+            raise InputError(
+                "This kind is that of the second model; give --beside-kind with --beside, or leave it out."
+            )
         if self.csv is not None:
             check_writable(self.csv)
         model, dataset = lpn.load(self.model, kind=self.kind), open_dataset(self.data)
@@ -66,6 +74,11 @@ class FailuresCommand:
             model, self.model.name, dataset, self.task, tags_and_notes=read_notes(self.notes) if self.notes else None
         )
         made = task.table
+        if self.beside is not None:
+            other = open_task(
+                lpn.load(self.beside, kind=self.beside_kind), self.beside.name, dataset, task.name, tags_and_notes={}
+            )
+            made = made.with_columns(compared_ranks(made, other.outcomes.rank))
         rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
         console = Console(width=max(120, Console().width))
         shown = [
@@ -73,6 +86,8 @@ class FailuresCommand:
             metadata.TAGS,
             *(name for name in made.columns if name in f"{self.where} {self.sort}"),
         ]
+        if self.beside is not None:
+            shown = [name for name in shown if name != "rank"]
         _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
         if len(rows):
             _print_breakdown(console, task, rows, self.top)

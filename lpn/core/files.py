@@ -9,7 +9,7 @@ import os
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tokenize import TokenError
@@ -40,6 +40,10 @@ _ABANDONED_SECONDS = 60.0
 _OPEN_FILES = 65_536
 # macOS reports no limit, but refuses more than this.
 _OPEN_FILES_MACOS = 10_240
+# Folders that a displayed name has at most.
+_MAX_FOLDERS = 8
+# Bytes of the name of a folder.
+_MAX_LINK = 255
 
 
 def cache_folder() -> Path:
@@ -55,6 +59,20 @@ def cache_folder() -> Path:
     except RuntimeError as error:
         raise OutputError(
             "This user has no home folder for a cache; set LPN_CACHE to a folder that can be written."
+        ) from error
+
+
+def data_folder() -> Path:
+    """Return the folder of files that the user made and that no folder of a data set can take.
+
+    Raises:
+        OutputError: if the user has no home folder, and XDG_DATA_HOME is not set.
+    """
+    try:
+        return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "lpn-explorer"
+    except RuntimeError as error:
+        raise OutputError(
+            "This user has no home folder for notes; set XDG_DATA_HOME to a folder that can be written."
         ) from error
 
 
@@ -87,6 +105,19 @@ def write_atomic(path: Path, data: bytes) -> None:
             _delete_abandoned(path)
 
 
+def linked_folder(path: Path) -> Path:
+    """Return a folder, or the one beside it that a text file in its place names.
+
+    Git leaves such a file for a symbolic link where the system has none; packages of Python know no links at all.
+    """
+    try:
+        with path.open("rb") as file:
+            name = file.read(_MAX_LINK).decode().strip()
+    except (OSError, UnicodeDecodeError):  # a folder, or nothing
+        return path
+    return path.with_name(name) if re.fullmatch(r"[\w-]+", name) else path
+
+
 def open_memmap(path: Path) -> AnyArray:
     """Open the array of a `.npy` file, memory-mapped and read-only.
 
@@ -110,6 +141,11 @@ def unreadable_error(path: Path, error: OSError) -> StoreError:
     too_many = error.errno in (errno.EMFILE, errno.ENFILE)
     remedy = "let more files be open at once (ulimit -n)" if too_many else "check its permissions and its disk"
     return StoreError(f"{path} cannot be read ({error.strerror or error}); {remedy}.")
+
+
+def space_remedy(error: OSError) -> str:
+    """Return "free space or " for an error of a full disk, and nothing for others, such as a folder that is read-only."""
+    return "free space or " if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
 
 
 def raise_open_file_limit() -> None:
@@ -171,6 +207,16 @@ def exclusive_lock(folder: Path, wait: bool) -> Iterator[None]:
         os.close(descriptor)
 
 
+def distinct_names(files: Sequence[Path]) -> list[str]:
+    """Return the files' printable names, with as many folders above as it takes to tell them apart."""
+    names: list[str] = []
+    for depth in range(1, _MAX_FOLDERS + 2):
+        names = ["/".join(file.absolute().parts[-depth:]) for file in files]
+        if len(set(names)) == len(names):
+            break
+    return [printable(name) for name in names]
+
+
 def printable(name: str) -> str:
     """Return a file's name with "?" for control characters and bytes that are not UTF-8."""
     if name.isascii() and name.isprintable():
@@ -213,4 +259,6 @@ def _prepare(path: Path) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"{path} cannot be written ({error.strerror or error}); free space or choose another place.")
+    return OutputError(
+        f"{path} cannot be written ({error.strerror or error}); {space_remedy(error)}choose another place."
+    )

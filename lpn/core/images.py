@@ -24,7 +24,13 @@ else:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".gif", ".tif", ".tiff")
+KINDS = "JPEG, PNG, WebP, BMP, GIF, or TIFF"
+# Pictures of other kinds, which are named where they are left out.
+OTHER_SUFFIXES = (
+    ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".heic", ".heif", ".avif", ".jp2", ".jxl", ".svg",
+    ".psd", ".tga",
+)  # fmt: skip
 # Drones take pictures of up to 8192 x 6144 pixels.
 MAX_PIXELS = 64_000_000
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -54,22 +60,32 @@ def load_picture(path: str | Path) -> UInt8Array:
 
 
 def decode_picture(data: bytes, name: str) -> UInt8Array:
-    """Decode the bytes of a JPEG, PNG, WebP, or other common picture file; `name` is used in messages only.
+    """Decode the bytes of a picture file, of an animation the first frame; `name` is used in messages only.
 
     Raises:
         PictureError: if they are not a picture, or one of more than 64 megapixels.
     """
     if (found := header_error(io.BytesIO(data))) is not None:
-        raise PictureError(
-            f"{name} {found}; expected a JPEG, PNG, or WebP file of at most {MAX_PIXELS // 1_000_000} megapixels."
-        )
+        raise PictureError(f"{name} {found}; expected a {KINDS} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
     try:
         decoded = None if _overruns(data) else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except (cv2.error, MemoryError):
         decoded = None
+    if decoded is None and data.startswith(b"GIF8"):  # OpenCV reads these since 4.11
+        return _first_frame(data, name)
     if decoded is None or decoded.ndim != 3 or decoded[..., 0].size > MAX_PIXELS:
-        raise PictureError(f"{name} is not a picture that can be read; expected a JPEG, PNG, or WebP file.")
+        raise PictureError(f"{name} is cut short or damaged; expected a whole {KINDS} file, so copy it again.")
     return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
+
+
+def _first_frame(data: bytes, name: str) -> UInt8Array:
+    try:
+        with Image.open(io.BytesIO(data)) as animation:
+            return np.asarray(animation.convert("RGB"))
+    except (OSError, ValueError, SyntaxError, EOFError, MemoryError) as error:
+        raise PictureError(
+            f"{name} is cut short or damaged; expected a whole {KINDS} file, so copy it again."
+        ) from error
 
 
 def header_error(file: BinaryIO) -> str | None:
@@ -95,7 +111,8 @@ def header_error(file: BinaryIO) -> str | None:
         TypeError,
         struct.error,
     ):
-        return _other_kind(file) or "is not a picture that can be read"
+        file.seek(0)
+        return other_kind(file.read(512)) or "is not a picture that can be read"
     if width * height > MAX_PIXELS:
         return f"has {width} x {height} pixels, too many to be read"
     return None
@@ -113,10 +130,9 @@ def _overruns(data: bytes) -> bool:
     return False
 
 
-def _other_kind(file: BinaryIO) -> str | None:
-    """Name a kind of file that is often mistaken for a supported picture."""
-    file.seek(0)
-    start = file.read(512).lstrip(b"\xef\xbb\xbf \t\r\n")
+def other_kind(start: bytes) -> str | None:
+    """Name a kind of file that is often mistaken for a supported picture, by its first 512 bytes; None for others."""
+    start = start.lstrip(b"\xef\xbb\xbf \t\r\n")
     if start[4:8] == b"ftyp" and start[8:12] in _HEIC:
         return "is a HEIC picture, which phones take; save it as JPEG"
     if start.startswith(b"<svg") or (start.startswith((b"<?xml", b"<!--", b"<!DOCTYPE svg")) and b"<svg" in start):

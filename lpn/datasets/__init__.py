@@ -15,7 +15,17 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import cvact, cvusa, landmarks, pairs
 from lpn.datasets.areas import split_area
-from lpn.datasets.base import Dataset, LeftOut, Picture, Size, Truth, files_below, hidden
+from lpn.datasets.base import (
+    Dataset,
+    LeftOut,
+    Picture,
+    Size,
+    Truth,
+    files_below,
+    hidden,
+    unread_below,
+    warn_left_out,
+)
 from lpn.datasets.cvact import CVACT
 from lpn.datasets.cvusa import CVUSA
 from lpn.datasets.denseuav import DenseUAV, is_denseuav
@@ -47,6 +57,8 @@ __all__ = [
     "files_below",
     "hidden",
     "open_dataset",
+    "unread_below",
+    "warn_left_out",
 ]
 
 _LAYOUTS = (

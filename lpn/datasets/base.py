@@ -17,7 +17,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.core.images import SUFFIXES, crop, load_picture
+from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture
 from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import views_of
 from lpn.datasets import geo
@@ -182,9 +182,20 @@ class Dataset(ABC):
     def tasks(self) -> list[str]:
         """Return the test split's tasks, such as "drone-to-satellite", the most common first."""
 
+    def why_no_task(self) -> str:
+        """Return what a test split without any of `tasks` lacks, as a predicate; and what was expected."""
+        return "has no queries of one view with a gallery of another in its test split; lpn doctor lists what it has"
+
     @abstractmethod
     def lists(self) -> dict[str, list[Picture]]:
         """Return every list of pictures by its name, such as "train/satellite" or "test/query_drone"."""
+
+    def unread(self) -> list[LeftOut]:
+        """Return the pictures beside those of the lists that nothing reads, as their names or kinds keep them out.
+
+        A data set whose lists are files has none: a list says what belongs to it. The folders are walked.
+        """
+        return []
 
     def truth(self, task: str) -> list[Truth] | None:
         """Return the ground truth of each query; None if pictures of equal label are the true matches."""
@@ -291,6 +302,37 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     return sorted(file for file in found if file.is_file() or (file.is_symlink() and not file.exists()))
 
 
+def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
+    """Return the files in some folders below a root that are pictures, and that `files_below` skips; hidden folders are skipped.
+
+    Files without an ending are told by their first bytes.
+    """
+    found: list[LeftOut] = []
+    for top in folders:
+        for folder, inside, names in os.walk(root / top):
+            inside[:] = sorted(name for name in inside if not name.startswith("."))
+            files = {file: _unread(file) for file in (Path(folder, name) for name in sorted(names))}
+            found += [LeftOut(file.relative_to(root).as_posix(), why) for file, why in files.items() if why is not None]
+    return found
+
+
+def _unread(file: Path) -> str | None:
+    """Return why a picture is not read; None for a file that is read, or is no picture."""
+    suffix = file.suffix.lower()
+    if file.name.startswith("."):
+        # macOS keeps a file's attributes in one of the same name after "._".
+        return None if file.name.startswith("._") or suffix not in (*SUFFIXES, *OTHER_SUFFIXES) else "is hidden"
+    if suffix in OTHER_SUFFIXES:
+        return "is of a kind that is not read; save it as JPEG"
+    if suffix:
+        return None
+    try:
+        with file.open("rb") as opened:
+            return None if header_error(opened) is not None else "has no ending such as .jpg; rename it"
+    except OSError:
+        return None
+
+
 class FileNames:
     """The files below a root; each folder is read once, so that many look-ups are quick."""
 
@@ -371,12 +413,12 @@ def read_rows(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
         ) from error
 
 
-def warn_left_out(dataset: Dataset, what: str, effect: str) -> None:
-    """Log one warning about the files that a data set leaves out.
+def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:
+    """Log one warning about the files that are left out of a folder, if there are any.
 
-    The warning reads "<data set>: <number> <what>: <files>; <effect>."
+    The warning reads "<name>: <number> <what>: <files>; <effect>."
     """
-    if dataset.left_out:
-        some = ", ".join(f"{printable(item.file)} ({item.why})" for item in dataset.left_out[:3])
-        more = f", and {len(dataset.left_out) - 3} more" if len(dataset.left_out) > 3 else ""
-        log.warning("%s: %d %s: %s%s; %s.", dataset.root.name, len(dataset.left_out), what, some, more, effect)
+    if files:
+        some = ", ".join(f"{printable(item.file)} ({item.why})" for item in files[:3])
+        more = f", and {len(files) - 3} more" if len(files) > 3 else ""
+        log.warning("%s: %d %s: %s%s; %s.", printable(name), len(files), what, some, more, effect)

@@ -68,7 +68,9 @@ class CVACT(ListedDataset):
         super().__init__(root, pictures["train"], pictures["test"], pictures["test"], f"a valSet in {NAME}")
         self.left_out = left_out
         self.published_sizes = FULL
-        warn_left_out(self, f"files named in {NAME} cannot be used", "their pairs are left out")
+        warn_left_out(
+            self.root.name, self.left_out, f"files named in {NAME} cannot be used", "their pairs are left out"
+        )
 
 
 def _find(there: FileNames, view: str, name: str) -> str | None:

@@ -69,7 +69,7 @@ class CVUSA(ListedDataset):
         )
         self.left_out = left_out
         self.published_sizes = {} if rendered else FULL
-        warn_left_out(self, "files named in splits cannot be used", "their pairs are left out")
+        warn_left_out(self.root.name, self.left_out, "files named in splits cannot be used", "their pairs are left out")
 
 
 def _read(root: Path, split: Split) -> list[tuple[str, str]]:

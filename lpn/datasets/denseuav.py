@@ -17,13 +17,11 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.core.images import SUFFIXES
 from lpn.datasets import geo
 from lpn.datasets.base import Picture, PositionProtocol, Size, read_lines
-from lpn.datasets.university import University, place_pictures
+from lpn.datasets.university import University
 
 LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
-_SUFFIXES = (*SUFFIXES, ".tif", ".tiff")
 _FULL = {
     "train/drone": Size(6_768, 2_256),
     "train/satellite": Size(13_536, 2_256),
@@ -56,7 +54,7 @@ class DenseUAV(University):
         self._source, self._places = _places(root)
 
     def pictures_in(self, folder: str) -> list[Picture]:
-        pictures = place_pictures(self.root / folder, _SUFFIXES)
+        pictures = super().pictures_in(folder)
         if not folder.startswith("test/query"):
             return pictures
         named = ((picture, _HEIGHT.fullmatch(picture.path.name)) for picture in pictures)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lpn.core.files import printable
-from lpn.datasets.base import ListedDataset, Picture
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, unread_below
 
 
 class Folder(ListedDataset):
@@ -23,6 +23,15 @@ class Folder(ListedDataset):
             Picture(file, index, printable(file.relative_to(root).with_suffix("").as_posix()))
             for index, file in enumerate(files)
         ]
+
+    def unread(self) -> list[LeftOut]:
+        return unread_below(self.root)
+
+    def why_no_task(self) -> str:
+        return (
+            "is a folder of pictures without queries and a gallery; expected test/query_drone/<number>/* and "
+            "test/gallery_satellite/<number>/*, or a pairs.csv that names the pairs"
+        )
 
     def lists(self) -> dict[str, list[Picture]]:
         return {"pictures": list(self.pictures)}

@@ -95,7 +95,7 @@ class Landmarks(ListedDataset):
         self._truth = [Truth(_positions(query.good, position), _positions(query.junk, position)) for query in usable]
         self.left_out = left_out
         self.published_sizes = FULL.get(self.kind, {})
-        warn_left_out(self, "pictures cannot be used", "they are left out")
+        warn_left_out(self.root.name, self.left_out, "pictures cannot be used", "they are left out")
 
     def tasks(self) -> list[str]:
         return [TASK]

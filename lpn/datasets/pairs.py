@@ -69,7 +69,7 @@ class PairsCSV(ListedDataset):
             )
         super().__init__(root, train, test, test, f"lines of {NAME} with the split test and such a picture")
         self.left_out = list(left_out.values())
-        warn_left_out(self, f"files named in {NAME} cannot be used", "they are left out")
+        warn_left_out(self.root.name, self.left_out, f"files named in {NAME} cannot be used", "they are left out")
 
 
 def _read(path: Path) -> tuple[list[str], list[_PairLine]]:

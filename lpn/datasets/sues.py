@@ -19,7 +19,7 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import ListedDataset, Picture, Size, hidden, read_lines
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, hidden, read_lines, unread_below
 from lpn.datasets.university import place_pictures
 
 HEIGHTS = ("150", "200", "250", "300")
@@ -53,6 +53,9 @@ class SUES200(ListedDataset):
         train, queries, gallery = lists
         super().__init__(root, train, queries, gallery, "Testing/<height>/{query,gallery}_{drone,satellite}/<place>")
         self.published_sizes = _FULL
+
+    def unread(self) -> list[LeftOut]:
+        return unread_below(self.root)
 
 
 def is_sues(root: Path) -> bool:

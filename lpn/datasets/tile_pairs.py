@@ -141,7 +141,7 @@ class TilePairs(ListedDataset):
             self.published_sizes = {"test/gallery_satellite": Size(14_640)}
         self._numbers, self._area = numbers, area
         self.left_out = list(left_out.values())
-        warn_left_out(self, "files named in its lists cannot be used", "they are left out")
+        warn_left_out(self.root.name, self.left_out, "files named in its lists cannot be used", "they are left out")
 
     def tasks(self) -> list[str]:
         return ["drone-to-satellite", "satellite-to-drone"] if self._pairs else []

@@ -1,8 +1,9 @@
 """The folder layout of University-1652 and of rendered worlds.
 
-    train/{satellite,drone,street,google}/<id>/*.jpg|jpeg|png|webp
-    test/{query,gallery}_{satellite,drone,street}/<id>/*.jpg|jpeg|png|webp
+    train/{satellite,drone,street,google}/<id>/*     JPEG, PNG, WebP, BMP, GIF, TIFF
+    test/{query,gallery}_{satellite,drone,street}/<id>/*
 
+A folder of the test split may be a text file with the name of another: the same pictures in a further role.
 The label of a picture is its folder's integer name.
 """
 
@@ -12,9 +13,9 @@ import os
 from pathlib import Path
 
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import linked_folder, printable
 from lpn.core.images import SUFFIXES
-from lpn.datasets.base import Dataset, Picture, Size, tasks_between
+from lpn.datasets.base import Dataset, LeftOut, Picture, Size, tasks_between, unread_below
 from lpn.datasets.rendered import is_rendered
 
 # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
@@ -60,10 +61,19 @@ class University(Dataset):
 
     def tasks(self) -> list[str]:
         there = {
-            role: [view for view in _VIEWS if (self.root / "test" / f"{role}_{view}").is_dir()]
+            role: [view for view in _VIEWS if linked_folder(self.root / "test" / f"{role}_{view}").is_dir()]
             for role in ("query", "gallery")
         }
         return tasks_between(there["query"], there["gallery"])
+
+    def why_no_task(self) -> str:
+        test = self.root / "test"
+        found = sorted(path.name for path in test.iterdir() if path.is_dir()) if test.is_dir() else []
+        lacks = f"only test/{' and test/'.join(map(printable, found[:5]))}" if found else "no pictures to test with"
+        return (
+            f"has {lacks}; expected queries of one view and a gallery of another, such as test/query_drone/<number>/* and "
+            "test/gallery_satellite/<number>/*"
+        )
 
     def lists(self) -> dict[str, list[Picture]]:
         names = [f"train/{name}" for name in _TRAIN]
@@ -73,7 +83,10 @@ class University(Dataset):
 
     def pictures_in(self, folder: str) -> list[Picture]:
         """Return the pictures of a folder below the root, such as "test/query_drone"."""
-        return place_pictures(self.root / folder)
+        return place_pictures(linked_folder(self.root / folder))
+
+    def unread(self) -> list[LeftOut]:
+        return unread_below(self.root, ("train", "test"))
 
     def _test(self, role: str, view: str) -> list[Picture]:
         folder = self.root / "test" / f"{role}_{view}"
@@ -87,7 +100,7 @@ class University(Dataset):
         return pictures
 
 
-def place_pictures(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Picture]:
+def place_pictures(folder: Path) -> list[Picture]:
     """Return the pictures of <folder>/<place>/*, in order of place and file name; none if there is no such folder.
 
     Raises:
@@ -101,7 +114,7 @@ def place_pictures(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[P
                 f"The folder {name} in {folder.parent.name}/{folder.name} is not a number; expected one folder per "
                 "place, named by its number, so rename or remove it."
             )
-        label, files = int(name), [file for file in _names(place, folders=False) if file.lower().endswith(suffixes)]
+        label, files = int(name), [file for file in _names(place, folders=False) if file.lower().endswith(SUFFIXES)]
         for file in files:
             shown = name if len(files) == 1 else f"{name}/{file.rpartition('.')[0].removeprefix('image-')}"
             pictures.append(Picture(place / file, label, printable(shown)))

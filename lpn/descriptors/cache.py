@@ -15,7 +15,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import OutputError, StoreError
-from lpn.core.files import cache_folder, printable
+from lpn.core.files import cache_folder, linked_folder, printable
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.partial_store import complete_store
@@ -154,7 +154,8 @@ def descriptor_reader(root: Path) -> Reader:
 
 def _stores(root: Path, name: str) -> list[Path]:
     """Return the shipped stores whose names match a pattern: of the first model, then of others in folders of their own."""
-    return [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
+    found = [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
+    return list(dict.fromkeys(map(linked_folder, found)))
 
 
 def temporary_descriptors(

@@ -7,11 +7,10 @@ from pathlib import Path
 
 from lpn.core.arrays import Float32Array
 from lpn.core.views import View
-from lpn.descriptors.parallel_inference import describe_each
-from lpn.descriptors.partial_store import PartialStore, reusable_store
+from lpn.descriptors.partial_store import reusable_store
 from lpn.descriptors.store import Manifest, Precision, Row, Store
 from lpn.descriptors.transforms import UNCHANGED
-from lpn.descriptors.writer import progress_bar, write_store
+from lpn.descriptors.writer import fill_store, write_store
 from lpn.maps import Map
 from lpn.maps.named_window import NamedWindow, WindowCut
 from lpn.models.base import Model
@@ -54,15 +53,6 @@ def describe_windows(
     def prepare(row: int) -> Float32Array:
         return model.prepare(WindowCut(town, windows[row].on(town.frame), side)(), view)
 
-    def fill(partial: PartialStore) -> None:
-        missing = [row for row, good in enumerate(partial.good) if not good]
-        with progress_bar() as bar:
-            task = bar.add_task("Describing windows", total=len(rows), completed=len(rows) - len(missing))
-            for batch in describe_each(model, missing, prepare, view):
-                if batch.items:
-                    partial.put([missing[i] for i in batch.items], batch.descriptors)
-                for _, error in batch.broken:
-                    raise error
-                bar.advance(task, len(batch.items))
-
-    return write_store(Path(out), manifest, fill)
+    return write_store(
+        Path(out), manifest, lambda partial: fill_store(model, partial, prepare, view, "Describing windows")
+    )

@@ -5,16 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import cast
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import DataError, StoreError
-from lpn.core.files import exclusive_lock, printable, write_atomic
+from lpn.core.files import exclusive_lock, printable, space_remedy, write_atomic
 from lpn.core.views import View
-from lpn.datasets import files_below
+from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.partial_store import PartialStore, lacks_manifest_only, reusable_store
@@ -62,7 +61,11 @@ def describe(
     if before is not None and before.manifest == manifest:
         return before
     check_whole(files, "pictures")
-    return write_store(out, manifest, lambda partial: _fill(model, files, manifest, partial, title))
+
+    def prepare(row: int) -> Float32Array:
+        return prepare_row(model, images.load_picture(files[row]), rows[row], change, view)
+
+    return write_store(out, manifest, lambda partial: fill_store(model, partial, prepare, view, title))
 
 
 def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None]) -> Store:
@@ -97,7 +100,7 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
                 _finish(out, manifest)
     except OSError as error:
         raise StoreError(
-            f"The store {out} cannot be written ({error.strerror or error}); free space or choose another folder."
+            f"The store {out} cannot be written ({error.strerror or error}); {space_remedy(error)}choose another folder."
         ) from error
     return open_store(out)
 
@@ -112,15 +115,21 @@ def _finish(out: Path, manifest: Manifest) -> None:
         (out / name).unlink(missing_ok=True)
 
 
-def _fill(model: Model, files: Sequence[Path], manifest: Manifest, partial: PartialStore, title: str) -> None:
-    missing = [i for i, good in enumerate(partial.good) if not good]
-    view = cast(View, manifest.view)
+def fill_store(
+    model: Model, partial: PartialStore, prepare: Callable[[int], Float32Array], view: View, title: str
+) -> None:
+    """Describe the missing rows of a store.
 
-    def prepare(i: int) -> Float32Array:
-        return prepare_row(model, images.load_picture(files[i]), manifest.rows[i], manifest.change, view)
+    Args:
+        prepare: returns the model's input (3, H, W) of a row.
+        title: the label of the progress bar.
 
+    Raises:
+        DataError: the first that `prepare` raises.
+    """
+    missing = [row for row, good in enumerate(partial.good) if not good]
     with progress_bar() as bar:
-        task = bar.add_task(title, total=len(files), completed=len(files) - len(missing))
+        task = bar.add_task(title, total=len(partial.good), completed=len(partial.good) - len(missing))
         for batch in describe_each(model, missing, prepare, view):
             if batch.items:
                 partial.put([missing[i] for i in batch.items], batch.descriptors)
@@ -150,6 +159,7 @@ def pictures_below(folder: str | Path) -> list[Path]:
     if not folder.is_dir():
         raise DataError(f"There is no folder of pictures at {folder}; check the path.")
     files = files_below(folder)
+    warn_left_out(folder.name, unread_below(folder), "pictures are not read", "they are left out")
     if not files:
         raise DataError(f"{folder} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
     return files

@@ -86,7 +86,7 @@ class DataSetReport:
         looked_at: number of files read.
         decoded: whether the files were decoded completely.
         broken: pictures that cannot be read.
-        left_out: files that the data set itself leaves out: missing, or known to be broken.
+        left_out: files that the data set itself leaves out: missing, known to be broken, or not read (`Dataset.unread`).
         lacking: places and queries without their counterpart.
         duplicates: groups of files of one list with equal content and different labels.
         shared: places in both train and test.
@@ -143,7 +143,7 @@ def check_dataset(
         looked_at=len(files),
         decoded=decode,
         broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in found.items()),
-        left_out=tuple(dataset.left_out),
+        left_out=(*dataset.left_out, *dataset.unread()),
         lacking=(*_partial_places(lists), *_unanswered(dataset)),
         duplicates=tuple(_duplicates(dataset.root, lists, found)),
         shared=tuple(_shared(dataset, lists)),
@@ -301,7 +301,7 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines = [f"{good} of {report.looked_at} pictures can be read ({how})."]
     lines += _some("cannot be read", [f"{item.file} {item.why}" for item in report.broken])
     damage = [f"{item.file} {item.why}" for item in report.left_out if not item.published]
-    lines += _some("are named but left out", damage)
+    lines += _some("are left out", damage)
     known = [item.file for item in report.left_out if item.published]
     lines += _some("are left out, being broken in the published data set too", known)
     for item in report.lacking:

@@ -254,11 +254,14 @@ def _port() -> Iterator[Finding]:
         yield Finding("port", "OK", f"{PORT} on {HOST} is free")
 
 
+_RESTORE = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
+
+
 def _demo(demo: Path) -> Iterator[Finding]:
     if not demo.is_dir():
-        yield Finding("demo", "note", "not part of this installation", "give lpn explore --data and --model")
+        yield Finding("demo", "problem", "its files are missing", _RESTORE)
     elif error := _demo_error(demo):
-        yield Finding("demo", "problem", error.rstrip("."), "restore assets/demo: git checkout -- assets/demo")
+        yield Finding("demo", "problem", error.rstrip("."), _RESTORE)
     else:
         yield Finding("demo", "OK", "model, descriptors, and pictures are undamaged")
 

@@ -32,13 +32,13 @@ def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str
     return text + "..."
 
 
-def numbered(picture: UInt8Array, number: int) -> UInt8Array:
-    """Write a number on a dark patch in the top left corner of an RGB or RGBA picture."""
+def numbered(picture: UInt8Array, number: int, size: int = 30) -> UInt8Array:
+    """Write a number of a size in pixels on a dark patch in the top left corner of an RGB or RGBA picture."""
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
-    width = draw.textlength(str(number), font=font(30))
-    draw.rectangle((5, 5, 13 + width, 38), fill=BACKGROUND)
-    draw.text((9, 21), str(number), TEXT, font(30), anchor="lm")
+    width = draw.textlength(str(number), font=font(size))
+    draw.rectangle((5, 5, 13 + width, 8 + size), fill=BACKGROUND)
+    draw.text((9, 6 + size / 2), str(number), TEXT, font(size), anchor="lm")
     return np.asarray(image)
 
 

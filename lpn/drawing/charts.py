@@ -18,6 +18,7 @@ import numpy as np
 from markupsafe import Markup
 
 from lpn.core.arrays import FloatingArray
+from lpn.core.numbers import signed
 from lpn.core.templates import environment
 from lpn.drawing import theme
 from lpn.explain import Evidence
@@ -126,11 +127,11 @@ def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
                 round((min(begin, end) - low) * scale, 2),
                 round(abs(end - begin) * scale, 2),
                 EVIDENCE_COLOURS[kind],
-                f"{kind}: {end - begin:+.4f}",
+                f"{kind}: {signed(end - begin, 4)}",
             )
             for kind, begin, end in evidence_segments(evidence, part)
         ]
-        mark = round((float(total) - low) * scale, 2), f"sum: {total:+.4f}"
+        mark = round((float(total) - low) * scale, 2), f"sum: {signed(total, 4)}"
         drawn.append(_draw("bars", "evidence", "evidence", bars, round(-low * scale, 2), mark))
     return drawn
 

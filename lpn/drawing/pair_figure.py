@@ -48,7 +48,8 @@ def draw(
     bars_top = 96 + height + 40
     image = Image.new("RGB", (_WIDTH, bars_top + _ROW * len(names) + 96), BACKGROUND)
     pen = ImageDraw.Draw(image)
-    sentence = verdicts.describe_evidence(evidence, names, *views)
+    # Pillow's typeface has no minus sign.
+    sentence = verdicts.describe_evidence(evidence, names, *views).replace("−", "-")
     pen.text((_MARGIN, 32), fitted(pen, sentence, 22, _WIDTH - 2 * _MARGIN), TEXT, font(22), anchor="lm")
     maps = evidence.cell_maps()
     if losses is not None:

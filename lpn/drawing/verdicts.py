@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
+from lpn.core.numbers import signed
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
@@ -56,19 +57,19 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     tile_place = describe_position(evidence.tile.cells[best], tile_view)
     if float(evidence.query.constants[best]) > evidence.cosines[best] / 2:
         places = "most of it by a constant that comes from no cell"
-    elif query_place == tile_place == "all around":
-        places = "all over it"
     else:
         places = f"where {_place('query', query_place)} agrees with {_place('tile', tile_place)}"
-    text = f"Part {names[best]} adds most to the score ({contributions[best]:+.3f} of {evidence.score:.3f}), {places}."
+    text = (
+        f"Part {names[best]} adds most to the score ({signed(contributions[best])} of {evidence.score:.3f}), {places}."
+    )
     constants = float(evidence.query.constants @ evidence.weights)
     if constants > evidence.score / 2 > 0:
         text += (
-            f" Of the whole score, {constants:+.3f} is constants: what the network takes both pictures for, rather than "
+            f" Of the whole score, {signed(constants)} is constants: what the network takes both pictures for, rather than "
             "what they show."
         )
     if contributions[worst] < 0:
-        text += f" Part {names[worst]} speaks against the pair ({contributions[worst]:+.3f})."
+        text += f" Part {names[worst]} speaks against the pair ({signed(contributions[worst])})."
     return text
 
 
@@ -96,7 +97,7 @@ def verdict(
     negative: Match | None,
     part_names: Sequence[str],
     error_m: float | None = None,
-) -> tuple[bool | None, str, str]:
+) -> tuple[bool, str, str]:
     """Judge the answer to a query whose place is known.
 
     The decisive part is the one with the largest difference of shares of the squared distance.
@@ -108,11 +109,11 @@ def verdict(
         error_m: metres from what the query shows to the top match; None where that is unknown.
 
     Returns:
-        True where the top match is true, False where it is wrong, None where no answer can be right; a headline; and
-        a sentence that gives the reason.
+        True where the top match is true, else False, also where no answer can be right; a headline; and a sentence that gives
+        the reason.
     """
     if positive is None:
-        return None, "No true tile", "The gallery has no tile of this place, so no answer can be right."
+        return False, "No true tile", "The gallery has no tile of this place, so no answer can be right."
     if positive.rank == 1:
         if negative is None:
             gap = (
@@ -124,7 +125,7 @@ def verdict(
         return (
             True,
             "Found: the top match is true",
-            f"It leads the best wrong tile by {margin:.3f} (d²); part {part_names[part]} does most of it (+{gain:.3f}).",
+            f"It leads the best wrong tile by {margin:.3f} (d²); part {part_names[part]} does most of it ({signed(gain)}).",
         )
     if positive.beyond and positive.distance2 < first.distance2:
         lead = first.distance2 - positive.distance2
@@ -139,7 +140,7 @@ def verdict(
     return (
         False,
         f"Wrong: the true tile is {describe_rank(positive)}",
-        f"It is {deficit:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({loss:+.3f}).{off}",
+        f"It is {deficit:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({signed(-loss)}).{off}",
     )
 
 
@@ -153,9 +154,9 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
     total, name = float(margin.sum()), f"{name[0].upper()}{name[1:]}"
     if total >= 0:
         part, gain = _largest(margin)
-        return f"{name} leads by {total:.3f} (d²); part {part_names[part]} does most of it ({gain:+.3f})."
+        return f"{name} leads by {total:.3f} (d²); part {part_names[part]} does most of it ({signed(gain)})."
     part, loss = _largest(-margin)
-    return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({-loss:+.3f})."
+    return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({signed(-loss)})."
 
 
 def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str = "the true tile") -> str:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import cast
 
 import cv2
@@ -12,6 +15,8 @@ from lpn.core.arrays import UInt8Array
 from lpn.flights.base import Frame
 from lpn.flights.cameras import ground_width
 
+# Pictures that a `FrameReader` keeps, and its locks.
+_KEPT, _LOCKS = 8, 16
 # Side of the square as a share of a frame's shorter side. Its corners leave the picture at some headings.
 CUT = 0.85
 
@@ -29,22 +34,50 @@ def cut_square(picture: UInt8Array, heading: float, share: float, pixels: int) -
         heading: of the picture's top, degrees clockwise from north.
         share: of the picture's width that the square's side shows.
     """
+    picture = _reduced(picture, share, pixels)
     height, width = picture.shape[:2]
-    side = share * width
-    # Pixels are averaged before they are turned, so that fine texture does not alias.
-    shrink = max(int(side / pixels), 1)
-    if shrink > 1:
-        size = (max(width // shrink, 1), max(height // shrink, 1))
-        picture = cast(UInt8Array, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-        side *= size[0] / width
-        height, width = picture.shape[:2]
-    scale = pixels / side
+    scale = pixels / (share * width)
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), -heading, scale)
     matrix[:, 2] += ((pixels - width) / 2, (pixels - height) / 2)
     turned = cv2.warpAffine(
         picture, matrix, (pixels, pixels), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101
     )
     return cast(UInt8Array, turned)
+
+
+def _reduced(picture: UInt8Array, share: float, pixels: int) -> UInt8Array:
+    """Average pixels before they are turned, so that fine texture does not alias; one that is reduced already stays."""
+    height, width = picture.shape[:2]
+    shrink = max(int(share * width / pixels), 1)
+    if shrink == 1:
+        return picture
+    size = (max(width // shrink, 1), max(height // shrink, 1))
+    return cast(UInt8Array, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+
+
+class FrameReader:
+    """Cuts squares from frames, see `cut_square`; a frame that is cut at several headings is read and reduced once.
+
+    Threads can share it: it holds the last eight pictures.
+
+    Args:
+        pixels: side of the squares.
+    """
+
+    def __init__(self, pixels: int) -> None:
+        self._pixels = pixels
+        self._read = lru_cache(_KEPT)(self._reduced)
+        # Threads that cut one frame read it once; those that cut different ones rarely wait for each other.
+        self._locks = [threading.Lock() for _ in range(_LOCKS)]
+
+    def __call__(self, file: Path, heading: float, share: float) -> UInt8Array:
+        """Return the square, (pixels, pixels, 3); PictureError if the file cannot be read."""
+        with self._locks[hash(file) % _LOCKS]:
+            picture = self._read(file, share)
+        return cut_square(picture, heading, share, self._pixels)
+
+    def _reduced(self, file: Path, share: float) -> UInt8Array:
+        return _reduced(images.load_picture(file), share, self._pixels)
 
 
 @dataclass(frozen=True)

@@ -23,11 +23,9 @@ from lpn.flights.quality import flight_notes, with_courses
 from lpn.flights.subtitles import GpsOrder, Subtitles
 from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
 
-PHOTOS = (*images.SUFFIXES, ".tif", ".tiff")
+PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 # Pictures of other kinds, which a note names.
-_OTHER_PICTURES = (
-    ".dng", ".raw", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".heic", ".heif", ".avif", ".jp2", ".bmp", ".gif",
-)  # fmt: skip
+_OTHER_PICTURES = (*images.OTHER_SUFFIXES, ".bmp", ".gif")
 _NAMED = 5
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
@@ -287,14 +285,14 @@ def _flight_of_videos(
         )
     for number, video in enumerate(found.videos):
         try:
-            telemetry, told, told_notes = _telemetry(video, found, flight_logs, number, options)
+            telemetry, known_subtitles, subtitle_notes = _telemetry(video, found, flight_logs, number, options)
             part = videos.read_frames(video, folder, options.every, options.every_metres, telemetry)
         except DataError as error:
             broken.append(str(error))
             continue
-        notes += told_notes
-        if told is not None:
-            subtitle, where = told
+        notes += subtitle_notes
+        if known_subtitles is not None:
+            subtitle, where = known_subtitles
             note = videos.mismatch(subtitle, where, video, part.duration)
             notes += [] if note is None else [note]
         first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
@@ -323,21 +321,21 @@ def _telemetry(
         return Telemetry(entries), None, notes + ([] if note is None else [note])
     only = found.subtitles if len(found.videos) == len(found.subtitles) == 1 else []
     file = only[0] if only else videos.beside(video, found.subtitles)
-    told = None
+    known_subtitles = None
     try:
         if file is not None:
-            told = subtitles.read_subtitles(file, options.gps_order)
+            known_subtitles = subtitles.read_subtitles(file, options.gps_order)
         elif find_spec("av") is not None:
-            told = videos.embedded_subtitles(video, options.gps_order)
+            known_subtitles = videos.embedded_subtitles(video, options.gps_order)
     except DataError as error:
         notes.append(str(error))
-    if told is None:
+    if known_subtitles is None:
         inside = "" if find_spec("av") is not None or file is not None else (
             "; those inside of it need the package av: pip install 'lpn-explorer[video]'"
         )  # fmt: skip
         return None, None, [*notes, f"{printable(video.name)} has no subtitles with telemetry{inside}."]
     where = file.name if file is not None else "the subtitle stream"
-    return Telemetry(told.entries), (told, where), [*notes, *told.notes]
+    return Telemetry(known_subtitles.entries), (known_subtitles, where), [*notes, *known_subtitles.notes]
 
 
 def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> tuple[list[Frame], list[str]]:

@@ -59,12 +59,12 @@ class Telemetry:
         steps = np.diff(self._times)
         self._gap = max(_GAP, _GAPS * float(np.median(steps))) if len(steps) else _GAP
         # The times at which each value is known, and times and values to interpolate between.
-        self._told: dict[str, Float64Array] = {}
+        self._known_times: dict[str, Float64Array] = {}
         self._known: dict[str, tuple[Float64Array, Float64Array]] = {}
         for name in (*_LINEAR, *_ANGLES):
             values = np.array([_or_nan(getattr(entry, name)) for entry in self.entries], np.float64)
             keep = ~np.isnan(values)
-            self._told[name] = self._times[keep]
+            self._known_times[name] = self._times[keep]
             if name in ("latitude", "longitude"):
                 keep &= self._changes()
             angle = name in _ANGLES
@@ -80,7 +80,7 @@ class Telemetry:
         found["heading_source"] = None
         if (heading := found["heading"]) is not None:
             found["heading"] = float(heading) % 360.0
-            found["heading_source"] = self._sources[int(np.abs(self._told["heading"] - time).argmin())]
+            found["heading_source"] = self._sources[int(np.abs(self._known_times["heading"] - time).argmin())]
         return found
 
     def times_by_distance(self, metres: float) -> list[float]:
@@ -119,9 +119,9 @@ class Telemetry:
         return keep
 
     def _value(self, name: str, time: float) -> float | None:
-        told = self._told[name]
-        after = int(np.searchsorted(told, time, "right"))
-        around = told[max(after - 1, 0) : after + 1]
+        times = self._known_times[name]
+        after = int(np.searchsorted(times, time, "right"))
+        around = times[max(after - 1, 0) : after + 1]
         if not len(around) or (np.abs(around - time).min() > _HOLD and not self._between(around, time)):
             return None
         if len(around) == 2 and not self._between(around, time):

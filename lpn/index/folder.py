@@ -34,7 +34,14 @@ from msgspec.structs import replace
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import OutputError, StoreError
-from lpn.core.files import exclusive_lock, printable, raise_open_file_limit, unreadable_error, write_atomic
+from lpn.core.files import (
+    exclusive_lock,
+    printable,
+    raise_open_file_limit,
+    space_remedy,
+    unreadable_error,
+    write_atomic,
+)
 from lpn.core.formats import decode_json
 from lpn.index.base import (
     Box,
@@ -514,4 +521,5 @@ def _describe(manifest: IndexManifest, name: str) -> str:
 
 def _unwritable(folder: Path, error: OSError | OutputError) -> StoreError:
     why = error.strerror or str(error) if isinstance(error, OSError) else str(error)
-    return StoreError(f"The index {folder} cannot be written ({why}); free space or choose another folder.")
+    remedy = space_remedy(error) if isinstance(error, OSError) else ""
+    return StoreError(f"The index {folder} cannot be written ({why}); {remedy}choose another folder.")

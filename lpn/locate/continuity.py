@@ -47,10 +47,10 @@ def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | N
         return None
     least = np.full(len(seconds), _COMMON)
     if tags is not None:
-        told = np.linalg.norm(np.diff(tags, axis=0), axis=1)
-        told[seconds > 0] /= seconds[seconds > 0]
-        if (told > 0).sum() > len(told) / 2:
-            padded = np.pad(np.where(seconds > 0, told, 0), _NEAR, "edge")
+        tag_speeds = np.linalg.norm(np.diff(tags, axis=0), axis=1)
+        tag_speeds[seconds > 0] /= seconds[seconds > 0]
+        if (tag_speeds > 0).sum() > len(tag_speeds) / 2:
+            padded = np.pad(np.where(seconds > 0, tag_speeds, 0), _NEAR, "edge")
             largest = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEAR + 1).max(axis=1)
             least = np.where(np.isnan(largest), _COMMON, np.maximum(_LEAST, _TAGGED * largest))
     moved = np.linalg.norm(np.diff(places, axis=0), axis=1)

@@ -20,15 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.errors import DataError, InputError, OutputError
-from lpn.core.files import check_writable, exclusive_lock, printable, write_atomic
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
 from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
-from lpn.core.shutdown import uninterrupted
+from lpn.core.own_files import OwnFileFormat
 from lpn.maps import LocalFrame
 
 NAME = "corrections.csv"
 _HEADER = ["frame", "latitude", "longitude", "top left", "top right", "bottom right", "bottom left"]
-_MAX_BYTES = 50_000_000
 # Sides and least area of a corrected picture, in metres and square metres, and the least sine at a corner.
 _MIN_SIDE, _MAX_SIDE, _MIN_AREA, _MIN_SINE = 0.1, 20_000.0, 1.0, 0.01
 
@@ -87,39 +86,7 @@ def read_corrections(file: Path) -> dict[str, Correction]:
     Raises:
         DataError: when the file is not in the format above; the message names the entry.
     """
-    try:
-        if not file.exists():
-            return {}
-        if file.stat().st_size > _MAX_BYTES:
-            raise DataError(
-                f"{file} has more than {_MAX_BYTES // 1_000_000} MB, too much for corrections; move it away."
-            )
-        rows = list(
-            csv.reader(
-                io.StringIO(
-                    file.read_bytes().removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape"), newline=""
-                ),
-                strict=True,
-            )
-        )
-    except OSError as error:
-        raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
-    except csv.Error as error:
-        raise DataError(f"{file} is not a CSV file; correct it, or move it away.") from error
-    if not rows or rows[0] != _HEADER:
-        first = printable(",".join(rows[0]))[:100] if rows else "empty"
-        raise DataError(f"The first line of {file} is {first}; expected {','.join(_HEADER)}, so correct it.")
-    found: dict[str, Correction] = {}
-    for number, row in enumerate(rows[1:], 1):
-        if not row:
-            continue
-        name, correction = _parse(file, number, row)
-        if name in found:
-            raise DataError(
-                f"Entry {number} of {file} is a second one of the frame {printable(name)[:100]}; remove one of them."
-            )
-        found[name] = correction
-    return found
+    return _FORMAT.read(file)
 
 
 def set_correction(file: Path, name: str, correction: Correction | None) -> dict[str, Correction]:
@@ -136,18 +103,33 @@ def set_correction(file: Path, name: str, correction: Correction | None) -> dict
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
     """
-    check_writable(file)
+
+    def change(corrections: dict[str, Correction]) -> dict[str, Correction]:
+        corrections.pop(name, None)
+        return corrections if correction is None else corrections | {name: correction}
+
+    return _FORMAT.change(file, change)
+
+
+def _decode(content: bytes, file: Path) -> dict[str, Correction]:
+    text = content.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
     try:
-        with exclusive_lock(file.parent, wait=True), uninterrupted():
-            found = read_corrections(file)
-            found.pop(name, None)
-            if correction is not None:
-                found[name] = correction
-            write_atomic(file, _to_csv(found))
-    except OSError as error:
-        raise OutputError(
-            f"{file} cannot be written ({error.strerror or error}); copy the flight to a folder that can be written."
-        ) from error
+        rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
+    except csv.Error as error:
+        raise DataError(f"{file} is not a CSV file; correct it, or move it away.") from error
+    if not rows or rows[0] != _HEADER:
+        first = printable(",".join(rows[0]))[:100] if rows else "empty"
+        raise DataError(f"The first line of {file} is {first}; expected {','.join(_HEADER)}, so correct it.")
+    found: dict[str, Correction] = {}
+    for number, row in enumerate(rows[1:], 1):
+        if not row:
+            continue
+        name, correction = _parse(file, number, row)
+        if name in found:
+            raise DataError(
+                f"Entry {number} of {file} is a second one of the frame {printable(name)[:100]}; remove one of them."
+            )
+        found[name] = correction
     return found
 
 
@@ -171,7 +153,7 @@ def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:
     return row[0], Correction(middle, corners)
 
 
-def _to_csv(corrections: Mapping[str, Correction]) -> bytes:
+def _encode(corrections: Mapping[str, Correction]) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_HEADER)
@@ -180,3 +162,6 @@ def _to_csv(corrections: Mapping[str, Correction]) -> bytes:
         corners = [f"{a:.9f} {b:.9f}" for a, b in one.corners.tolist()]
         writer.writerow([name, f"{latitude:.9f}", f"{longitude:.9f}", *corners])
     return text.getvalue().encode("utf-8", "surrogateescape")
+
+
+_FORMAT = OwnFileFormat("corrections", _decode, _encode, dict, "remove some of them")

@@ -16,18 +16,15 @@ from lpn.datasets import Picture
 from lpn.datasets.geo import Position
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
-from lpn.flights.cut import CUT, TurnedFrame, cut_size
+from lpn.flights.cut import CUT, FrameReader, TurnedFrame, cut_size
 from lpn.index.ground import window_sizes
 from lpn.index.queries import IndexQueries, fitting_tasks, view_pair
 from lpn.index.shared import SharedIndex
-from lpn.locate.retrieval import heading_is_certain
+from lpn.locate.retrieval import tried_headings
 from lpn.maps import Map, NamedWindow
 from lpn.models.base import Model
 
 log = logging.getLogger(__name__)
-
-# Headings at which a frame is searched where its own is not certain.
-_TURNS = 8
 
 
 def flight_queries(
@@ -40,9 +37,10 @@ def flight_queries(
 ) -> IndexQueries:
     """Describe frames as they are compared with the windows of an index.
 
-    A frame is turned north-up by its heading. Where that is not certain, it takes the one of eight turns whose nearest window is
-    nearest. Where its width on the ground is known, it is cut to the nearest size of window that the index holds. A window shows
-    a frame's place if it holds the frame's tag. A frame that cannot be read is logged and noted; its place is not known.
+    A frame is turned north-up by its heading. Where that is not certain, it takes the one of `tried_headings` whose nearest
+    window is nearest. Where its width on the ground is known, it is cut to the nearest size of window that the index holds. A
+    window shows a frame's place if it holds the frame's tag. A frame that cannot be read is logged and noted; its place is not
+    known.
 
     Args:
         town: map of the windows.
@@ -58,17 +56,19 @@ def flight_queries(
     cuts: list[TurnedFrame] = []
     owners: list[int] = []
     for i, frame in enumerate(flight.frames):
-        start, turns = frame.heading or 0.0, 1 if heading_is_certain(frame) else _TURNS
-        cuts += [
-            TurnedFrame(frame, (start + 360 / _TURNS * turn) % 360, _share(frame, sizes), pixels)
-            for turn in range(turns)
-        ]
-        owners += [i] * turns
+        turned = [TurnedFrame(frame, heading, _share(frame, sizes), pixels) for heading in tried_headings(frame)]
+        cuts += turned
+        owners += [i] * len(turned)
     view, model = views_of(name)[0], model.for_task(*views_of(name))
     described = np.zeros((len(cuts), model.n_parts, model.embedding), np.float32)
     good, done = np.zeros(len(cuts), bool), 0
     unreadable: set[int] = set()
-    for batch in describe_each(model, cuts, lambda cut: model.prepare(cut(), view), view):
+    reader = FrameReader(pixels)
+
+    def prepared(cut: TurnedFrame) -> Float32Array:
+        return model.prepare(reader(cut.frame.file, cut.heading, cut.share), view)
+
+    for batch in describe_each(model, cuts, prepared, view):
         described[batch.items], good[batch.items] = batch.descriptors, True
         for j, error in batch.broken:
             if owners[j] not in unreadable:

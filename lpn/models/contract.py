@@ -12,7 +12,7 @@ differ from picture to picture beside the map is held at its value for this pict
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -38,7 +38,7 @@ Role = Literal["query", "gallery"]
 
 @dataclass(frozen=True)
 class Contract:
-    """What a loaded model says of itself.
+    """The description of a loaded model by itself.
 
     Attributes:
         method: such as "LPN" or "FSRA".
@@ -141,6 +141,12 @@ class Contract:
             return f"exact, with {self.held} held"
         return "parts only: the model gives no cells" if self.level == "parts only" else self.level
 
+    def with_held(self, what: str) -> Contract:
+        """Return this contract of a model that holds one more thing at its value for each picture; unchanged without cells."""
+        if not self.has_cells:
+            return self
+        return replace(self, level="exact, with held", held=f"{self.held} and {what}" if self.held else what)
+
     def partition(self, view: View) -> Partition | None:
         """Return how parts divide every map of a view; None if they are drawn from the cells of each picture."""
         return self.partitions.get(view)
@@ -163,7 +169,7 @@ class Contract:
 
 @dataclass(frozen=True)
 class Heads:
-    """What is the same for all pictures of a view in the account of the module.
+    """The terms of the module's equations that are the same for all pictures of a view.
 
     Attributes:
         weight: A, (n, D, C) float32; None for the identity, with D = C.
@@ -201,6 +207,15 @@ def check_parts(contract: Contract, parts: Float32Array, count: int) -> None:
         ModelFileError: with the shape that was found and the one that was expected.
     """
     _check_shapes(contract, [("parts", parts, (count, contract.n_parts, contract.embedding))])
+
+
+def check_fixed_cells(contract: Contract, cells: Float32Array, size: tuple[int, ...]) -> None:
+    """Refuse cells of the heads that do not fit the contract and a map of this size, (h, w).
+
+    Raises:
+        ModelFileError: with the shape that was found and the one that was expected.
+    """
+    _check_shapes(contract, [("the heads' cells", cells, (contract.n_parts, *size))])
 
 
 def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:

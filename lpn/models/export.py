@@ -22,13 +22,14 @@ from lpn.core.errors import InputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.views import View
 from lpn.models.adapters import Kind
-from lpn.models.adapters.load import load_published
+from lpn.models.adapters.load import load_file
 from lpn.models.adapters.model import PublishedModel
 from lpn.models.base import Model
-from lpn.models.checkpoints import TorchModel, load_torch
+from lpn.models.checkpoints import TorchModel
 from lpn.models.contract_metadata import to_metadata
 from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
+from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
 from lpn.models.weight_storage import Storage, to_eight_bits
 
@@ -106,13 +107,13 @@ def export(model: str | Path, out: str | Path, storage: Storage = "float32", kin
         ModelFileError: if the model cannot be loaded.
         OutputError: if `out` cannot be written.
     """
-    out = Path(out)
+    model, out = model_file(model, trained=True), Path(out)
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
-    if Path(model).suffix == ".onnx":
-        raise InputError(f"{Path(model).name} is exported already; give the .safetensors or .pth it was made from.")
+    if model.suffix == ".onnx":
+        raise InputError(f"{model.name} is exported already; give the .safetensors or .pth it was made from.")
     check_writable(out)
-    loaded: Model = load_published(model, kind=kind) if Path(model).suffix != ".safetensors" else load_torch(model)
+    loaded = load_file(model, kind=kind)
     groups = list(loaded.contract.groups)
     if loaded.spec is None:
         metadata = {**to_metadata(loaded.contract), "source": loaded.fingerprint}

@@ -16,9 +16,11 @@ from torch import Tensor, nn
 
 from lpn.core.errors import InputError
 from lpn.core.views import BRANCH, View
-from lpn.models.backbones import BackboneName, LastLayer, build_backbone
+from lpn.models.backbones import VGG16, BackboneName, LastLayer, ResNet, build_backbone
+from lpn.models.efficientnet_lite import EfficientNetLite
 from lpn.models.partition import Partition
-from lpn.models.spec import SLOPES, ModelSpec
+from lpn.models.spec import SLOPES, TIMM, ModelSpec
+from lpn.models.timm_networks import TimmMap
 
 
 class SpatialAware(nn.Module):
@@ -48,14 +50,7 @@ class Branch(nn.Module):
 
     def __init__(self, spec: ModelSpec, partition: Partition) -> None:
         super().__init__()
-        self.model = build_backbone(
-            cast(BackboneName, spec.backbone),
-            cast(LastLayer, spec.last_layer),
-            spec.last_stride,
-            spec.backbone_dropout,
-            # Released SAFA pools with TensorFlow's padding SAME: 112 x 616 pixels give 4 x 20 cells, not 3 x 19.
-            ceil_mode=spec.pooling == "safa",
-        )
+        self.model = _backbone(spec)
         if spec.pooling == "safa":
             height, width = map_size(self.model, spec.input_size)
             if width < spec.n_parts:
@@ -68,6 +63,19 @@ class Branch(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         return cast(Tensor, self.model(images))
+
+
+def _backbone(spec: ModelSpec) -> ResNet | VGG16 | EfficientNetLite | TimmMap:
+    if spec.backbone.startswith(TIMM):
+        return TimmMap(spec.backbone.removeprefix(TIMM), spec.input_size)
+    return build_backbone(
+        cast(BackboneName, spec.backbone),
+        cast(LastLayer, spec.last_layer),
+        spec.last_stride,
+        spec.backbone_dropout,
+        # Released SAFA pools with TensorFlow's padding SAME: 112 x 616 pixels give 4 x 20 cells, not 3 x 19.
+        ceil_mode=spec.pooling == "safa",
+    )
 
 
 def map_size(backbone: nn.Module, input_size: tuple[int, int]) -> tuple[int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ from torch import Tensor
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
 from lpn.core.views import BRANCH, View
-from lpn.models.spec import ModelSpec
+from lpn.models.efficientnet_lite import STAGES, last_block
+from lpn.models.spec import BACKBONES, ModelSpec, is_timm
 
 log = logging.getLogger(__name__)
 
@@ -22,6 +24,9 @@ State = dict[str, Tensor]
 
 # The largest opts.yaml in bytes (usual ones have some forty lines), and characters of a value that are kept.
 _OPTIONS_BYTES, _SHOWN = 100_000, 1000
+
+# The last convolution of each block of an EfficientNet-Lite.
+_PROJECTION = re.compile(r"_blocks\.(\d{1,3})\._project_conv\.weight")
 
 # Entries of layers that the published code keeps and does not use.
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
@@ -34,6 +39,8 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
     of the released CVUSA and CVACT models, since the released code trains no other LPN of two views. This is logged unless
     the options `data_dir` or `name` mention these data sets. Model_1 and model_3 are satellite and drone, with
     University-1652's rings.
+
+    A backbone of timm is named by the option `backbone`, such as "timm:convnext_tiny".
 
     Raises:
         ModelFileError: if it is not an LPN or baseline, or contradicts its options.
@@ -60,7 +67,11 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
             f"{name} was trained with pool: {options['pool']} (opts.yaml); only average pooling (avg) is supported."
         )
     prefix = f"{BRANCH[views[0]]}.model."
-    backbone, last_layer = infer_backbone({k[len(prefix) :] for k in state if k.startswith(prefix)}, name)
+    backbone, last_layer = str(options.get("backbone")), "layer4"
+    if not is_timm(backbone):
+        backbone, last_layer = infer_backbone(
+            {k[len(prefix) :]: value for k, value in state.items() if k.startswith(prefix)}, name
+        )
     _check_options(options, name, views, n_parts, backbone)
     head = f"classifier{expected[0]}"
     linear = state.get(f"{head}.add_block.0.weight")
@@ -84,12 +95,13 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
     )
 
 
-def infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
-    """Infer `backbone` and `last_layer` of `ModelSpec` from the names of a backbone's entries.
+def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
+    """Infer `backbone` and `last_layer` of `ModelSpec` from a backbone's entries: their names, and shapes of EfficientNet-Lite.
 
     Raises:
         ModelFileError: if the backbone is unknown.
     """
+    keys = state.keys()
     normalised = "features.1.running_mean" in keys
     if normalised and {"features.0.weight", "features.40.weight"} <= keys and "features.43.weight" not in keys:
         return "vgg16_bn", "layer4"
@@ -101,9 +113,13 @@ def infer_backbone(keys: set[str], name: str) -> tuple[str, str]:
         return "resnet50", last
     if "layer1.1.conv2.weight" in keys and not {"layer1.0.conv3.weight", "layer1.2.conv1.weight"} & keys:
         return "resnet18", last
-    raise ModelFileError(
-        f"The backbone in {name} is not one of resnet18, resnet50, vgg16, vgg16_bn, or entries of it are missing."
-    )
+    blocks = {int(found[1]): len(state[key]) for key in keys if (found := _PROJECTION.fullmatch(key))}
+    whole = "_conv_head.weight" in keys
+    for lite in STAGES:
+        # Lite1 and Lite2 differ in their widths alone.
+        if blocks and (max(blocks), blocks[max(blocks)]) == last_block(lite, whole):
+            return lite, "layer4" if whole else "layer3"
+    raise ModelFileError(f"The backbone in {name} is not one of {', '.join(BACKBONES)}, or entries of it are missing.")
 
 
 def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], n_parts: int, backbone: str) -> None:
@@ -155,7 +171,7 @@ def read_options(path: Path) -> dict[str, Any]:
         return {}
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
-    found: dict[str, Any] = {key: _value(value) for key, value in options.items() if isinstance(key, str)}
+    found = {key: _value(value) for key, value in options.items() if isinstance(key, str) and value is not None}
     for key in ("h", "w", "stride", "block", "views"):
         value = found.get(key, 1)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:

@@ -1,7 +1,9 @@
 """Quantization of an exported float32 model to 8-bit integers, calibrated on real pictures.
 
-Convolutions and the layers between them are quantised: weights by output channel, activations by their range on the
-calibration pictures. Pooling and heads stay in float32 and use the graph's feature map, so evidence stays exact.
+Convolutions, linear layers, and what lies between convolutions are quantised: weights by output channel, activations by their
+range on the calibration pictures. That ends at the trunk's map or tokens, through which all outputs are computed. Pooling,
+regions, gates, norms of pooled values, and heads stay in float32 behind it, so parts and their account come from the same
+numbers and evidence stays exact.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from inspect import signature
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import onnx
@@ -27,16 +29,50 @@ from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
 from lpn.models.onnx_engine import COMPUTE, Engine, graph_files
+from lpn.models.shipped import model_file
 
 # Calibration pictures for each group of views that share weights.
 PICTURES = 128
-_QUANTISED = frozenset({"Conv", "Relu", "Add", "MaxPool"})
+# Mean cosine with the float32 descriptors below which a model is not written.
+LEAST_COSINE = 0.98
+# Calibration pictures of each group on which both models are compared.
+_COMPARED = 64
+# In a trunk with LayerNorms, such as a vision transformer or a ConvNeXt, Softmax, LayerNorm, GELU, and products of attention stay
+# in float32. So does the residual stream, whose few large channels would take the range of the others.
+_QUANTISED, _QUANTISED_CONVOLUTIONAL = (
+    frozenset({"Conv", "MatMul", "Gemm"}),
+    frozenset({"Relu", "Clip", "Add", "MaxPool"}),
+)
+_FLOAT_OUTPUTS = ["MatMul", "Gemm"]
+# Their outputs tell the size of a value and nothing of its numbers.
+_OF_SHAPE = frozenset({"Shape", "Size"})
+
+
+class Agreement(NamedTuple):
+    """How close an 8-bit model is to its float32 model, on calibration pictures.
+
+    Attributes:
+        cosines: for each view, the mean cosine (-1 .. 1) between both models' descriptors of a picture.
+        same_first: share (0 .. 1) of the queries for which both models rank the same picture of the gallery first; None where
+            the pictures are of one view alone.
+        queries, gallery: numbers of pictures behind `same_first`; 0 without it.
+    """
+
+    cosines: dict[View, float]
+    same_first: float | None
+    queries: int = 0
+    gallery: int = 0
 
 
 def quantize(
-    model: str | Path, dataset: Dataset, out: str | Path, pictures: int = PICTURES, provider: ProviderName = "cpu"
-) -> tuple[list[Path], dict[View, float]]:
-    """Quantize an exported model so that its convolutions compute in 8 bits.
+    model: str | Path,
+    dataset: Dataset,
+    out: str | Path,
+    pictures: int = PICTURES,
+    provider: ProviderName = "cpu",
+    least_cosine: float = LEAST_COSINE,
+) -> tuple[list[Path], Agreement]:
+    """Quantize an exported model so that its convolutions and linear layers compute in 8 bits.
 
     Args:
         model: the `.onnx` file, stored as float32; files of further view groups lie beside it.
@@ -45,40 +81,52 @@ def quantize(
         pictures: the number of calibration pictures for each group of views.
         provider: computes the calibration, see `Engine`; before ONNX Runtime 1.21, the CPU does. The 8-bit model is always
             compared on the CPU, as it is made for it.
+        least_cosine: nothing is written if a view's mean cosine is below it, from -1 (never) to 1.
 
     Returns:
-        The files written, and for each view the mean cosine (-1 .. 1) between both models' descriptors of calibration
-        pictures.
+        The files written, and how close they are to the model on calibration pictures.
 
     Raises:
-        InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, there are no pictures, or
-            the named provider is missing or does not work.
+        InputError: if `out` does not end in .onnx or is `model`, `model` is not stored as float32, there are no pictures,
+            `least_cosine` is out of range or not reached, or the named provider is missing or does not work.
         ModelFileError: if the model cannot be loaded.
         PictureError: if calibration pictures are broken.
         OutputError: if `out` cannot be written.
     """
-    model, out = Path(model), Path(out)
+    model, out = model_file(model), Path(out)
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
     if out.resolve() == model.resolve():
         raise InputError(f"{out.name} is the model itself; give another name for the quantised one.")
     if pictures < 1:
         raise InputError(f"{pictures} calibration pictures were asked for; give at least one, such as {PICTURES}.")
+    if not -1 <= least_cosine <= 1:
+        raise InputError(f"The least cosine is {least_cosine}; expected a number from -1 to 1, such as {LEAST_COSINE}.")
     check_writable(out)
     engine = Engine(model, provider=provider)
-    if engine.spec is None:
-        raise InputError(
-            f"{model.name} is {engine.contract.method}; only LPN and SAFA are computed in 8 bits, as what the account of other "
-            "methods loses by it was not measured. lpn export --storage int8 makes the file smaller."
-        )
     groups = list(engine.contract.groups)
-    chosen = [calibration_pictures(dataset, group, pictures) for group in groups]
+    # Where branches have roles, each of them describes all views.
+    calibrated = [engine.views if engine.contract.roles == "role" else group for group in groups]
+    chosen = [calibration_pictures(dataset, views, pictures) for views in calibrated]
     check_whole([picture.path for some in chosen for _, picture in some], f"pictures of {dataset.root.name}")
     sources, targets = graph_files(model, groups), graph_files(out, groups)
     graphs = [_quantised(file, engine, some) for file, some in zip(sources, chosen, strict=True)]
+    with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
+        tried = graph_files(Path(folder) / out.name, groups)
+        for path, graph in zip(tried, graphs, strict=True):
+            path.write_bytes(graph)
+        compared = [pair for some in chosen for pair in some[:: max(1, len(some) // _COMPARED)]]
+        agreement = _agreement(engine, Engine(tried[0]), list(dict.fromkeys(compared)))
+    lowest = min(agreement.cosines, key=lambda view: agreement.cosines[view])
+    if not agreement.cosines[lowest] >= least_cosine:
+        raise InputError(
+            f"In 8 bits {model.name} describes {lowest} pictures otherwise: their mean cosine with the float32 descriptors is "
+            f"{agreement.cosines[lowest]:.4f}, below {least_cosine:g}, so nothing was written; keep the float32 model, made "
+            "smaller by lpn export --storage int8, or lower --least-cosine."
+        )
     for path, graph in reversed(list(zip(targets, graphs, strict=True))):
         write_atomic(path, graph)
-    return targets, _agreement(engine, Engine(out), [pair for some in chosen for pair in some])
+    return targets, agreement
 
 
 def calibration_pictures(dataset: Dataset, views: Sequence[View], count: int) -> list[tuple[View, Picture]]:
@@ -142,8 +190,13 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
         raise InputError(
             f"{file.name} is stored in fewer bits than float32; export the model with --storage float32 first."
         )
-    before_pooling = _upstream(proto.graph, "features")
-    names = [node.name for node in proto.graph.node if node.op_type in _QUANTISED and node.name in before_pooling]
+    for number, node in enumerate(proto.graph.node):
+        node.name = f"{number}"
+    names = _quantisable(proto.graph)
+    if not names:
+        raise InputError(
+            f"{file.name} has no convolution and no linear layer before its outputs part; there is nothing to compute in 8 bits."
+        )
     options = {"calibration_providers": engine.calibration_providers()}
     if "calibration_providers" not in signature(quantize_static).parameters:  # before ONNX Runtime 1.21
         options = {}
@@ -158,6 +211,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
             nodes_to_quantize=names,
+            extra_options={"OpTypesToExcludeOutputQuantization": _FLOAT_OUTPUTS},
             **options,
         )
         result = onnx.load_model(made)
@@ -166,11 +220,48 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
     return with_seal(cast(bytes, result.SerializeToString()))
 
 
-def _upstream(graph: onnx.GraphProto, output: str) -> set[str]:
-    """Return the names of the nodes that an output depends on."""
+def _quantisable(graph: onnx.GraphProto) -> list[str]:
+    """Return the names of the trunk's nodes that are computed in 8 bits."""
+    trunk, weights = _trunk(graph), {weight.name: weight.dims for weight in graph.initializer}
+    convolved = {name for node in trunk if node.op_type == "Conv" for name in node.output}
+    types = _QUANTISED
+    if not any(node.op_type == "LayerNormalization" for node in trunk):
+        types |= _QUANTISED_CONVOLUTIONAL
+
+    def fits(node: onnx.NodeProto) -> bool:
+        # A head has a matrix for each part, and a product of attention has no weights.
+        linear = node.op_type not in ("MatMul", "Gemm") or len(weights.get(node.input[1], ())) == 2
+        # ReLU6 is a Clip; another one, as in a pooling layer, is none.
+        activation = node.op_type != "Clip" or node.input[0] in convolved
+        return node.op_type in types and linear and activation
+
+    return [node.name for node in trunk if fits(node)]
+
+
+def _trunk(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
+    """Return the nodes up to the last value through which all outputs are computed from the images."""
+    needed = _upstream(graph)
+    nodes = [node for node in graph.node if node.name in needed]
+    # Each value's last reader; an output of the graph is read to its end.
+    readers = {
+        name: position for position, node in enumerate(nodes) if node.op_type not in _OF_SHAPE for name in node.input
+    }
+    readers |= {output.name: len(nodes) for output in graph.output}
+    live, end = {"images"}, 0
+    for position, node in enumerate(nodes):
+        if node.op_type not in _OF_SHAPE and not live.isdisjoint(node.input):
+            live |= set(node.output)
+        live = {name for name in live if readers.get(name, -1) > position}
+        if len(live) == 1:
+            end = position + 1
+    return nodes[:end]
+
+
+def _upstream(graph: onnx.GraphProto) -> set[str]:
+    """Return the names of the nodes that outputs depend on."""
     makers = {name: node for node in graph.node for name in node.output}
     found: set[str] = set()
-    left = [output]
+    left = [output.name for output in graph.output]
     while left:
         node = makers.get(left.pop())
         if node is not None and node.name not in found:
@@ -179,13 +270,21 @@ def _upstream(graph: onnx.GraphProto, output: str) -> set[str]:
     return found
 
 
-def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Picture]]) -> dict[View, float]:
-    cosines: dict[View, list[float]] = {}
-    for view, picture in pictures[:: max(1, len(pictures) // 32)]:
+def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Picture]]) -> Agreement:
+    described: dict[View, list[tuple[Float32Array, Float32Array]]] = {}
+    for view, picture in pictures:
         prepared = _inputs(before, view, picture)[:1]
-        one, other = (engine.descriptors(prepared, view)[0] for engine in (before, after))
-        cosines.setdefault(view, []).append(float((one * other).sum()))
-    return {view: float(np.mean(found)) for view, found in cosines.items()}
+        described.setdefault(view, []).append((before.descriptors(prepared, view), after.descriptors(prepared, view)))
+    pairs = {view: [np.concatenate(side) for side in zip(*found, strict=True)] for view, found in described.items()}
+    cosines = {view: float((one * other).sum((1, 2)).mean()) for view, (one, other) in pairs.items()}
+    tiles, *others = pairs.values()
+    if not others:
+        return Agreement(cosines, None)
+    queries = [np.concatenate(side) for side in zip(*others, strict=True)]
+    firsts = [
+        np.tensordot(rows, gallery, ((1, 2), (1, 2))).argmax(1) for rows, gallery in zip(queries, tiles, strict=True)
+    ]
+    return Agreement(cosines, float((firsts[0] == firsts[1]).mean()), len(queries[0]), len(tiles[0]))
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
@@ -17,6 +18,15 @@ from lpn.core.views import VIEWS, View
 from lpn.models.contract import Contract, ForwardPass
 from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
+BACKBONES = (
+    "resnet18",
+    "resnet50",
+    "vgg16",
+    "vgg16_bn",
+    "efficientnet_lite0",
+    "efficientnet_lite1",
+    "efficientnet_lite2",
+)
 Activation = Literal["none", "relu", "leaky_relu"]
 Layout = Literal["university", "cvusa", "strips"]
 Pooling = Literal["average", "safa"]
@@ -25,7 +35,7 @@ Pooling = Literal["average", "safa"]
 SLOPES: dict[Activation, float] = {"none": 1.0, "relu": 0.0, "leaky_relu": 0.1}
 
 _ALLOWED: dict[str, tuple[Any, ...]] = {
-    "backbone": ("resnet18", "resnet50", "vgg16", "vgg16_bn"),
+    "backbone": BACKBONES,
     "last_layer": ("layer3", "layer4"),
     "shared": (True, False),
     "layout": ("university", "cvusa", "strips"),
@@ -34,6 +44,10 @@ _ALLOWED: dict[str, tuple[Any, ...]] = {
     "weighting": WEIGHTINGS,
     "activation": ("none", "relu", "leaky_relu"),
 }
+
+# The names of timm's networks begin with this. They are our backbones, not the paper's.
+TIMM = "timm:"
+_TIMM_NAME = re.compile(r"timm:[A-Za-z0-9_]{1,80}")
 
 # Far beyond any sensible network; a file that claims more would take all memory.
 _MAXIMA = {
@@ -51,9 +65,11 @@ class ModelSpec:
     """The architecture of an LPN.
 
     Attributes:
-        backbone: "resnet18", "resnet50", "vgg16", or "vgg16_bn".
-        last_layer: the last stage of a ResNet, "layer3" or "layer4".
-        last_stride: stride of a ResNet's layer4, 1 (published) or 2.
+        backbone: one of `BACKBONES`, or "timm:" and the name of a network of timm, of which the last map is taken.
+        last_layer: of a ResNet or an EfficientNet-Lite of `BACKBONES`: "layer4" for the whole network, or "layer3" for the
+            stages that have stride 16 by themselves.
+        last_stride: stride behind them, of a ResNet's layer4 or an EfficientNet-Lite's sixth stage: 1 (published, the map stays
+            at 1/16) or 2 (as ImageNet's weights were trained, 1/32).
         views: the views with a branch, in the order satellite, street, drone.
         shared: whether satellite and drone (without a drone, satellite and street) share weights.
         n_parts: parts per descriptor; 1 is the baseline.
@@ -105,9 +121,10 @@ class ModelSpec:
         for side in self.input_size:
             _check_count("input_size", side, _MAXIMA["input_size"])
         for name, allowed in _ALLOWED.items():
-            if getattr(self, name) not in allowed:
+            if getattr(self, name) not in allowed and not (name == "backbone" and is_timm(self.backbone)):
+                more = ", timm:NAME" if name == "backbone" else ""
                 raise InputError(
-                    f"The model's {name} is {getattr(self, name)!r}; expected one of {', '.join(map(str, allowed))}."
+                    f"The model's {name} is {getattr(self, name)!r}; expected one of {', '.join(map(str, allowed))}{more}."
                 )
         for name in ("dropout", "backbone_dropout"):
             rate = getattr(self, name)
@@ -220,6 +237,11 @@ class ModelSpec:
         """Return one line for a header or a log: "LPN resnet18/layer3, n = 4, 256 x 256"."""
         backbone = self.backbone if self.last_layer == "layer4" else f"{self.backbone}/{self.last_layer}"
         return f"{self.method} {backbone}, n = {self.n_parts}, {self.input_size[0]} x {self.input_size[1]}"
+
+
+def is_timm(backbone: Any) -> bool:
+    """Return whether a backbone is named as a network of timm; only timm knows whether it has it."""
+    return isinstance(backbone, str) and _TIMM_NAME.fullmatch(backbone) is not None
 
 
 def _check_count(name: str, value: Any, most: int) -> None:

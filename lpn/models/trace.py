@@ -11,7 +11,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.views import View
 from lpn.models.base import Model, whitened
-from lpn.models.contract import ForwardPass, check_pass
+from lpn.models.contract import ForwardPass, check_fixed_cells, check_pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +56,12 @@ class Trace:
             if (fixed is None or fixed.shape[1:] != size) and partition is not None:
                 # A model in PyTorch accepts images of other sizes, whose cells differ.
                 fixed = partition.weights(*size)
-            if fixed is None or fixed.shape != (contract.n_parts, *size):
+            if fixed is None:
                 raise ModelFileError(
                     f"{contract.method} returns a map of {size[0]} x {size[1]} cells, and not which part each belongs to; "
                     "return cells with each picture, or in the heads."
                 )
+            check_fixed_cells(contract, fixed, size)
             cells = np.broadcast_to(fixed, (passes, *fixed.shape))
         embedding = cast(Float32Array, outputs.parts.sum(axis=0))
         constants = np.broadcast_to(model.centring(embedding, view), embedding.shape)

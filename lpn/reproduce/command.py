@@ -205,8 +205,8 @@ class Reproduction:
                 begun = f", {done} done" if done else ""
                 self.console.print(f"  {job.name}: {job.recipe.epochs} epochs{begun}", markup=False, highlight=False)
             if self.scale.changes:
-                said = footnotes.changed(self.scale, [job.training for job in left])
-                self.console.print(said, markup=False, soft_wrap=True)
+                changes = footnotes.changed(self.scale, [job.training for job in left])
+                self.console.print(changes, markup=False, soft_wrap=True)
         for backbone, start in {job.recipe.backbone: job.start for job in left}.items():
             self.console.print(
                 f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True

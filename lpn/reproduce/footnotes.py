@@ -91,11 +91,11 @@ def changed(scale: Scale, trainings: Sequence[Training]) -> str:
     for training in trainings:
         for name in scale.kept(training):
             kept.setdefault(name, {})[training.name] = None
-    said = [
+    changes = [
         f"{name} = {value}" + (f" (not for {', '.join(kept[name])})" if name in kept else "")
         for name, value in scale.changes.items()
     ]
-    return f"Changed: {', '.join(said)}."
+    return f"Changed: {', '.join(changes)}."
 
 
 def _places(jobs: Sequence[TrainingJob]) -> str:

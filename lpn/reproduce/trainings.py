@@ -29,10 +29,12 @@ from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.training.recipes import Recipe
 from lpn.training.trainer import Trainer
+from lpn.training.training_set import Fold
 
 FORMAT = "lpn-job/2"
 # Estimated time of a training step per pixel relative to ResNet-18, for the time left.
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16": 8.5, "vgg16_bn": 8.5}
+_UNKNOWN_COST = 1.0
 # Seconds between two looks at trainings that other processes have.
 _POLL = 5.0
 
@@ -53,6 +55,7 @@ class TrainingJob:
         source: the training data.
         start: pretrained weights of its backbone, None for random ones.
         held_out: share of the training places that are held out, and measured after the last epoch.
+        fold: a fold of them that is held out instead, and measured by `lpn.reproduce.cross_validation`.
     """
 
     training: Training
@@ -62,11 +65,12 @@ class TrainingJob:
     source: Source
     start: Path | None
     held_out: float = 0.0
+    fold: Fold | None = None
 
     @property
     def name(self) -> str:
         """Name such as "lpn, seed 0", or that of a trial's folder."""
-        return self.folder.name if self.held_out else f"{self.training.name}, seed {self.seed}"
+        return self.folder.name if self.held_out or self.fold else f"{self.training.name}, seed {self.seed}"
 
     @property
     def done(self) -> bool:
@@ -102,7 +106,7 @@ class TrainingJob:
     def work(self) -> float:
         """Relative cost of an epoch on the same pictures."""
         height, width = self.recipe.input_size
-        return height * width * _COSTS[self.recipe.backbone] / 1e6
+        return height * width * _COSTS.get(self.recipe.backbone, _UNKNOWN_COST) / 1e6
 
     def seconds(self) -> list[float]:
         """Seconds of each epoch on disk."""
@@ -136,6 +140,7 @@ class TrainingJob:
             "pictures": self.source.training_digest(self.recipe.google),
             "start": fingerprint(self.start) if self.start else None,
             "held_out": self.held_out,
+            "fold": list(self.fold) if self.fold else None,
         }
 
     def check_same(self) -> None:
@@ -184,7 +189,7 @@ class TrainingJob:
                 resume,
                 evaluate_every=self.recipe.epochs if self.held_out else 0,
                 console=console,
-                validate=self.held_out,
+                validate=self.fold or self.held_out,
                 test=False,
                 from_scratch=self.start is None,
             ).run()
@@ -213,13 +218,13 @@ def train(work: Sequence[TrainingJob], console: Console) -> None:
     Raises:
         LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
     """
-    said = False
+    announced = False
     while left := [job for job in work if not job.done and not job.diverged]:
         if any(_train_alone(job, work, console) for job in left):
             continue
-        if not said:
+        if not announced:
             console.print(f"Waiting for another process, which trains {', '.join(job.name for job in left)}.")
-            said = True
+            announced = True
         time.sleep(_POLL)
 
 

@@ -109,17 +109,17 @@ def note(trials: Mapping[str, Sequence[Trial]]) -> str:
     if not trials:
         return ""
     counts = {len(of_network) for of_network in trials.values()}
-    said = []
+    choices = []
     for name, of_network in trials.items():
         chosen = best(of_network)
         if chosen is None:
-            said.append(f"{name}: no trial ended, so the recipe's own settings")
+            choices.append(f"{name}: no trial ended, so the recipe's own settings")
             continue
         scores = ", ".join("diverged" if t.job.score is None else f"{t.job.score:.1f}" for t in of_network)
         settings = ", ".join(f"{setting} {value:g}" if isinstance(value, float) else f"{setting} {value}"
                              for setting, value in chosen.settings.items())  # fmt: skip
-        said.append(f"{name}: {settings} (R@1 {chosen.job.score:.1f} of {scores})")
+        choices.append(f"{name}: {settings} (R@1 {chosen.job.score:.1f} of {scores})")
     return (
         f"Tuned by {'/'.join(map(str, sorted(counts)))} short trainings each, a third of the epochs, and chosen by R@1 on "
-        f"{HELD_OUT:.0%} of the training places held out: {'; '.join(said)}. All other networks keep their recipes, untuned."
+        f"{HELD_OUT:.0%} of the training places held out: {'; '.join(choices)}. All other networks keep their recipes, untuned."
     )

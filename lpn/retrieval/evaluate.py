@@ -20,7 +20,7 @@ from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.retrieval import field_metrics, metrics
-from lpn.retrieval.protocol import Protocol, averaged, sentence
+from lpn.retrieval.protocol import Protocol, averaged, centred, sentence
 from lpn.retrieval.published_results import PublishedResult
 
 log = logging.getLogger(__name__)
@@ -31,6 +31,7 @@ WITHIN = (25, 50, 100)
 
 FULL = "full gallery"
 WITHOUT = "without distractors"
+CENTRED = "the mean of the queries and that of the gallery subtracted, and each part normalised again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +207,8 @@ def evaluate(
     change = protocol.change.for_picture(queries[0])
     query = read(model, queries, query_branch, change)
     tiles = read(model, gallery, gallery_branch, UNCHANGED)
+    if protocol.centre:
+        query, tiles = centred(query), centred(tiles)
     cropped = any(picture.box for picture in queries)
     clauses = _clauses(model, protocol, cropped, change)
     labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
@@ -355,9 +358,11 @@ def evaluate_saved(
             f"{saved.name} holds descriptors, not pictures: rotation, shift, scale, branch, and whole queries need --model and "
             "--data; leave them out."
         )
-    clauses = ["descriptors as saved"]
+    clauses = ["descriptors as saved"] + ([CENTRED] if protocol.centre else [])
+    sides = (saved.query, saved.gallery)
+    query, tiles = (centred(side) for side in sides) if protocol.centre else sides
     result, retrieval = _measure(
-        saved.query, saved.query_labels, saved.gallery, saved.gallery_labels, None, saved.task, protocol, clauses
+        query, saved.query_labels, tiles, saved.gallery_labels, None, saved.task, protocol, clauses
     )
     errors = None if positions is None or protocol.average else _errors(retrieval, *positions)
     return replace(result, seconds=time.perf_counter() - started, errors=errors)
@@ -435,5 +440,6 @@ def _clauses(model: Model, protocol: Protocol, cropped: bool, change: Change) ->
     clauses = [f"{mirrored}each part normalised"]
     clauses += ["queries cropped to the part that is meant"] if cropped else []
     clauses += [f"queries {change.describe()}"] if change else []
+    clauses += [CENTRED] if protocol.centre else []
     clauses += [f"both sides described by the {protocol.branch} branch"] if protocol.branch else []
     return clauses

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -148,7 +149,10 @@ def load_arrays(
     numbers = _label_numbers(names)
     labels = {side: np.array([numbers[line.label] for line in of], np.int64) for side, of in lines.items()}
     pictures = {
-        side: [_picture(folder, line, int(label)) for line, label in zip(of, labels[side], strict=True)]
+        side: [
+            _picture(folder, line, name, int(label))
+            for line, name, label in zip(of, _own_names(of), labels[side], strict=True)
+        ]
         for side, of in lines.items()
     }
     known = np.array([bool(line.label) for line in lines["query"]], bool)
@@ -389,12 +393,18 @@ def _label_numbers(labels: Sequence[str]) -> dict[str, int]:
     if len(set(values)) < len(distinct) or JUNK in values:
         values = list(range(len(distinct)))
     numbers = dict(zip(distinct, values, strict=True))
-    return numbers | {str(JUNK): JUNK, "": max(numbers.values(), default=0) + 1}
+    return numbers | {str(JUNK): JUNK, "": max([0, *numbers.values()]) + 1}
 
 
-def _picture(root: Path, line: _Line, label: int) -> Picture:
+def _own_names(lines: Sequence[_Line]) -> list[str]:
+    """Return the pictures' paths without suffixes, and without the folders that all of them share."""
+    paths = [Path(line.file).with_suffix("") for line in lines]
+    shared = len(Path(os.path.commonpath([path.parent for path in paths])).parts) if paths else 0
+    return [printable(Path(*path.parts[shared:]).as_posix()) for path in paths]
+
+
+def _picture(root: Path, line: _Line, name: str, label: int) -> Picture:
     path = root / line.file
-    name = printable(Path(line.file).with_suffix("").as_posix())
     if path.is_file():
         return Picture(path, label, name)
     return Picture(path, label, name, note="no picture", cut=_placeholder)

@@ -24,6 +24,7 @@ class Protocol:
         branch: the branch that describes both sides, None for each view's own (Table VI).
         average: average the queries of one place into one.
         whole: ignore the boxes of queries (Oxford5k, Paris6k).
+        centre: subtract the mean of the queries' descriptors from each query, and that of the gallery's from each tile.
     """
 
     change: Change = UNCHANGED
@@ -31,6 +32,7 @@ class Protocol:
     branch: View | None = None
     average: bool = False
     whole: bool = False
+    centre: bool = False
 
     def chosen(self, n_parts: int) -> tuple[int, ...]:
         """The 1-based parts to use, without duplicates, in the given order.
@@ -49,6 +51,11 @@ class Protocol:
         if chosen == tuple(range(1, descriptors.shape[1] + 1)):
             return descriptors
         return descriptors[:, np.array(chosen) - 1]
+
+
+def centred(descriptors: Float32Array) -> Float32Array:
+    """Subtract the mean of descriptors (N, n, D) from each of them, part by part, and scale parts to norm 1/sqrt(n) again."""
+    return normalise(descriptors - descriptors.mean(axis=0))
 
 
 def averaged(descriptors: Float32Array, labels: Int64Array) -> tuple[Float32Array, Int64Array]:

@@ -8,6 +8,7 @@ gallery_path, query_path      (G,) and (Q,) texts, padded with spaces; may be ab
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -18,7 +19,7 @@ from lpn.core.arrays import AnyArray, Float32Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS, View, views_of
-from lpn.datasets import Dataset, Picture, matlab
+from lpn.datasets import Dataset, Picture, Truth, matlab
 
 _NORM_TOLERANCE = 0.01
 
@@ -92,6 +93,43 @@ class PublishedResult:
             f"No task of {printable(dataset.root.name)} ({', '.join(tasks) or 'it has none'}) has all pictures of {self.name} "
             f"{how}{example}; give the data set that the result was computed on."
         )
+
+
+def truth_of_rows(
+    dataset: Dataset, task: str, queries: Sequence[Picture], gallery: Sequence[Picture]
+) -> list[Truth] | None:
+    """Return the listed truth of a task for its pictures in another order, or some of them; None if labels tell the truth.
+
+    Args:
+        queries, gallery: pictures of the task, of which a result has one row each.
+
+    Raises:
+        InputError: when a gallery picture has two rows.
+    """
+    truth = dataset.truth(task)
+    if truth is None:
+        return None
+    views = views_of(task)
+    of_query = {picture.path: lists for picture, lists in zip(dataset.queries(views[0]), truth, strict=True)}
+    rows: dict[Path, int] = {}
+    for row, picture in enumerate(gallery):
+        if rows.setdefault(picture.path, row) != row:
+            raise InputError(
+                f"The result holds {printable(picture.name)} twice in its gallery; expected one descriptor of each picture."
+            )
+    row_of = np.array([rows.get(picture.path, -1) for picture in dataset.gallery(views[1])], np.int64)
+    return [_in_rows(of_query[picture.path], row_of) for picture in queries]
+
+
+def _in_rows(lists: Truth, row_of: Int64Array) -> Truth:
+    """Return lists of rows; `row_of` has the row of each gallery position, -1 for those without one."""
+    good, junk, semi = row_of[lists.good], row_of[lists.junk], row_of[lists.semi]
+    overlaps = lists.overlaps
+    if overlaps is not None:
+        parts = (good, overlaps[: len(good)]), (semi, overlaps[len(good) :])
+        overlaps = np.concatenate([values[rows >= 0][np.argsort(rows[rows >= 0])] for rows, values in parts])
+    good, junk, semi = (np.sort(rows[rows >= 0]) for rows in (good, junk, semi))
+    return Truth(good, junk, lists.known, lists.trapezoid, semi, overlaps)
 
 
 _REQUIRED_KEYS = ("gallery_f", "gallery_label", "query_f", "query_label")

@@ -12,6 +12,7 @@ from torch.nn.parallel import DistributedDataParallel
 from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
+from lpn.training.descriptor_memory import DescriptorMemory
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import total_loss
 from lpn.training.multi_process import ProcessGroup
@@ -43,6 +44,7 @@ class Learner:
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
         self.multi_view: nn.Module = MultiViewNetwork(network, recipe.joint_views)
+        self.memory = DescriptorMemory(network.spec.classes) if recipe.memory else None
 
     def distribute(self) -> None:
         """Average the gradients of all processes from now on; on GPUs, BatchNorm sees the whole batch."""
@@ -73,7 +75,12 @@ class Learner:
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
                 outputs = self.multi_view(batch.sets)
-            loss = total_loss(self.group.gather(outputs), batch.labels, self.recipe, batch.overlaps)
+            gathered = self.group.gather(outputs)
+            labels = next(iter(batch.labels.values()))
+            others = None if self.memory is None else self.memory.others(labels)
+            loss = total_loss(gathered, batch.labels, self.recipe, batch.overlaps, others)
+            if self.memory is not None:
+                self.memory.remember(gathered, labels)
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
@@ -97,6 +104,7 @@ class Learner:
             "average": {} if self.average is None else self.average.module.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "scaler": self.mixed_precision.scaler.state_dict(),
+            "memory": {} if self.memory is None else self.memory.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -109,6 +117,8 @@ class Learner:
         if self.average is not None:
             self.average.module.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
+        if self.memory is not None:
+            self.memory.restore(state["memory"], self.group.device)
         # The scaler's state is empty if the run did not use float16.
         if state["scaler"]:
             self.mixed_precision.scaler.load_state_dict(state["scaler"])

@@ -33,7 +33,12 @@ def descriptors(parts: Tensor) -> Tensor:
 
 
 def infonce_loss(
-    first: Tensor, second: Tensor, temperature: float, smoothing: float = 0.0, overlaps: Tensor | None = None
+    first: Tensor,
+    second: Tensor,
+    temperature: float,
+    smoothing: float = 0.0,
+    overlaps: Tensor | None = None,
+    others: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
     """Symmetric InfoNCE between two views of the same places.
 
@@ -42,16 +47,28 @@ def infonce_loss(
         temperature: divides the mean cosine over parts.
         smoothing: label smoothing from 0 to 1, shared by the pairs that are not left out.
         overlaps: pairs of places that share ground, (B, B) bool, which are neither positives nor negatives.
+        others: descriptors of further places, (M, F) in each view, which are negatives without a gradient of their own.
     """
     similarity = first @ second.T / temperature
     counted = torch.ones_like(similarity, dtype=torch.bool)
     if overlaps is not None:
         counted = ~overlaps | torch.eye(len(overlaps), dtype=torch.bool, device=overlaps.device)
-    return (_smoothed(similarity, counted, smoothing) + _smoothed(similarity.T, counted.T, smoothing)) / 2
+    sides = []
+    for near, queries, logits, also in zip(
+        (1, 0), (first, second), (similarity, similarity.T), (counted, counted.T), strict=True
+    ):
+        if others is not None:
+            beyond = queries @ others[near].T / temperature
+            logits, also = (
+                torch.cat([logits, beyond], 1),
+                torch.cat([also, torch.ones_like(beyond, dtype=torch.bool)], 1),
+            )
+        sides.append(_smoothed(logits, also, smoothing))
+    return (sides[0] + sides[1]) / 2
 
 
 def _smoothed(logits: Tensor, counted: Tensor, smoothing: float) -> Tensor:
-    """Cross-entropy of (B, B) towards its diagonal, over the columns that count; these alone share the smoothing."""
+    """Cross-entropy of (B, B + M) towards its diagonal, over the columns that count; these alone share the smoothing."""
     logs = logits.masked_fill(~counted, -torch.inf).log_softmax(dim=1)
     evenly = logs.masked_fill(~counted, 0.0).sum(dim=1) / counted.sum(dim=1)
     return -((1 - smoothing) * logs.diagonal() + smoothing * evenly).mean()
@@ -107,6 +124,7 @@ def total_loss(
     labels: Mapping[str, Tensor],
     recipe: Recipe,
     overlaps: Tensor | None = None,
+    others: Mapping[str, Tensor] | None = None,
 ) -> Tensor:
     """Compute a recipe's loss for one step.
 
@@ -114,6 +132,7 @@ def total_loss(
         outputs: part embeddings and class scores of each picture set (satellite, drone, street, google).
         labels: class of each row of each set, (B,). The InfoNCE and metric losses need the same labels in every set.
         overlaps: see `infonce_loss`.
+        others: descriptors (M, F) of further places by picture set, as negatives of the InfoNCE loss.
     """
     loss = torch.zeros((), device=next(iter(labels.values())).device)
     if recipe.instance:
@@ -124,22 +143,41 @@ def total_loss(
     if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
         embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
         tiles = embeddings.pop("satellite")
-        loss = (
-            loss + torch.stack([_pair_loss(tiles, others, recipe, overlaps) for others in embeddings.values()]).mean()
-        )
+        pairs = [
+            _pair_loss(tiles, parts, recipe, overlaps, (others["satellite"], others[name]) if others else None)
+            for name, parts in embeddings.items()
+        ]
+        loss = loss + torch.stack(pairs).mean()
     return loss
 
 
-def _pair_loss(tiles: Tensor, others: Tensor, recipe: Recipe, overlaps: Tensor | None) -> Tensor:
+def drop_parts(descriptors: Tensor, n_parts: int, probability: float) -> Tensor:
+    """Leave parts out of descriptors (B, n D) at random, each with a probability, and at least one part of each in.
+
+    What stays is scaled by n over the number of parts that stay, so a cosine with a whole descriptor is the mean over them.
+    """
+    b = len(descriptors)
+    draws = torch.rand(b, n_parts, device=descriptors.device)
+    stays = (draws >= probability) | (draws == draws.amax(dim=1, keepdim=True))
+    factors = stays * (n_parts / stays.sum(dim=1, keepdim=True))
+    return (descriptors.view(b, n_parts, -1) * factors[..., None]).flatten(1)
+
+
+def _pair_loss(
+    tiles: Tensor, pictures: Tensor, recipe: Recipe, overlaps: Tensor | None, others: tuple[Tensor, Tensor] | None
+) -> Tensor:
     """Sum the recipe's losses on the part embeddings (B, n, D) of two views."""
     loss = torch.zeros((), device=tiles.device)
+    whole = descriptors(tiles), descriptors(pictures)
+    if recipe.part_dropout:
+        whole = whole[0], drop_parts(whole[1], tiles.shape[1], recipe.part_dropout)
     if recipe.infonce:
-        pair = descriptors(tiles), descriptors(others)
-        similar = infonce_loss(*pair, recipe.temperature, recipe.label_smoothing, overlaps)
+        similar = infonce_loss(*whole, recipe.temperature, recipe.label_smoothing, overlaps, others)
         loss = loss + recipe.infonce * similar
-    if recipe.metric != "none":
-        size = 1 if recipe.metric_per_part else tiles.shape[1]
-        pairs = zip(torch.split(tiles, size, 1), torch.split(others, size, 1), strict=True)
+    if recipe.metric != "none" and not recipe.metric_per_part:
+        loss = loss + _metric_loss(*whole, recipe)
+    elif recipe.metric != "none":
+        pairs = zip(torch.split(tiles, 1, 1), torch.split(pictures, 1, 1), strict=True)
         terms = [_metric_loss(descriptors(first), descriptors(second), recipe) for first, second in pairs]
         loss = loss + torch.stack(terms).mean()
     return loss

@@ -9,8 +9,9 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from lpn.core.errors import InputError
+from lpn.core.files import printable
 from lpn.models.partition import Weighting
-from lpn.models.spec import Activation, Layout, Pooling
+from lpn.models.spec import BACKBONES, Activation, Layout, Pooling, is_timm
 
 _ABOVE_ZERO = math.ulp(0.0)
 _BELOW_ONE = math.nextafter(1.0, 0.0)
@@ -25,7 +26,10 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     "size": (32, _MAX, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
     **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MAX, "a number above 0")),
-    **dict.fromkeys(("dropout", "backbone_dropout", "ema"), (0, _BELOW_ONE, "a number from 0 up to, not including, 1")),
+    **dict.fromkeys(
+        ("dropout", "part_dropout", "backbone_dropout", "ema"),
+        (0, _BELOW_ONE, "a number from 0 up to, not including, 1"),
+    ),
     **dict.fromkeys(
         (
             "label_smoothing",
@@ -71,10 +75,12 @@ _RANGES: dict[str, tuple[float, float, str]] = {
 class Recipe:
     """Every setting of a training. The defaults are the recipe `paper`."""
 
-    backbone: Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"] = "resnet50"
-    """The backbone network."""
+    backbone: str = "resnet50"
+    """The backbone network: resnet18, resnet50, vgg16, vgg16_bn, or, beyond the paper, efficientnet_lite0 to
+    efficientnet_lite2, or timm:NAME with a network of timm, such as timm:convnext_tiny or timm:vit_small_patch16_224."""
     last_layer: Literal["layer3", "layer4"] = "layer4"
-    """Last layer of a ResNet; layer3 takes about half the time, and its map has the same resolution."""
+    """Last layer of a ResNet or an EfficientNet-Lite: layer4 for the whole network, or layer3 for its first part, which takes
+    about half the time. The map of both has 1/16 of the size."""
     n_parts: int = 4
     """Parts of a descriptor; 1 is the baseline with global average pooling."""
     weighting: Weighting = "area"
@@ -147,6 +153,12 @@ class Recipe:
     """Weight of a symmetric InfoNCE loss between each view's descriptors and the satellite's, over the batch."""
     temperature: float = 0.07
     """Temperature of the InfoNCE loss."""
+    memory: bool = False
+    """Compare each picture in the InfoNCE loss with the latest descriptors of all other places, too, not only with those of the
+    batch (cross-batch memory)."""
+    part_dropout: float = 0.0
+    """Probability that a part of a drone or street picture is left out where whole descriptors are compared, by the InfoNCE and
+    the metric loss; one part always stays."""
     metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
     """Metric loss between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or weighted
     soft-margin triplet."""
@@ -219,6 +231,16 @@ class Recipe:
 
     def check_together(self) -> None:
         """Raise InputError for settings that exclude each other."""
+        if self.backbone not in BACKBONES and not is_timm(self.backbone):
+            raise InputError(
+                f"The recipe has backbone = {printable(self.backbone[:80])}; expected one of {', '.join(BACKBONES)}, or timm: "
+                "and the name of a network of timm."
+            )
+        if is_timm(self.backbone) and self.pooling == "safa":
+            raise InputError(
+                f"The recipe has pooling = safa with {self.backbone}; SAFA is made for vgg16, so leave --backbone out, or use "
+                "the pooling average."
+            )
         vgg = self.backbone.startswith("vgg16")
         if vgg and self.last_layer != "layer4":
             raise InputError(
@@ -236,6 +258,17 @@ class Recipe:
         if self.pooling == "safa" and self.instance > 0:
             raise InputError(
                 f"The recipe has instance = {self.instance} with safa, which has no class layer; set it to 0 and choose a metric."
+            )
+        if self.memory and (self.infonce <= 0 or self.windows):
+            raise InputError(
+                "The recipe has memory = True, which gives the InfoNCE loss the descriptors of other places; set infonce above "
+                "0, and train on a data set, not on windows of a map."
+            )
+        compared = self.infonce > 0 or (self.metric != "none" and not self.metric_per_part)
+        if self.part_dropout and not compared:
+            raise InputError(
+                f"The recipe has part_dropout = {self.part_dropout} without a loss that compares whole descriptors; set infonce "
+                "above 0 or a metric, or part_dropout to 0."
             )
         if self.sampling == "pictures":
             self._check_independent()

@@ -17,7 +17,7 @@ from lpn.core.formats import newer_version
 from lpn.training.model_selection import EpochMetrics
 from lpn.training.recipes import Recipe
 
-FORMAT = 2
+FORMAT = 3
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ResumeState:
         history: the metrics of each epoch.
         first_loss: loss of the very first step, the reference for divergence.
         processes: number of processes that shared the training.
-        tensors: state dicts of network, average, optimizer, and scaler.
+        tensors: state dicts of network, average, optimizer, scaler, and memory of descriptors.
     """
 
     history: list[EpochMetrics]
@@ -74,7 +74,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
             )
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
-        tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
+        tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler", "memory")}
         state = ResumeState(history, float(values["first_loss"]), int(values["processes"]), tensors)
     except ModelFileError:
         raise

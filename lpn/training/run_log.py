@@ -11,7 +11,7 @@ from rich.console import Console
 from tensorboardX import SummaryWriter
 
 from lpn.core.errors import OutputError
-from lpn.core.files import write_atomic
+from lpn.core.files import space_remedy, write_atomic
 from lpn.training.model_selection import EpochMetrics
 
 
@@ -37,7 +37,7 @@ class RunLog:
             self._board = SummaryWriter(str(folder))
         except OSError as error:
             raise OutputError(
-                f"{folder} cannot be written ({error.strerror or error}); free space or choose another --out."
+                f"{folder} cannot be written ({error.strerror or error}); {space_remedy(error)}choose another --out."
             ) from error
 
     def save(self) -> None:

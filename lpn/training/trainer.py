@@ -25,7 +25,9 @@ from lpn.maps import Map
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
-from lpn.models.spec import ModelSpec
+from lpn.models.pretrained_weights import AUTO, find_weights
+from lpn.models.shipped import model_file
+from lpn.models.spec import ModelSpec, is_timm
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.map_windows import MapWindows
@@ -34,7 +36,7 @@ from lpn.training.multi_process import ProcessGroup, single_process
 from lpn.training.recipes import Recipe
 from lpn.training.resume_state import ResumeState, read_state
 from lpn.training.run_log import RunLog
-from lpn.training.training_set import TrainingSet
+from lpn.training.training_set import Fold, TrainingSet
 
 # A training has diverged if its mean loss exceeds the loss of the first step (about chance) by this factor.
 _EXPLODED = 10.0
@@ -49,12 +51,13 @@ class Trainer:
         source: the data set with the training pictures, or the map that is trained on.
         out: the run's folder.
         recipe: every setting of the training.
-        init: pretrained weights of the backbone, which every recipe starts from; tensors that do not fit are skipped.
+        init: pretrained weights of the backbone, which every recipe starts from, the name of a model that ships, or "auto" for
+            weights that `lpn.models.pretrained_weights` finds here; tensors that do not fit are skipped.
         from_scratch: start from random weights instead.
         resume: continue after the last whole epoch in `out`, with the same losses as an uninterrupted run.
         evaluate_every: number of epochs between tests; the best tested model is saved. 0 tests at the end only.
         workers: number of threads that prepare pictures, without effect on the result; 0 chooses it.
-        validate: share of the places held out of the training to choose the best epoch.
+        validate: share of the places held out of the training to choose the best epoch, or a fold that is held out.
         group: the processes that share the training; by default only this one.
         test: measure the last model on the test split.
         compiled: compile the backbones by torch.compile.
@@ -77,7 +80,7 @@ class Trainer:
         evaluate_every: int = 0,
         console: Console | None = None,
         workers: int = 0,
-        validate: float = 0.0,
+        validate: float | Fold = 0.0,
         group: ProcessGroup | None = None,
         test: bool = True,
         compiled: bool = False,
@@ -114,7 +117,7 @@ class Trainer:
             )
         if evaluate_every < 0:
             raise InputError(f"--evaluate-every is {evaluate_every}; expected 0 or more.")
-        if held and not evaluate_every:
+        if held and not evaluate_every and not isinstance(validate, Fold):
             raise InputError(
                 "--validate chooses among tested epochs, but no epoch is tested; give --evaluate-every, too."
             )
@@ -302,6 +305,10 @@ class Trainer:
             self.console.print(f"{self.name} has no test split, so no epoch is tested.")
 
     def _load_init(self, network: LPN, init: Path) -> None:
+        if str(init) == AUTO and not init.is_file():
+            init, place = find_weights(self.recipe.backbone)
+            self.console.print(f"--init {AUTO} takes {init}, of {place}.", soft_wrap=True, markup=False)
+        init = model_file(init, trained=True)
         filled, total, missing = checkpoints.load_backbone(network, init)
         rest = f"; missing or incomplete, so as initialised: {', '.join(missing)}" if missing else ""
         self.console.print(f"{init.name} fills {filled} of the backbone's {total} tensors{rest}.")
@@ -351,8 +358,8 @@ def check_start(init: Path | None, from_scratch: bool) -> None:
         raise InputError("--init and --from-scratch exclude each other; give one of them.")
     if init is None and not from_scratch:
         raise InputError(
-            "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, or say "
-            "--from-scratch to start from random weights."
+            "Every recipe starts from a backbone trained on ImageNet; give its weights with --init FILE, let --init auto find "
+            "them, or say --from-scratch to start from random weights."
         )
 
 
@@ -367,7 +374,8 @@ def _first_epoch_alone(out: Path) -> bool:
 def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
     spec = ModelSpec(
         backbone=recipe.backbone,
-        last_layer=recipe.last_layer,
+        # The recipe's own belongs to its own backbone.
+        last_layer="layer4" if is_timm(recipe.backbone) else recipe.last_layer,
         views=places.views,
         shared=recipe.shared and "drone" in places.views,
         n_parts=recipe.n_parts,

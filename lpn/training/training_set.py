@@ -6,12 +6,13 @@ import hashlib
 import json
 import threading
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
 
 from lpn.core import images
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.views import VIEWS, View
 from lpn.datasets import Dataset, Picture
@@ -19,6 +20,20 @@ from lpn.datasets.integrity import list_errors, picture_errors
 
 # Size limit of the cache of decoded pictures.
 CACHE_BYTES = 2_000_000_000
+
+
+class Fold(NamedTuple):
+    """One part of the places of a training set, which is held out of a cross-validation's training.
+
+    Attributes:
+        number: from 0.
+        folds: the number of parts; they have the same size, or differ by one place.
+        seed: of the split, which has nothing to do with a recipe's.
+    """
+
+    number: int
+    folds: int
+    seed: int = 0
 
 
 class TrainingSet:
@@ -83,8 +98,8 @@ class TrainingSet:
         }
         return hashlib.sha256(json.dumps(names, sort_keys=True).encode()).hexdigest()
 
-    def hold_out(self, share: float, seed: int) -> dict[int, dict[str, list[Path]]]:
-        """Remove a share of the places from the training set, chosen by the seed.
+    def hold_out(self, share: float | Fold, seed: int) -> dict[int, dict[str, list[Path]]]:
+        """Remove a share of the places from the training set, chosen by the seed, or the places of a fold.
 
         Returns:
             The removed places: label -> set -> files.
@@ -92,14 +107,27 @@ class TrainingSet:
         Raises:
             InputError: unless the share is 0, or holds out at least 2 places and leaves at least 2.
         """
+        if isinstance(share, Fold):
+            return self._remove(self._of_fold(share))
         count = round(share * len(self)) if 0 <= share < 1 else 0
         if share and not 2 <= count <= len(self) - 2:
             raise InputError(
                 f"The share of places held out is {share:g}, {count} of {len(self)} places; expected 0, or a "
                 "share that holds out at least 2 places and leaves at least 2 in training."
             )
-        order = np.random.default_rng([seed, len(self)]).permutation(len(self))
-        out, rest = sorted(order[:count]), sorted(order[count:])
+        return self._remove(np.random.default_rng([seed, len(self)]).permutation(len(self))[:count])
+
+    def _of_fold(self, fold: Fold) -> Int64Array:
+        if not 2 <= fold.folds <= len(self) // 2:
+            raise InputError(
+                f"The number of folds is {fold.folds}; expected 2 or more, with at least 2 of the {len(self)} places in each."
+            )
+        order = np.random.default_rng([fold.seed, len(self)]).permutation(len(self))
+        return np.array_split(order, fold.folds)[fold.number]
+
+    def _remove(self, places: Int64Array) -> dict[int, dict[str, list[Path]]]:
+        out = sorted(places)
+        rest = sorted(set(range(len(self))).difference(out))
         held = {self.labels[i]: {name: places[i] for name, places in self.files.items()} for i in out}
         self.labels = [self.labels[i] for i in rest]
         self.files = {name: [places[i] for i in rest] for name, places in self.files.items()}

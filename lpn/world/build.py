@@ -274,14 +274,14 @@ def check_folder(settings: Settings, out: Path) -> None:
     file = out / PLAN
     if not file.is_file():
         return
-    asked = asdict(settings)
+    wanted = asdict(settings)
     try:
         held = json.loads(file.read_bytes())
         if is_newer(held.get("format"), WORLD):
             raise OutputError(newer_version(file, held["format"], WORLD))
         had = {**dict.fromkeys(_ADDED, 0), **held["settings"]}  # worlds were made before there were any of these
-        same = {**had, **{name: asked[name] for name in _ADDED}} == asked
-        fewer = [name for name in _ADDED if asked[name] < had[name]]
+        same = {**had, **{name: wanted[name] for name in _ADDED}} == wanted
+        fewer = [name for name in _ADDED if wanted[name] < had[name]]
         edition = held["edition"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise OutputError(f"{file} is not a world's; choose another folder.") from error

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Error, FloatRect, Locator, Page, expect, sync_playwright
 
 from lpn.core.demo import DEMO
 from lpn.models.checkpoints import save
@@ -27,22 +27,26 @@ from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
-from tools.fixtures.chromium import launch
+from tools.fixtures.chromium import RETURNING, launch
 from tools.fixtures.processes import free_port
 from tools.fixtures.published_results import save_result
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
-PATIENCE = 60.0
-# Run in each page before its own scripts: no stored settings, no tour, no notice about software WebGL over the page, and
-# a quarter of the stage's pixels (viser's own parameter), because software draws them.
-_PREPARE = """
+PATIENCE = 120.0
+# Run in each page before its own scripts: no stored settings, neither first screen nor tour, no notice about software WebGL over
+# the page, and a quarter of the stage's pixels (viser's own parameter), because software draws them.
+_PREPARE = (
+    """
 const parameter = URLSearchParams.prototype.get;
 URLSearchParams.prototype.get = function (name) { return name === 'fixedDpr' ? '0.5' : parameter.call(this, name) };
 if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
-localStorage.setItem('lpn-tour', 'seen');
+"""
+    + RETURNING
+    + """
 addEventListener('DOMContentLoaded', () => document.head.append(Object.assign(
   document.createElement('style'), {textContent: '#webgl-software-rendering { display: none !important }'})));
 """
+)
 # Resolves when the page has drawn what it knows: twice, as the first frame may have begun before.
 _DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done())))"
 
@@ -320,6 +324,21 @@ class ExplorerPage:
             return len(places) > 0 and places[-1] - places[0] > share * picture.shape[axis]
 
         self.stage(filled)
+
+
+def expect_accessible(page: Page) -> None:
+    """Check that axe-core finds nothing serious or critical in a page."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python")
+    found = axe.Axe().run(page).response["violations"]
+    grave = [one for one in found if one["impact"] in ("serious", "critical")]
+    lines = [f"{one['impact']} {one['id']}: {node['html'][:160]}" for one in grave for node in one["nodes"]]
+    assert not lines, "\n".join(lines)
+
+
+def box(locator: Locator) -> FloatRect:
+    found = locator.bounding_box()
+    assert found is not None
+    return found
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:

@@ -21,11 +21,14 @@ def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Cal
     np.save(tmp_path / "q.npy", query)
     np.save(tmp_path / "g.npy", places)
     lines = ["file,side,label,latitude,longitude"]
-    lines += [f"q/{row}.png,query,{row},46.000{row},7.0" for row in range(5)]
-    lines += [f"g/{row}.png,gallery,{row},46.000{row},7.0" for row in range(8)]
+    # Names leave out the folder that all pictures of a side share.
+    lines += [
+        f"test/q/{'street' if row % 3 == 0 else 'park'}/{row}.png,query,{row},46.000{row},7.0" for row in range(5)
+    ]
+    lines += [f"test/g/{row}.png,gallery,{row},46.000{row},7.0" for row in range(8)]
     (tmp_path / "paths.csv").write_text("\n".join(lines) + "\n")
     for row in range(0, 8, 2):  # the others are placeholders
-        small_worlds.write(tmp_path / "g" / f"{row}.png", layouts.small(row))
+        small_worlds.write(tmp_path / "test" / "g" / f"{row}.png", layouts.small(row))
     options = (
         "--query",
         str(tmp_path / "q.npy"),
@@ -45,9 +48,9 @@ def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Cal
             expect(explorer.page.locator(f'label:text-is("{label}")')).to_have_count(0)
         unit = [side / np.linalg.norm(side, axis=2, keepdims=True) for side in (query, places)]
         order = np.argsort(-np.einsum("nd,gnd->g", unit[0][3], unit[1]), kind="stable")
-        explorer.fill("Find name", "q/3")
-        explorer.expect_status("name", "q/3")
+        explorer.fill("Find name", "street/3")
+        explorer.expect_status("name", "street/3")
         for row, tile in zip(explorer.rows.all(), order, strict=False):
             assert row.get_attribute("data-index") == str(tile)
         explorer.key("b")
-        expect(explorer.page.locator("#lpn-lab-table")).to_contain_text("q/0")
+        expect(explorer.page.locator("#lpn-lab-table")).to_contain_text("street/0")

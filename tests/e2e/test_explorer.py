@@ -1,4 +1,4 @@
-"""What a person does with the app, and what the page then shows."""
+"""Tests of a person's actions in the app, and of the page after each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lpn.core import images
 from lpn.core.demo import DEMO_QUERY
 from lpn.datasets import geo
 from lpn.retrieval import Ranking, scoring
-from tests.e2e.conftest import ExplorerPage, RunningApp, difference
+from tests.e2e.conftest import ExplorerPage, RunningApp, box, difference
 from tools.fixtures import small_worlds
 
 READ_ROWS = """rows => rows.map(row => ({
@@ -165,6 +165,23 @@ def test_heatmap_and_rings_can_be_hidden_and_rings_taken_apart(explorer: Explore
     explorer.stage(lambda picture: difference(without_heat, picture) > 0.05)
 
 
+@pytest.mark.slow
+def test_cards_are_seen_from_a_side_too(explorer: ExplorerPage) -> None:
+    def cards_seen(picture: np.ndarray) -> bool:
+        height, width = picture.shape[:2]
+        return (picture[height * 11 // 20 : height * 9 // 10, : width // 2] > 60).any(axis=2).mean() > 0.4
+
+    before = explorer.stage(cards_seen)
+    stage = box(explorer.canvas)
+    mouse = explorer.page.mouse
+    mouse.move(stage["x"] + stage["width"] / 2, stage["y"] + 10)
+    mouse.down()
+    mouse.move(stage["x"] + stage["width"] / 2 - 120, stage["y"] + 10, steps=6)
+    mouse.up()
+    explorer.stage(lambda picture: difference(before, picture) > 0.02)
+    explorer.stage(cards_seen)
+
+
 def test_a_picture_of_ones_own(explorer: ExplorerPage, tmp_path: Path) -> None:
     own = tmp_path / "<b>mine.png"
     small_worlds.write(own, small_worlds.place(77))
@@ -220,6 +237,71 @@ def test_the_map_says_how_far_off_the_answer_is(mapped_app: RunningApp, contexts
     explorer.key("m")
     expect(explorer.field("Map")).not_to_be_checked()
     explorer.stage(lambda picture: difference(pair, picture) < difference(pair, shown) / 2)
+
+
+# Where the ground below an object of the stage is seen, in fractions of the stage: viser's own scene, projected by its camera.
+FOOT = """name => {
+  const { camera, nodeRefFromName } = window.__viserMutable, node = nodeRefFromName[name];
+  const place = camera.position.clone().setFromMatrixPosition(node.matrixWorld);
+  place.y = 0;
+  place.project(camera);
+  return [(1 + place.x) / 2, (1 - place.y) / 2];
+}"""
+
+# Length of the drawn scale bar: its lowest line of white pixels, to the right of the arrow.
+BAR_WIDTH = """() => {
+  const canvas = document.querySelector("#lpn-stage-map canvas"), ratio = canvas.width / canvas.clientWidth;
+  const row = canvas.getContext("2d").getImageData(0, Math.round(32 * ratio), canvas.width, 1).data;
+  let end = Math.round(60 * ratio);
+  while (row[4 * end] > 200 && row[4 * end + 3] > 200) end++;
+  return end / ratio - 52;
+}"""
+
+
+@pytest.mark.slow
+def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_cursor(
+    mapped_app: RunningApp, contexts: Callable[[], BrowserContext]
+) -> None:
+    explorer = ExplorerPage(contexts().new_page())
+    explorer.open(mapped_app.url)
+    marks = explorer.page.locator("#lpn-stage-map")
+    expect(marks).to_have_count(0)
+    explorer.key("m")
+    expect(marks).to_have_attribute("data-metres", re.compile("^[125]0*$"))
+    expect(marks).to_have_attribute("data-turn", re.compile(r"^-?0\.00"), timeout=15_000)  # the view is from the south
+    explorer.settle()
+    box = explorer.page.locator("canvas[data-engine]").bounding_box()
+    assert box is not None
+    tiles = geo.Positions(mapped_app.data).of(datasets.open_dataset(mapped_app.data).gallery("satellite"))
+    for slot in (0, 4):
+        place = tiles[int(explorer.rows.nth(slot).get_attribute("data-index") or -1)]
+        left, top = explorer.page.evaluate(FOOT, f"/map/tile{slot}")
+        explorer.page.mouse.move(box["x"] + left * box["width"], box["y"] + top * box["height"])
+
+        def check(place: geo.Position = place) -> None:
+            expect(marks.locator(".read")).not_to_be_empty()
+            read = [float(value) for value in marks.locator(".read").inner_text().split(", ")]
+            assert read == pytest.approx([place.latitude, place.longitude], abs=3e-5)
+
+        explorer.eventually(check)
+    # The bar lies where its two ends are as far apart as it says.
+    canvas = marks.locator("canvas").bounding_box()
+    assert canvas is not None
+    bar = explorer.page.evaluate(BAR_WIDTH)
+    ends = []
+    for right in (0.0, bar):
+        before = marks.locator(".read").inner_text()
+        explorer.page.mouse.move(canvas["x"] + 52 + right, canvas["y"] + 32)
+        expect(marks.locator(".read")).not_to_have_text(before)
+        ends.append([float(value) for value in marks.locator(".read").inner_text().split(", ")])
+    metres = (ends[1][1] - ends[0][1]) * geo.metres_per_degree(ends[0][0])[1]
+    assert metres == pytest.approx(float(marks.get_attribute("data-metres") or 0), rel=0.03)
+    explorer.key("b")
+    expect(marks).to_be_hidden()
+    explorer.key("b")
+    expect(marks).to_be_visible()
+    explorer.key("m")
+    expect(marks).to_have_count(0)
 
 
 def crimson(picture: np.ndarray) -> float:

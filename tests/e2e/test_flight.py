@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import FloatRect, Locator, Page, Route, expect
+from playwright.sync_api import Locator, Page, Route, expect
 
 import lpn
 from explorer.app import App
@@ -21,7 +21,7 @@ from lpn.locate.corrections import read_corrections
 from lpn.locate.pipeline import LocateOptions, StageRecord, locate
 from lpn.locate.task import flight_task
 from lpn.maps import LocalFrame, open_map
-from tests.e2e.conftest import ExplorerPage
+from tests.e2e.conftest import ExplorerPage, box, expect_accessible
 from tests.lpn.locate.scenery import ground_to_photo
 from tests.lpn.maps.small_maps import smooth, write_geotiff
 from tools.fixtures.processes import free_port
@@ -119,12 +119,6 @@ class FlightPage(ExplorerPage):
         return shown["x"] + left, shown["y"] + top
 
 
-def box(locator: Locator) -> FloatRect:
-    found = locator.bounding_box()
-    assert found is not None
-    return found
-
-
 @pytest.fixture
 def window(flight_app: RunningFlight, new_page: Callable[[], Page]) -> FlightPage:
     page = FlightPage(new_page())
@@ -149,6 +143,12 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     window.expect_frame(5)
     window.page.locator(".entry", has_text="Too few.").click()
     window.expect_frame(REFUSED)
+
+
+@pytest.mark.slow
+def test_axe_finds_nothing_serious_in_the_flight_window(window: FlightPage) -> None:
+    expect(window.page.locator(".entry").first).to_be_visible()
+    expect_accessible(window.page)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import http.server
+import json
 import os
 import threading
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
+from tools.fixtures.chromium import RETURNING
 
 # Without slashes, so that a folder can have such a name.
 NAMES = [
@@ -60,6 +62,8 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     written(root / "geo.csv", ["path", "latitude", "longitude"], positions)
     written(root / "metadata.csv", ["path", "weather", "it's &lt;b&gt;"], weather)
     written(root / "notes.csv", ["path", "tags", "note"], notes)
+    steps = [{"shows": "", "caption": TEXT, "notes": name} for name in NAMES]
+    (root / "stories.json").write_text(json.dumps([{"name": name, "steps": steps} for name in NAMES]))
     return root
 
 
@@ -71,7 +75,7 @@ def written(file: Path, header: list[str], rows: list[list[str]]) -> None:
 
 @dataclass
 class Walk:
-    """What a walk through all of the page met."""
+    """The findings of a walk through all of the page."""
 
     page: Page
     url: str
@@ -87,7 +91,7 @@ def walk(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactor
     folder = tmp_path_factory.mktemp("walk")
     with started(places, model_file, folder / "cache") as running:
         context = browser.new_context(viewport={"width": 1456, "height": 835})
-        context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+        context.add_init_script(RETURNING)
         walked = Walk(context.new_page(), running.url)
         page = walked.page
         page.on("request", lambda request: walked.asked.append(request.url))
@@ -125,9 +129,13 @@ def visit(walk: Walk, folder: Path) -> None:
         tab.click()
         look()
     page.locator(".lab-bar .seg a").first.click()
-    rows.nth(1).click()
-    expect(page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
-    expect(page.locator("#lpn-lab-note")).to_have_value(TEXT)
+    other = page.locator("#lpn-lab-table tr[data-row]:not(.chosen)").first
+    row = other.get_attribute("data-row")
+    other.click()
+    expect(page.locator("#lpn-lab-table tr.chosen")).to_have_attribute("data-row", str(row))
+    expect(page.locator(f".lab-note[data-row='{row}'] textarea")).to_have_value(
+        TEXT
+    )  # the former query has this note, too
     page.locator("#lpn-lab-tags").fill("onload night")
     page.locator("#lpn-lab-tags").blur()
     expect(page.locator("#lpn-lab-message")).to_contain_text("Saved")
@@ -154,7 +162,17 @@ def visit(walk: Walk, folder: Path) -> None:
     look()
     own.write_bytes(b"<svg onload=window.hurt=15>")
     page.locator("input[type=file]").set_input_files(str(own))
-    expect(page.get_by_text("is not a picture that can be read")).to_be_visible()
+    expect(page.get_by_text("is a drawing (SVG), not a photo")).to_be_visible()
+    look()
+    page.locator("#lpn-story-names a").nth(1).click()
+    expect(page.locator("#lpn-told .caption")).to_have_text(TEXT)
+    page.keyboard.press("n")
+    expect(page.locator("#lpn-told .notes")).to_have_text(NAMES[0])
+    page.keyboard.press("Escape")
+    page.locator("#lpn-story-names a").last.click()
+    page.locator("#lpn-stories .chips a").nth(1).click()
+    expect(page.locator("#lpn-story-steps .caption").first).to_have_value(TEXT)
+    expect(page.locator("#lpn-story-name")).to_have_value(NAMES[1])
     look()
 
 

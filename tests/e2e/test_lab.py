@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from playwright.sync_api import BrowserContext, Locator, Page, expect
@@ -17,6 +16,7 @@ from lpn import datasets, descriptors
 from lpn.analysis import breakdown, query_outcomes
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.analysis.task import gallery_geometry
+from lpn.core.numbers import signed
 from lpn.core.tables import Table
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
@@ -72,8 +72,8 @@ class LabPage(ExplorerPage):
 
     @property
     def rows_of_table(self) -> Locator:
-        """The rows of the table's page."""
-        return self.page.locator("#lpn-lab-table tbody tr")
+        """The rows of the table that are drawn."""
+        return self.page.locator("#lpn-lab-table tbody tr[data-row]")
 
     @property
     def count(self) -> Locator:
@@ -81,7 +81,7 @@ class LabPage(ExplorerPage):
         return self.page.locator("#lpn-lab-count")
 
     def shown(self) -> list[int]:
-        """The queries on the table's page."""
+        """The queries whose rows are drawn."""
         return [int(row.get_attribute("data-row") or -1) for row in self.rows_of_table.all()]
 
     def head(self, column: str) -> None:
@@ -102,7 +102,7 @@ def lab(lab_app: RunningApp, new_page: Callable[[], Page]) -> LabPage:
 
 
 def expect_rows(lab: LabPage, rows: np.ndarray, start: int = 0) -> None:
-    """The page shows these queries, in order, from a position on."""
+    """The table shows these queries, in order, from a position on."""
     first = str(rows[start]) if len(rows) else ""
     expect(lab.rows_of_table.first).to_have_attribute("data-row", first)
 
@@ -126,25 +126,27 @@ def test_all_queries_are_listed_worst_first_and_sorted_by_any_column(
     first = lab.rows_of_table.first.inner_text()
     row = lab.shown()[0]
     assert table.columns["answer"].text(row) in first
-    assert f"{table.columns['margin'].values[row]:+.3f}" in first
+    assert signed(table.columns["margin"].values[row]) in first
 
 
 @pytest.mark.slow
-def test_pages_turn_and_end(lab: LabPage, truth: tuple[Outcomes, Table]) -> None:
+def test_the_table_scrolls_to_its_end_and_is_used_by_keys(lab: LabPage, truth: tuple[Outcomes, Table]) -> None:
     _, table = truth
     rows = table.sort(table.rows(), "margin")
     size = len(lab.shown())
     assert 5 <= size < 40
-    page = lab.page.locator("#lpn-lab-page")
-    lab.page.locator("a[title='Earlier rows']").click()
-    lab.page.locator("a[title='Later rows']").click()
-    expect(page).to_have_text(f"{size + 1}–{2 * size}")
-    expect_rows(lab, rows, size)
-    for _ in range(40 // size + 2):
-        lab.page.locator("a[title='Later rows']").click()
-        lab.settle()
-    expect(page).to_contain_text("–40")
-    assert lab.shown()[-1] == rows[-1]
+    grid = lab.page.locator("#lpn-lab-rows")
+    expect(grid).to_have_attribute("aria-rowcount", "41")
+    grid.focus()
+    lab.page.keyboard.press("End")
+    expect(lab.rows_of_table.last).to_have_attribute("data-row", str(rows[-1]))
+    assert len(lab.shown()) < 40
+    lab.page.keyboard.press("ArrowUp")
+    lab.page.keyboard.press("Enter")
+    lab.expect_status("query", str(rows[-2]))
+    expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_be_in_viewport()
+    lab.page.keyboard.press("Home")
+    expect_rows(lab, rows)
 
 
 def test_a_filter_narrows_the_table_and_a_wrong_one_is_said_beside_it(
@@ -191,16 +193,16 @@ def test_a_click_on_a_row_opens_the_query_and_next_follows_the_table(
     lab.expect_status("query", str(failed[3]))
     lab.key("p")
     lab.expect_status("query", str(failed[2]))
-    size = len(lab.shown())
-    for place in range(3, size + 1):
+    for row in failed[3:]:
         lab.key("n")
-        lab.expect_status("query", str(failed[place]))
-    expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_attribute("data-row", str(failed[size]))
-    expect_rows(lab, failed, size)  # the page has been turned
+        lab.expect_status("query", str(row))
+    chosen = lab.page.locator("#lpn-lab-table tr.chosen")
+    expect(chosen).to_have_attribute("data-row", str(failed[-1]))
+    expect(chosen).to_be_in_viewport()  # the table has been scrolled to it
     lab.key("b")
     expect(lab.rows_of_table.first).to_be_hidden()
     lab.key("n")
-    lab.expect_status("query", str((failed[size] + 1) % 40))
+    lab.expect_status("query", str((failed[-1] + 1) % 40))
 
 
 @pytest.mark.slow
@@ -211,7 +213,6 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
     dataset = datasets.open_dataset(lab_app.data)
     labels = [query_outcomes.labels_of(entries) for entries in (dataset.queries("drone"), dataset.gallery("satellite"))]
     pair = breakdown.confusions(outcomes, *labels)[0]
-    size = len(lab.shown())
     lab.choose("Breakdown")
     line = lab.page.locator(".card .line", has_text=f"{pair.place:04d} taken for")
     line.click()
@@ -234,73 +235,117 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
     ).click()
     expect(lab.count).to_contain_text(f"{counts.max()} of 40 queries")
     lab.choose("Table")
-    expect(lab.rows_of_table).to_have_count(min(int(counts.max()), size))
+    expect(lab.page.locator("#lpn-lab-rows")).to_have_attribute("aria-rowcount", str(counts.max() + 1))
 
 
-def drag(lab: LabPage, start: tuple[float, float], end: tuple[float, float]) -> None:
-    """Draw a rectangle on the map, in fractions of it."""
+def lasso(lab: LabPage, corners: list[tuple[float, float]]) -> None:
+    """Draw a lasso on the map with Shift held, in fractions of it."""
     lab.page.locator(".lab-map").evaluate("map => map.scrollIntoView({block: 'nearest'})")
-    lab.at_rest(lab.page.locator(".lab-map"))
     box = lab.page.locator(".lab-map").bounding_box()
     assert box is not None
-    places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in (start, end)]
+    places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in corners]
+    lab.page.keyboard.down("Shift")
     lab.page.mouse.move(*places[0])
     lab.page.mouse.down()
-    lab.page.mouse.move(*places[1], steps=4)
-    expect(lab.page.locator(".lab-map .drawn")).to_be_visible()
+    for place in places[1:]:
+        lab.page.mouse.move(*place, steps=4)
     lab.page.mouse.up()
+    lab.page.keyboard.up("Shift")
 
 
-def test_a_rectangle_on_a_map_chooses_queries_and_a_click_opens_one(
+ALL = [(0.02, 0.02), (0.98, 0.02), (0.98, 0.98), (0.02, 0.98)]
+
+
+def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
     lab: LabPage, truth: tuple[Outcomes, Table]
 ) -> None:
     _, table = truth
     lab.choose("Maps")
-    picture = lab.page.locator(".lab-map img")
-    expect(picture).to_be_visible()
-    everything = picture.get_attribute("src")
-    drag(lab, (0.0, 0.0), (1.0, 0.999))
+    shown, counted = lab.page.locator(".lab-map"), lab.page.locator(".lab-map .counted")
+    expect(counted).to_have_text("40 of 40")
+    lasso(lab, ALL)
     expect(lab.count).to_contain_text("40 of 40 queries")
-    expect(lab.page.locator(".lab-summary .pick")).to_contain_text("rectangle in the PCA")
-    drag(lab, (0.02, 0.02), (0.5, 0.98))
+    expect(lab.page.locator(".lab-summary .pick")).to_contain_text("lasso on the PCA")
+    lasso(lab, [(0.02, 0.02), (0.5, 0.02), (0.5, 0.98), (0.02, 0.98)])
     expect(lab.count).not_to_contain_text("40 of 40")
     left = int((lab.count.inner_text()).split()[0])
     assert 0 < left < 40
-    expect(picture).not_to_have_attribute("src", everything or "")
+    expect(counted).to_have_text(f"{left} of 40")
+    lab.page.get_by_label("Colour by").select_option("weather")
+    expect(lab.page.locator(".lab-key")).to_contain_text("<b>fog</b>")
     lab.page.locator("#lpn-lab-maps a", has_text="On the ground").click()
-    expect(lab.page.locator(".lab-map")).to_have_attribute("data-map", "ground")
+    expect(shown).to_have_attribute("data-map", "ground")
     lab.page.get_by_text("show all").first.click()
-    expect(lab.count).to_contain_text("40 of 40")
+    expect(counted).to_have_text("40 of 40")
     # The drawn places lie on a grid of four columns: the western two hold half of them.
-    drag(lab, (0.0, 0.0), (0.5, 0.999))
+    lasso(lab, [(0.02, 0.02), (0.5, 0.02), (0.5, 0.98), (0.02, 0.98)])
     west = np.flatnonzero(table.columns["longitude"].values < 7.002)
     expect(lab.count).to_contain_text(f"{len(west)} of 40 queries")
-    lab.choose("Table")
-    assert set(lab.shown()) <= set(west.tolist())
-    lab.choose("Maps")
-    lab.page.locator("#lpn-lab-maps a", has_text="Zoom").click()
-    expect(lab.page.locator("#lpn-lab-maps a", has_text="Zoom")).to_have_class("chosen")
-    place = first_dot(lab.at_rest(lab.page.locator(".lab-map")))
-    box = lab.page.locator(".lab-map").bounding_box()  # the picture may have been scrolled to
+    row = int(west[0])
+    frames = shown.get_attribute("data-frames")
+    lab.page.get_by_role("button", name="Zoom to the chosen").click()
+    expect(shown).not_to_have_attribute("data-frames", frames or "")
+    place, box = lab.page.evaluate("row => lpn.labMap.pixels(row)", row), shown.bounding_box()
     assert box is not None
-    lab.page.mouse.move(box["x"] + place[0] + 3, box["y"] + place[1] + 3)
-    lab.page.mouse.move(box["x"] + place[0], box["y"] + place[1])
+    at = box["x"] + place[0], box["y"] + place[1]
+    lab.page.mouse.move(*at)
     tip = lab.page.locator(".lab-tip")
     expect(tip).to_be_visible()
-    row = tip.get_attribute("data-row") or ""
-    expect(tip).to_contain_text(table.columns["name"].text(int(row)))
-    lab.page.mouse.click(box["x"] + place[0], box["y"] + place[1])
-    lab.expect_status("query", row)
-    assert int(row) in west
+    expect(tip).to_contain_text(table.columns["name"].text(int(tip.get_attribute("data-row") or -1)))
+    lab.page.mouse.click(*at)
+    lab.expect_status("query", tip.get_attribute("data-row") or "")
+    lab.page.mouse.move(*at)
+    before = lab.page.evaluate("row => lpn.labMap.pixels(row)", row)
+    lab.page.mouse.down()
+    lab.page.mouse.move(at[0] + 40, at[1] + 10, steps=4)
+    lab.page.mouse.up()
+    after = lab.page.evaluate("row => lpn.labMap.pixels(row)", row)
+    assert np.subtract(after, before).tolist() == pytest.approx([40, 10], abs=0.5)
+    far = "([one, other]) => Math.hypot(...lpn.labMap.pixels(one).map((at, i) => at - lpn.labMap.pixels(other)[i]))"
+    near = lab.page.evaluate(far, [row, int(west[-1])])
+    lab.page.mouse.wheel(0, -200)
+    lab.page.wait_for_function(f"([pair, least]) => ({far})(pair) > least", arg=[[row, int(west[-1])], 1.2 * near])
 
 
-def first_dot(picture: np.ndarray) -> tuple[float, float]:
-    """The middle of a query that was found, on a picture of a map: the largest yellow patch."""
-    blue, green, red = picture.transpose(2, 0, 1)
-    marked = (red > 200) & (green > 150) & (blue < 110)
-    _, _, figures, middles = cv2.connectedComponentsWithStats(marked.astype(np.uint8), connectivity=8)
-    largest = 1 + int(np.argmax(figures[1:, cv2.CC_STAT_AREA]))
-    return float(middles[largest][0]), float(middles[largest][1])
+@pytest.mark.slow
+def test_the_map_of_the_ground_has_a_scale_bar_north_and_the_position_under_the_cursor(
+    lab: LabPage, truth: tuple[Outcomes, Table]
+) -> None:
+    _, table = truth
+    lab.choose("Maps")
+    shown, position = lab.page.locator(".lab-map"), lab.page.locator(".lab-map .read")
+    white = """([left, top]) => {
+      const canvas = document.querySelector(".lab-map .marks"), ratio = canvas.width / canvas.clientWidth;
+      const at = [left, top < 0 ? canvas.clientHeight + top : top].map((side) => Math.round(side * ratio));
+      return Math.min(...canvas.getContext("2d").getImageData(...at, 1, 1).data) > 200;
+    }"""
+    bar, arrow = [20, -12], [22, 52]
+    expect(shown).to_have_attribute("data-frames", re.compile("[1-9]"))
+    assert shown.get_attribute("data-metres") is None  # descriptors have no metres
+    assert not lab.page.evaluate(white, bar)
+    lab.page.locator("#lpn-lab-maps a", has_text="On the ground").click()
+    expect(shown).to_have_attribute("data-metres", re.compile("^[125]0*$"))
+    assert lab.page.evaluate(white, bar)
+    assert lab.page.evaluate(white, arrow)
+    north, south = (int(np.argmax(sign * table.columns["latitude"].values)) for sign in (1, -1))
+    box = shown.bounding_box()
+    assert box is not None
+    for row in (north, south):
+        place = lab.page.evaluate("row => lpn.labMap.pixels(row)", row)
+        lab.page.mouse.move(box["x"] + place[0], box["y"] + place[1])
+        read = [float(value) for value in position.inner_text().split(", ")]
+        true = [float(table.columns[axis].values[row]) for axis in ("latitude", "longitude")]
+        assert read == pytest.approx(true, abs=2e-5)
+    # From the northern to the southern row are 9 times 0.0009 degrees, which are 100 m each.
+    pixels = "([one, other]) => lpn.labMap.pixels(other)[1] - lpn.labMap.pixels(one)[1]"
+    for _ in range(2):
+        scale = lab.page.evaluate(pixels, [north, south]) / 900
+        metres = int(shown.get_attribute("data-metres") or 0)
+        assert metres * scale <= 130 < 2.5 * metres * scale
+        frames = shown.get_attribute("data-frames")
+        lab.page.get_by_role("button", name="Zoom in").click()
+        expect(shown).not_to_have_attribute("data-frames", frames or "")
+    expect(position).to_be_hidden()
 
 
 def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes, Table], tmp_path: Path) -> None:
@@ -326,9 +371,37 @@ def test_columns_are_chosen(lab: LabPage) -> None:
     lab.page.locator(".lab-summary a", has_text="Columns").click()
     lab.page.locator("#lpn-lab-columns a", has_text="weather").click()
     expect(heads).to_contain_text("weather")
-    assert "<b>fog</b>" in lab.page.locator("#lpn-lab-table").inner_text()
+    expect(lab.page.locator("#lpn-lab-table")).to_contain_text("<b>fog</b>")
     lab.page.locator("#lpn-lab-columns a", has_text="altitude").click()
     expect(heads).not_to_contain_text("altitude")
+
+
+@pytest.mark.slow
+def test_a_link_brings_back_what_the_laboratory_shows(
+    lab: LabPage, truth: tuple[Outcomes, Table], contexts: Callable[..., BrowserContext]
+) -> None:
+    _, table = truth
+    lab.page.locator("#lpn-lab-where").fill("weather = rain")
+    expect(lab.count).to_contain_text("14 of 40 queries")
+    for _ in range(2):
+        lab.head("name")
+    rows = table.sort(table.filter(table.rows(), "weather = rain"), "name", True)
+    expect_rows(lab, rows)
+    lab.page.wait_for_function("new URLSearchParams(location.search).get('order') === 'down'")
+
+    other = LabPage(contexts().new_page())
+    other.open(lab.page.url)
+    expect_rows(other, rows)
+    expect(other.page.locator("#lpn-lab-where")).to_have_value("weather = rain")
+    other.choose("Breakdown")
+    card = other.page.locator(".card", has_text="Part that lowers the margin most")
+    card.locator(".line").first.click()
+    other.choose("Maps")
+    other.page.wait_for_function("new URLSearchParams(location.search).get('tab') === 'maps'")
+    other.page.reload()
+    expect(other.page.locator("#lpn-lab-map canvas").first).to_be_visible()
+    expect(other.page.locator(".lab-summary .pick")).to_contain_text("lowers the margin most")
+    expect(other.page.locator("#lpn-lab-where")).to_have_value("weather = rain")
 
 
 @pytest.mark.slow
@@ -389,8 +462,7 @@ def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
         ("lab-open", 99),
         ("lab-open", -1),
         ("lab-sort", ["name"]),
-        ("lab-page", 1e9),
-        ("lab-rect", ["pca", [0, 0], [1, 1]]),
+        ("lab-lasso", ["pca", [[0, 0], [1, 1]]]),
         ("lab-note", ["../../etc/passwd", 1, "a", "b"]),
         ("lab-note", ["drone-to-satellite", 40, "a", "b"]),
         ("lab-find", "\ud800"),
@@ -422,7 +494,7 @@ def test_a_phones_sheet_stays_as_wide_as_the_phone(
     lab.page.locator(".lab-summary a", has_text="Columns").tap()
     lab.page.locator("#lpn-lab-columns a", has_text="weather").tap()
     expect(table).to_contain_text("<b>fog</b>")
-    assert table.evaluate("e => e.scrollWidth > e.clientWidth")  # it scrolls within itself
+    assert lab.page.locator("#lpn-lab-rows").evaluate("e => e.scrollWidth > e.clientWidth")  # it scrolls within itself
     lab.rows_of_table.first.tap()
     expect(lab.page.locator(".lab-note")).to_be_visible()
     assert lab.page.evaluate(wide) == 0

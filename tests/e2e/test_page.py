@@ -1,4 +1,4 @@
-"""What a page is besides what it shows: an address, two themes, a tour, commands, and screens of every size."""
+"""Tests of the page itself: its address, two themes, a tour, commands, and screens of every size."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from urllib.parse import parse_qs, urlsplit
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, expect
+from playwright.sync_api import Browser, BrowserContext, FloatRect, expect
 
 from explorer.app import App
+from explorer.layout import _SQUARE
 from explorer.opening import open_model
 from explorer.session_state import SessionState
+from explorer.stage.scene import SCENE
 from explorer.workspace import StateAnalyser, StateAnalysis
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, difference, started
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, difference, started
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 
@@ -36,12 +38,6 @@ def wait_address(explorer: ExplorerPage, key: str, value: str | None) -> None:
     explorer.page.wait_for_function(
         "([key, value]) => new URLSearchParams(location.search).get(key) === value", arg=[key, value]
     )
-
-
-def box(locator: Locator) -> FloatRect:
-    found = locator.bounding_box()
-    assert found is not None
-    return found
 
 
 def overlap(one: FloatRect, other: FloatRect) -> float:
@@ -163,11 +159,13 @@ def test_light_and_dark(explorer: ExplorerPage) -> None:
     explorer.stage(lambda picture: difference(coarse(picture), coarse(dark)) < 0.1)
 
 
+@pytest.mark.slow
 def test_the_tour_is_shown_once_and_covers_nothing_it_speaks_of(app: RunningApp, browser: Browser) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
+    context.add_init_script("localStorage.setItem('lpn-screen', 'all')")
     explorer = ExplorerPage(context.new_page())
     explorer.open(app.url)
-    card, spot = explorer.page.locator("#lpn-tour"), explorer.page.locator("#lpn-spot")
+    card, spot = explorer.page.locator("#lpn-told.card"), explorer.page.locator("#lpn-spot")
     for step in range(1, 6):
         expect(card).to_contain_text(f"{step} of 5")
         assert overlap(box(card), box(spot)) == 0
@@ -186,6 +184,76 @@ def test_the_tour_is_shown_once_and_covers_nothing_it_speaks_of(app: RunningApp,
     expect(card).to_have_count(0)
     expect(spot).to_have_count(0)
     context.close()
+
+
+@pytest.mark.slow
+def test_the_tour_s_frame_follows_the_stage_on_a_low_screen(app: RunningApp, browser: Browser) -> None:
+    context = browser.new_context(viewport={"width": 1440, "height": 900})
+    context.add_init_script("localStorage.setItem('lpn-screen', 'all')")
+    explorer = ExplorerPage(context.new_page())
+    explorer.open(app.url)
+    card, spot = explorer.page.locator("#lpn-told.card"), explorer.page.locator("#lpn-spot")
+    expect(card).to_contain_text("1 of 5")
+    explorer.page.set_viewport_size({"width": 1024, "height": 600})
+
+    def follows() -> None:
+        stage, frame = box(explorer.canvas), box(spot)
+        query, unit = _SQUARE.query, min(stage["height"] / SCENE["height"], stage["width"] / SCENE["width"])
+        middle = stage["x"] + stage["width"] / 2 + (query[0] - SCENE["middle"][0]) * unit
+        assert frame["x"] + frame["width"] / 2 == pytest.approx(middle, abs=2)
+        assert frame["width"] == pytest.approx(_SQUARE.picture[0] * unit + 8, abs=3)
+        assert overlap(box(card), box(explorer.verdict)) == 0
+
+    explorer.eventually(follows)
+    context.close()
+
+
+@pytest.mark.slow
+def test_queries_are_steps_of_the_browser_s_history_and_of_the_list(explorer: ExplorerPage) -> None:
+    expect(explorer.page).to_have_title(re.compile("^places · LPN Explorer$"))
+    wait_address(explorer, "query", "0007")
+    for name in ("0008", "0009"):
+        explorer.key("n")
+        wait_address(explorer, "query", name)
+    explorer.fill("Rotate", "30")
+    wait_address(explorer, "angle", "30")
+    explorer.page.go_back()
+    explorer.expect_status("name", "0008")
+    explorer.page.go_back()
+    explorer.expect_status("name", "0007")
+    explorer.page.go_forward()
+    explorer.expect_status("name", "0008")
+    wait_address(explorer, "query", "0008")
+    for _ in range(2):
+        explorer.key("p")
+    explorer.expect_status("name", "0020")
+    expect(explorer.page.locator("#lpn-picker .thumb.chosen")).to_contain_text("0020")
+
+
+@pytest.mark.slow
+def test_everything_can_be_reached_by_keyboard_and_read_aloud(explorer: ExplorerPage, tmp_path: Path) -> None:
+    page = explorer.page
+    expect(page.locator("#lpn-live")).to_contain_text(explorer.verdict.locator("b").inner_text())
+    expect(explorer.canvas).to_have_attribute("aria-label", re.compile("^Stage: "))
+    head = page.get_by_role("button", name="Compared pair")
+    expect(head).to_have_attribute("aria-expanded", "true")
+    head.press("Enter")
+    expect(head).to_have_attribute("aria-expanded", "false")
+    expect(page.locator("#lpn-parts")).to_be_hidden()
+    for name in ("Link", "Tour"):
+        assert page.get_by_role("button", name=name, exact=True).evaluate("one => (one.focus(), one.matches(':focus'))")
+    sizes = page.evaluate(
+        "() => [...document.querySelectorAll('.mantine-Slider-markLabel, label, .lpn')].filter(one => one.offsetHeight)"
+        ".map(one => [parseFloat(getComputedStyle(one).fontSize), one.innerText.slice(0, 30)])"
+    )
+    assert min(sizes)[0] >= 12, min(sizes)
+    (tmp_path / "empty.png").write_bytes(b"")
+    page.locator("input[type=file]").set_input_files(str(tmp_path / "empty.png"))
+    expect(page.get_by_text("empty.png is empty, or has more than 30 MB")).to_be_visible()
+    expect(page.get_by_text("Sent; it is being read.")).to_be_visible()
+    assert page.get_by_text("uploaded successfully").count() == 0
+    explorer.tab("Parts")
+    expect(page.get_by_text("All parts equal")).to_be_visible()
 
 
 @pytest.mark.slow
@@ -211,7 +279,7 @@ def test_everything_needed_is_in_view_on_a_projector(app: RunningApp, contexts: 
     explorer = ExplorerPage(contexts(viewport={"width": 1280, "height": 720}).new_page())
     explorer.open(app.url)
     expect(explorer.rows).to_have_count(10)
-    for wanted in (explorer.verdict, explorer.rows.nth(9), explorer.page.locator("#lpn-picker .pager")):
+    for wanted in (explorer.verdict, explorer.rows.nth(9), explorer.page.locator("#lpn-picker .thumb").first):
         seen = box(wanted)
         assert seen["y"] >= 0
         assert seen["y"] + seen["height"] <= 720
@@ -327,8 +395,11 @@ def test_a_server_that_is_gone_is_said_to_be(app: RunningApp, contexts: Callable
 
 def test_the_glossary_opens_over_the_page_and_closes(explorer: ExplorerPage) -> None:
     term = explorer.page.get_by_role("cell", name="hardest negative is the negative of the highest score", exact=False)
-    for _ in range(2):
+    for close in (
+        lambda: explorer.page.get_by_role("button", name="Close", exact=True).click(),
+        lambda: explorer.page.keyboard.press("Escape"),
+    ):
         explorer.page.locator("#lpn-header").get_by_text("Glossary", exact=True).click()
         expect(term).to_be_visible(timeout=60_000)
-        explorer.page.get_by_role("button", name="Close", exact=True).click()
+        close()
         expect(term).to_have_count(0, timeout=60_000)

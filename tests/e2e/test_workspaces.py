@@ -87,7 +87,8 @@ def test_a_page_changes_its_workspace_and_back(
     expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
     explorer.key("n")  # its controls, keys, and messages work
     explorer.expect_status("query", "1")
-    expect(explorer.page).to_have_url(re.compile("show=whole"))
+    name = explorer.status.get_attribute("data-name")
+    expect(explorer.page).to_have_url(re.compile(f"(?=.*show=whole)(?=.*query={name})"))
     explorer.page.reload()
     expect_workspace(explorer, "whole pictures", 1)
     explorer.expect_status("query", "1")
@@ -106,6 +107,7 @@ def test_a_page_changes_its_workspace_and_back(
     assert "Traceback" not in caplog.text
 
 
+@pytest.mark.slow
 def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
     offer: Offer, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -131,6 +133,7 @@ def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
     explorer.expect_status("query", "1")
 
 
+@pytest.mark.slow
 def test_a_workspace_that_does_not_open_says_why_and_the_page_stays(
     offer: Offer, contexts: Callable[..., BrowserContext]
 ) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 import lpn
 from explorer import reports
+from explorer.browse.feeds import Feeds
 from explorer.client_session import ClientSession
 from explorer.compute import ranking_job
 from explorer.explain_window import comparison, evidence
@@ -177,12 +178,13 @@ def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace, monkeypat
     assert findings.outcomes.depth == DEPTH
     lab = LabState(TASK)
     rows = lab_state.sorted_rows(findings, lab)
-    html = lab_table.table(findings, lab, workspace, rows, 0)
+    columns = lab_table.shown_columns(findings, lab)
+    html = str(lab_table.lines(findings, columns, Feeds(workspace), rows))
     far = np.flatnonzero(findings.outcomes.rank == DEPTH)
     assert 0 < len(far) < len(task.queries)
     assert "&gt; 10" in html
     assert lab_state.confusions(findings, lab) is not None
-    drawn, final = MapPage(service, "test").page(findings, lab, 0, rows, (760, 400))
+    drawn, _, final = MapPage(service, Feeds(workspace), "test").page(findings, lab, 0, rows, (760, 400))
     assert final
     assert "not in memory" in drawn
 

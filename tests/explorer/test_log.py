@@ -1,4 +1,4 @@
-"""What the explorer says in its log, and that no token is in it."""
+"""Tests of the explorer's log, which holds no token."""
 
 from __future__ import annotations
 

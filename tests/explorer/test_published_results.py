@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,8 +13,11 @@ from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError
-from lpn.retrieval.published_results import load_saved
-from tools.fixtures import small_worlds
+from lpn.core.views import TaskName, views_of
+from lpn.datasets import open_dataset
+from lpn.models.base import normalise
+from lpn.retrieval.published_results import PublishedResult, load_saved
+from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
 
@@ -69,3 +73,60 @@ def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Pat
         open_saved(other, load_saved(tmp_path / "r.mat"))
     with pytest.raises(InputError, match="no query x"):
         open_saved(data, load_saved(tmp_path / "r.mat"), "x")
+
+
+def random_result(root: Path, task: TaskName, seed: int = 0) -> PublishedResult:
+    """A result of random descriptors with the gallery in reverse order; all labels are 0, as only lists tell the truth."""
+    dataset, rng = open_dataset(root), np.random.default_rng(seed)
+    query_view, gallery_view = views_of(task)
+    sides = dataset.queries(query_view), dataset.gallery(gallery_view)[::-1]
+    vectors = [normalise(rng.standard_normal((len(side), 2, 5)).astype(np.float32)) for side in sides]
+    paths = [tuple(f"/their/{picture.path.relative_to(root).as_posix()}" for picture in side) for side in sides]
+    labels = [np.zeros(len(side), np.int64) for side in sides]
+    return PublishedResult("r.mat", vectors[0], labels[0], vectors[1], labels[1], paths[0], paths[1])
+
+
+@pytest.mark.parametrize(
+    ("layout", "task"),
+    [
+        (layouts.gta, "drone-to-satellite"),
+        (layouts.gta, "satellite-to-drone"),
+        (layouts.vigor, "street-to-satellite"),
+    ],
+)
+def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], task: TaskName, tmp_path: Path) -> None:
+    root = layout(tmp_path / "data")
+    saved, dataset = random_result(root, task), open_dataset(root)
+    lists = dataset.truth(task)
+    assert lists is not None
+    names = [picture.name for picture in dataset.gallery(views_of(task)[1])]
+    opened = open_saved(root, saved)
+    assert list(opened.tasks) == [task]
+    ranking, found = opened.rankings[task], opened.tasks[task]
+    assert found.truth is not None
+    shown = [tile.name for tile in found.gallery]
+    assert shown == names[::-1]
+    for query, (expected, truth) in enumerate(zip(lists, found.truth, strict=True)):
+        good, semi = ({shown[row] for row in rows} for rows in (truth.good, truth.semi))
+        assert good == {names[row] for row in expected.good}
+        assert semi == {names[row] for row in expected.semi}
+        assert truth.trapezoid == expected.trapezoid
+        for name in names:
+            np.testing.assert_equal(truth.overlap(shown.index(name)), expected.overlap(names.index(name)))
+        scores = (saved.gallery * saved.query[query]).sum(axis=(1, 2))
+        order = np.argsort(-scores, kind="stable")
+        assert ranking.ranks[query] == next(at for at, row in enumerate(order) if shown[row] in good)
+        state = SessionState(task, 2, query=query)
+        marks = {shown[match.index]: match.true for match in StateAnalyser(opened).analyse(state, 10).matches}
+        assert marks == {name: name in good for name in marks}
+    if task != "satellite-to-drone":  # several true tiles of a query, or half-true ones, are what labels cannot tell
+        assert any(len(one.good) > 1 or len(one.semi) for one in lists)
+
+
+def test_a_gallery_picture_with_two_rows_is_refused_where_lists_tell_the_truth(tmp_path: Path) -> None:
+    root = layouts.gta(tmp_path / "data")
+    saved = random_result(root, "drone-to-satellite")
+    assert saved.gallery_paths is not None
+    twice = replace(saved, gallery_paths=(saved.gallery_paths[1], *saved.gallery_paths[1:]))
+    with pytest.raises(InputError, match="twice in its gallery"):
+        open_saved(root, twice)

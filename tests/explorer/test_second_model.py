@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
 import explorer.app
 import explorer.cli
+import explorer.opening
 from explorer.cli import Explore
 from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.task import Task
-from lpn.core.errors import InputError
+from lpn.cli.failures import FailuresCommand
+from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
+from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector
 
 PATIENCE = 120.0
@@ -62,13 +64,42 @@ def test_a_damaged_model_is_reported_and_may_be_tried_again(
     assert second.error == ""
 
 
-def test_a_model_given_at_the_start_is_open(data: Path, model_file: Path, one_part_model_file: Path) -> None:
+def test_what_cannot_be_shown_is_told_whole(data: Path, model_file: Path, tmp_path: Path) -> None:
+    (tmp_path / "photos" / "test").mkdir(parents=True)
+    with pytest.raises(DataError, match=r"^photos has no pictures to test with; expected queries"):
+        open_model(tmp_path / "photos", model_file)
+    data = shutil.copytree(data, tmp_path / "places")
+    broken = ("query_drone/0007/image-01.png", "gallery_satellite/0008/0008.png", "gallery_drone/0009/image-01.png")
+    for name in broken:
+        (data / "test" / name).write_bytes(b"no picture")
+    with pytest.raises(PictureError) as error:
+        open_model(data, model_file)
+    assert all(f"test/{name} is not a picture" in str(error.value) for name in broken)
+    shutil.rmtree(data / "test")
+    small_worlds.write(data / "test" / "query_street" / "0001" / "a.png", small_worlds.place(1))
+    small_worlds.write(data / "test" / "gallery_satellite" / "0001" / "a.png", small_worlds.place(1))
+    with pytest.raises(
+        DataError, match="is for street-to-satellite, and the model knows only satellite and drone pictures"
+    ):
+        open_model(data, model_file)
+
+
+def test_a_model_given_at_the_start_is_open(
+    data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    data = shutil.copytree(data, tmp_path / "places")
+    (data / "test" / "gallery_satellite" / "0007" / "photo.heic").write_bytes(b"")
     second = open_model(data, model_file, second_model=one_part_model_file).second
+    assert [record.getMessage() for record in caplog.records if record.name == "lpn.datasets.base"] == [
+        "places: 1 pictures are not read: test/gallery_satellite/0007/photo.heic (is of a kind that is not read; save it as "
+        "JPEG); they are left out."
+    ]
     assert second is not None
     wait_until(lambda: second.workspace is not None)
     assert second.workspace is not None
     assert second.workspace.contract.n_parts == 1
-    assert second.label == "model.onnx"
+    # Both files are called model.onnx.
+    assert second.label == "/".join(one_part_model_file.parts[-3:])
     assert open_model(data, model_file).second is None
 
 
@@ -89,6 +120,18 @@ def test_the_tab_offers_the_model_opens_it_and_compares(workspace: Workspace) ->
     assert errors == []
 
 
+def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacking(_: Path) -> None:
+        raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
+
+    monkeypatch.setattr(explorer.opening, "open_map", lacking)
+    flight = explorer.opening.offered_flight(tmp_path, tmp_path, tmp_path / "model.onnx")
+    assert flight.open().wait(PATIENCE)
+    assert flight.error == (
+        "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."
+    )
+
+
 def test_another_task_begins_at_the_same_place(workspace: Workspace) -> None:
     tasks: dict[str, Task] = workspace.tasks
     label = int(tasks["drone-to-satellite"].query_labels[5])
@@ -106,23 +149,34 @@ def test_the_demo_offers_its_baseline_where_the_file_is_there(
         baseline.touch()
     monkeypatch.setattr(explorer.cli, "DEMO", tmp_path)
     monkeypatch.setattr(explorer.cli, "DEMO_BASELINE", baseline)
-
-    def run(*arguments: Any) -> None:
-        given.append(arguments)
-
-    monkeypatch.setattr(explorer.app, "run", run)
+    monkeypatch.setattr(explorer.opening, "open_model", lambda *arguments: given.append(arguments))
+    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: open_workspace())
     Explore().run()
     Explore(model=tmp_path / "other.onnx").run()
     Explore(data=tmp_path, model=tmp_path / "other.onnx").run()
-    assert [arguments[6] for arguments in given] == [baseline if there else None, None, None]
+    assert [arguments[4] for arguments in given] == [baseline if there else None, None, None]
 
 
-def test_a_model_whose_kind_is_named_is_opened_before_the_app(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    given: list[Any] = []
-    monkeypatch.setattr(explorer.app, "run", lambda *arguments: given.append(arguments[1]))
+def test_the_kinds_of_both_models_may_be_named(
+    data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Workspace] = []
+    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
     state = {key: value for key, value in small_vector("camp").items() if key.startswith("model_1.convnext.")}
-    torch.save(state, tmp_path / "weights.pth")
-    Explore(data=tmp_path, model=tmp_path / "weights.pth", kind="camp").run()
-    assert [model.contract.method for model in given] == ["CAMP"]
+    weights = tmp_path / "weights.pth"
+    torch.save(state, weights)
+    (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")
+    Explore(data=data, model=weights, kind="camp", beside=weights, beside_kind="dac").run()
+    (workspace,) = opened
+    assert workspace.contract.method == "CAMP"
+    assert workspace.second is not None
+    wait_until(lambda: workspace.second.workspace is not None)  # type: ignore[union-attr]
+    assert workspace.second.workspace is not None
+    assert workspace.second.workspace.contract.method == "DAC"
+    with pytest.raises(ModelFileError, match="--kind dac or --kind camp, of a second model with --beside-kind"):
+        Explore(data=data, model=model_file, beside=weights).run()
     with pytest.raises(InputError, match="give --kind with --model"):
         Explore(data=tmp_path, kind="camp").run()
+    for command in (Explore(data=tmp_path, beside_kind="dac"), FailuresCommand(data, model_file, beside_kind="dac")):
+        with pytest.raises(InputError, match="give --beside-kind with --beside"):
+            command.run()

@@ -45,7 +45,7 @@ def test_another_query_starts_upright_with_its_top_match(state: SessionState) ->
 def test_another_task_starts_upright_with_its_top_match(state: SessionState) -> None:
     moved = replace(state, shift=8, down=-8, zoom=2.0, region=(1, 2), heat_part=2)
     chosen = session_state.choose_task(moved, "satellite-to-drone", 14)
-    assert chosen == SessionState("satellite-to-drone", 4, query=14, page=1, heat_part=2)
+    assert chosen == SessionState("satellite-to-drone", 4, query=14, heat_part=2)
     assert session_state.choose_task(moved, state.task, 14) is moved
 
 
@@ -63,10 +63,10 @@ def test_random_choices_move_and_failures_fail(state: SessionState) -> None:
     rng = Random(1)
     assert all(session_state.random_query(state, 10, rng).query != 3 for _ in range(50))
     assert session_state.random_query(state, 1, rng) is state
-    ranks = [0, 0, 5, 2, 0, -1]
-    chosen = {session_state.random_failure(state, ranks, rng).query for _ in range(50)}  # type: ignore[union-attr]
-    assert chosen == {2}
-    assert session_state.random_failure(state, [0, 0, 0, 0], rng) is None
+    failed = np.array([False, False, True, True, False, True])
+    chosen = {session_state.random_failure(state, failed, rng).query for _ in range(50)}  # type: ignore[union-attr]
+    assert chosen == {2, 5}
+    assert session_state.random_failure(state, np.zeros(4, bool), rng) is None
 
 
 @pytest.mark.parametrize(("angle", "by", "expected"), [(0, 5, 5), (178, 5, -177), (-178, -5, 177), (90, -270, 180)])

@@ -51,13 +51,13 @@ def slow(*given):
 report.build = slow
 """
 SLOW_NOTES = """
-import time, lpn.analysis.notes
-write = lpn.analysis.notes.write_atomic
+import time, lpn.core.own_files
+write = lpn.core.own_files.write_atomic
 def slow(*given):
     print("writing", flush=True)
     time.sleep(SECONDS)
     write(*given)
-lpn.analysis.notes.write_atomic = slow
+lpn.core.own_files.write_atomic = slow
 """
 SLOW_END = """
 import time, explorer.app
@@ -95,7 +95,7 @@ class Explorer(Process):
             ]
 
     def stopped(self) -> float:
-        """That it ended well, and how many seconds that took."""
+        """Assert that it ended well; return the seconds that this took."""
         status, seconds = self.ended(SOON)
         assert status == 0, self.err
         assert self.out.endswith("Stopped.\n")

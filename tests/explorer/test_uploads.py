@@ -34,9 +34,11 @@ def test_a_large_picture_is_shrunk(suffix: str) -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "empty"),
+        (b"", "a.png is empty, or has more than 30 MB; choose another file."),
         (b"x", "JPEG, PNG, or WebP"),
-        (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "JPEG, PNG, or WebP"),
+        (b"<svg xmlns='http://www.w3.org/2000/svg'/>", "SVG.*JPEG, PNG, or WebP"),
+        (b"\0\0\0\x18ftypheic", "HEIC.*JPEG, PNG, or WebP"),
+        (picture(suffix=".jpg")[:-200], "cut short or damaged"),
         (bytes(MAX_UPLOAD + 1), "30 MB"),
         (b"\x89PNG\r\n\x1a\n" + bytes(99), "cannot be read|can be read"),
         (picture(suffix=".jpg") + b"\xff\xda" * 500, "passes"),

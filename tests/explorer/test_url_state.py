@@ -11,7 +11,7 @@ import pytest
 from explorer import session_state, url_state
 from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
-from explorer.session_state import POSITIVE, SessionState
+from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
 from lpn.analysis.analyser import OwnPicture
@@ -32,6 +32,7 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
     rows, columns = workspace.map_sizes[task.query_view]
     count = rows * columns
     chance = [True, False]
+    lab = rng.choice(chance)
     return SessionState(
         task.name,
         4,
@@ -45,6 +46,8 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         zoom=round(rng.uniform(0.25, 4), 2),
         region=tuple(sorted(rng.sample(range(count), rng.randrange(count)))),
         why=rng.choice(chance),
+        lab=lab,
+        laboratory=any_choices(rng, len(task.queries)) if lab else LabChoices(),
         heat=rng.choice(chance),
         heat_kind=rng.choice(["activation", "evidence"]),
         heat_part=rng.choice([None, 0, 3]),
@@ -55,6 +58,24 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         map=rng.choice(chance),
         city=rng.choice(chance),
         dark=rng.choice(chance),
+        first_screen=rng.choice(chance),
+    )
+
+
+def any_choices(rng: Random, queries: int) -> LabChoices:
+    chosen = [tuple(sorted(rng.sample(range(queries), rng.randrange(queries)))) for _ in range(rng.randrange(3))]
+    return LabChoices(
+        tab=rng.choice(["table", "breakdown", "maps"]),
+        outcome=rng.choice(["all", "failed", "found", "only A", "only B"]),
+        filter=rng.choice(["", 'rank > 1 and weather = "a & b = c"']),
+        name_search=rng.choice(["", "0,0~1%20"]),
+        chosen=tuple(Chosen(f"kind {i}", "ring; 1-2, ≤ 3 m", rows) for i, rows in enumerate(chosen)),
+        sort_column=rng.choice(["margin", "-odd name"]),
+        descending=rng.choice([True, False]),
+        columns=rng.choice([None, (), ("district", "a b")]),
+        full_height=rng.choice([True, False]),
+        map=rng.choice(["pca", "umap", "ground"]),
+        colour=rng.choice(["", "distance"]),
     )
 
 
@@ -118,6 +139,16 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(wor
         ("part=5", "1 to 4"),
         ("opacity=2", "0 to 1"),
         ("theme=pink", "light or dark"),
+        ("tab=everything", "table or breakdown or maps"),
+        ("only=some", "all or failed or found or A or B"),
+        ("where=" + "x" * 1001, "1,000 letters at most"),
+        ("sort=%00", "can be printed"),
+        ("columns=" + "x" * 1001, "1,000 letters at most"),
+        ("chosen=9-2", "chosen in the laboratory of this data set"),
+        ("chosen=a%09b%090-99999", "chosen in the laboratory of this data set"),
+        ("chosen=" + "%0A".join(["a%09b%090-1"] * 21), "chosen in the laboratory of this data set"),
+        ("chosen=a%09b%09" + "1," * 1500 + "1", "chosen in the laboratory of this data set"),
+        ("chosen=a%00%09b%090-1", "labels of 200 letters at most"),
         ("query=own", "ask them for the file"),
     ],
 )
@@ -128,6 +159,26 @@ def test_a_wrong_value_is_dropped_alone_and_said(workspace: Workspace, links: Ur
     assert wrong.split("=")[0] in said[0]
     expected = replace(start(workspace), angle=30.0, rings=False)
     assert read == (replace(expected, angle=0.0) if wrong.startswith("angle") else expected)
+
+
+def test_a_closed_laboratory_is_not_in_the_link_and_an_open_one_is_shown_as_it_is_at_first(
+    workspace: Workspace, links: UrlState
+) -> None:
+    shown = replace(start(workspace), laboratory=LabChoices("maps", filter="rank > 1"))
+    closed = links.write(shown)
+    assert "rank" not in closed
+    assert links.read(closed, shown)[0] == shown
+    opened, _ = links.read("lab=1&only=failed", shown)
+    assert opened == replace(shown, lab=True, laboratory=LabChoices(outcome="failed"))
+
+
+def test_a_link_is_bounded_whatever_is_chosen_in_the_laboratory(workspace: Workspace, links: UrlState) -> None:
+    every_other = Chosen("in pca", "lasso", tuple(range(0, 100_000, 2)))
+    columns = ("x" * 900, "y" * 900)
+    choices = LabChoices("maps", chosen=(every_other,), filter="ä" * 1001, columns=columns, colour="z" * 300)
+    state = replace(start(workspace), lab=True, laboratory=choices)
+    assert links.write(state).endswith("lab=1&tab=maps")
+    assert len(links.write(replace(state, laboratory=replace(choices, filter="ä" * 1000)))) < 8000
 
 
 def test_foreign_keys_and_rubbish_are_passed_over(workspace: Workspace, links: UrlState) -> None:
@@ -154,9 +205,11 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     state = SessionState("drone-to-satellite", 4)
     left_out = {"n_parts", "upload", "find", "page"}
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
-    named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale"}
-    fields = set(vars(state)) - left_out
-    assert {named.get(field, field) for field in fields} | {"show"} == set(links.keys)
+    named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale", "first_screen": "screen"}
+    named |= {"outcome": "only", "filter": "where", "name_search": "find", "sort_column": "sort", "descending": "order"}
+    named |= {"full_height": "tall", "map": "map", "colour": "by"}
+    fields = (set(vars(state)) | set(vars(LabChoices()))) - left_out - {"laboratory"}
+    assert {named.get(field, field) for field in fields} | {"show", "on"} == set(links.keys)
 
 
 def test_an_address_names_its_workspace_where_there_are_several(data: Path, model_file: Path) -> None:

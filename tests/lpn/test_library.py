@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import lpn
+import lpn.__main__
+from lpn.core.errors import LPNError
 
 ROOT = Path(__file__).parents[2]
 
@@ -37,6 +39,26 @@ def test_every_public_name_is_there(name: str) -> None:
     assert getattr(lpn, name) is not None
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.pth", None, "There is no model file at .*a.pth"),
+        ("a.pth", b"random", "a.pth is not a PyTorch file or is truncated"),
+        ("a.safetensors", b"random bytes", "a.safetensors is not a .safetensors file or is truncated"),
+        ("a.pth", b"PK\x03\x04", "Opening a.pth needs the package"),
+        ("a.safetensors", b"\x02" + bytes(7) + b"{}", "Opening a.safetensors needs the package"),
+    ],
+)
+def test_without_torch_a_file_that_is_no_model_is_told_first(
+    name: str, content: bytes | None, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "lpn.models.adapters.load", None)
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(LPNError, match=message):
+        lpn.load(tmp_path / name)
+
+
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="'lpn' has no attribute 'nothing'"):
         _ = lpn.nothing  # type: ignore[attr-defined]
@@ -45,6 +67,26 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 def test_import_needs_neither_numpy_nor_torch() -> None:
     code = "import sys, lpn; assert not {'numpy', 'torch', 'cv2'} & set(sys.modules), sorted(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ([], ["explore"]),
+        (["--port", "9000"], ["explore", "--port", "9000"]),
+        (["models", "city-lpn"], ["models", "city-lpn"]),
+        (["--help"], ["--help"]),
+        (["--version"], ["--version"]),
+    ],
+)
+def test_lpn_explorer_is_lpn_explore_unless_it_is_given_a_command(
+    given: list[str], expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[list[str]] = []
+    monkeypatch.setattr(lpn.__main__, "run", lambda: ran.append(sys.argv[1:]))
+    monkeypatch.setattr(sys, "argv", ["lpn-explorer", *given])
+    lpn.__main__.run_explorer()
+    assert ran == [expected]
 
 
 def test_python_dash_m_runs_the_command_line() -> None:

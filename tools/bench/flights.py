@@ -1,8 +1,9 @@
 """Real flights over their own maps, stage by stage: `python -m tools.bench.flights FOLDER [NAME ...] [--json FILE]`.
 
 FOLDER holds one folder a flight, each with `photos/` and `map.tif` or `map.jpg`; LPN_FLIGHTS is its default. Registration
-searches the whole map, or with `--prior` that many metres around each tag. `--model` adds retrieval and sequence. Errors are
-against the tags. Nothing is taken from the user's cache, so figures and times are of the code that runs.
+searches the whole map, or with `--prior` that many metres around each tag. `--model` adds retrieval and sequence;
+`--hide-headings` takes the flight's headings away, and `--no-register` leaves registration out. Errors are against the tags.
+Nothing is taken from the user's cache, so figures and times are of the code that runs.
 """
 
 from __future__ import annotations
@@ -26,11 +27,16 @@ from lpn.locate.pipeline import LocateOptions, locate
 from lpn.maps import open_map
 
 
-def measured(folder: Path, options: LocateOptions, model: Path | None, limit: int | None) -> dict[str, Any]:
+def measured(
+    folder: Path, options: LocateOptions, model: Path | None, limit: int | None, hide_headings: bool
+) -> dict[str, Any]:
     """Locate one flight, print its table, and return its figures."""
     town = open_map(next(path for path in (folder / "map.tif", folder / "map.jpg") if path.is_file()))
     flight = open_flight(folder / "photos")
     flight = replace(flight, name=folder.name, frames=flight.frames[:limit])
+    if hide_headings:
+        hidden = (replace(frame, heading=None, heading_source=None) for frame in flight.frames)
+        flight = replace(flight, frames=tuple(hidden))
     begun = time.process_time()
     located = locate(town, flight, None if model is None else lpn.load(model), options)
     seconds = time.process_time() - begun
@@ -75,16 +81,18 @@ def main() -> None:
     parser.add_argument("--model", type=Path)
     parser.add_argument("--matcher", default="auto", choices=("auto", "xfeat", "sift"))
     parser.add_argument("--limit", type=int)
+    parser.add_argument("--hide-headings", action="store_true")
+    parser.add_argument("--no-register", action="store_true")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     if given.folder is None:
         raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
-    options = LocateOptions(prior=given.prior, matcher=given.matcher)
+    options = LocateOptions(prior=given.prior, matcher=given.matcher, register=not given.no_register)
     found = []
     with tempfile.TemporaryDirectory() as cache:
         os.environ["LPN_CACHE"] = cache
         for name in given.names:
-            found.append(measured(Path(given.folder) / name, options, given.model, given.limit))
+            found.append(measured(Path(given.folder) / name, options, given.model, given.limit, given.hide_headings))
             if given.json is not None:
                 write_atomic(given.json, (json.dumps(found, indent=1, default=str) + "\n").encode())
 

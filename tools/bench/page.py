@@ -69,7 +69,7 @@ counted(viser.GuiApi, ["add_button", "add_button_group", "add_upload_button", "a
 counted(viser.GuiApi, ["add_slider", "add_checkbox", "add_dropdown", "add_text"], "add_slider")
 counted(viser.GuiApi, ["add_html"], "add_html")
 def show(self, answer):
-    with self._client.atomic():
+    with self.client.atomic():
         self._stage.show(answer)
         self._panels.show(answer, self._sequence, 0.0)
 """
@@ -160,10 +160,10 @@ class ServerProcess:
 
 
 def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
-    """Open a page and wait for its first answer."""
+    """Open a page, the explorer's with its workbench, and wait for its first answer."""
     page = browser.new_context(viewport={"width": 1456, "height": 835}).new_page()
     started = time.perf_counter()
-    page.goto(url)
+    page.goto(f"{url}/?screen=all")
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     return time.perf_counter() - started, page
 

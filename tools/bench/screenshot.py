@@ -1,4 +1,4 @@
-"""Make the pictures of docs/stories.md: `python -m tools.bench.screenshot docs [FILE ...]`."""
+"""Make the pictures of docs/explorer.md and docs/stories.md: `python -m tools.bench.screenshot docs [FILE ...]`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, sync_playwright
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
 from lpn.core.files import write_atomic
 from tools.bench.page import ServerProcess
-from tools.fixtures.chromium import launch
+from tools.fixtures.chromium import RETURNING, launch
 from tools.fixtures.processes import free_port
 
 QUALITY = 84
@@ -34,9 +34,11 @@ class Shot:
     tab: str | None = None
     choose: str | None = None
     wait: str | None = None
+    address: str = ""
 
 
 SHOTS = (
+    Shot("first-screen.jpg", DEMO_QUERY, address="?screen=first"),
     Shot("success.jpg", DEMO_QUERY, "m"),
     Shot("twin-n1.jpg", "0447/07", baseline=True),
     Shot("twin-n4.jpg", "0447/07"),
@@ -69,11 +71,11 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     page = browser.new_page(viewport={"width": 1456, "height": 835})
-    page.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
-    page.goto(url)
+    page.add_init_script(RETURNING)
+    page.goto(url + shot.address)
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     page.wait_for_timeout(4000)
-    for notice in page.locator(".mantine-Notification-closeButton").all():
+    for notice in page.locator(".mantine-Notification-closeButton:visible").all():
         notice.click()
     page.wait_for_timeout(1000)
     for key in shot.keys:

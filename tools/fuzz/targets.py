@@ -306,7 +306,10 @@ def pth(folder: Path) -> list[FuzzCase]:
     whole = pth_file(state_dict())
     recipe = RECIPES["small"]
     ResumeState(
-        [{"epoch": 1, "loss": 1.0}], 2.0, 1, {key: {} for key in ("network", "average", "optimizer", "scaler")}
+        [{"epoch": 1, "loss": 1.0}],
+        2.0,
+        1,
+        {key: {} for key in ("network", "average", "optimizer", "scaler", "memory")},
     ).write(folder / "state.pt", recipe, "0" * 16)
     state = (folder / "state.pt").read_bytes()
     text = (

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, sync_playwright
 
-from tools.fixtures.chromium import launch
+from tools.fixtures.chromium import RETURNING, launch
 from tools.soak import page_content
 from tools.soak.client_state import ClientState, PictureNames, UploadedPicture, shows_state, unexpected_links
 from tools.soak.websocket_driver import BOUND, RATE, FaultError, SettledPage, StoppedError
@@ -75,7 +75,7 @@ class BrowserDriver:
         self.page: Page
 
     def enter(self, link: str) -> None:
-        """Open the page by a link's query, with the tour already seen."""
+        """Open the page by a link's query, as a browser that comes back."""
         began = time.monotonic()
         self._link, self._links, self._before = None, [], []
         self.errors: list[str] = []
@@ -91,7 +91,7 @@ class BrowserDriver:
 
     def _open(self) -> None:
         self._context = self._browser.new_context(viewport={"width": 1280, "height": 800})
-        self._context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+        self._context.add_init_script(RETURNING)
         self._context.set_default_timeout(1000 * BOUND)
         self.page = self._context.new_page()
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))

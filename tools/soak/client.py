@@ -204,7 +204,8 @@ class SoakClient:
     def _pick(self) -> None:
         """Choose the next query, the previous one, or any."""
         queries = len(self._reference.sides[self._state.task].queries)
-        if not self._state.lab and (isinstance(self._driver, BrowserDriver) or self._rng.random() < 0.5):
+        steps = not self._state.lab and self._state.own_picture is None  # the buttons would step through own pictures
+        if steps and (isinstance(self._driver, BrowserDriver) or self._rng.random() < 0.5):
             option, by = self._rng.choice([("Next ›", 1), ("‹ Previous", -1)])
             self._begin(f"pressed {option}")
             self._driver.choose("Go to", option)
@@ -287,7 +288,7 @@ class SoakClient:
             self._rest(0.1)
             if time.monotonic() > deadline:
                 raise FaultError("no answer", f"the laboratory has no table after {LABORATORY:g} s")
-        for kind, value in (("lab-outcome", "failed"), ("lab-page", 1), ("lab-tab", "breakdown"), ("lab-tab", "table")):
+        for kind, value in (("lab-outcome", "failed"), ("lab-tab", "breakdown"), ("lab-tab", "table")):
             if self._rng.random() < 0.5:
                 self._driver.tell(kind, value)
                 self._rest(0.1)

@@ -24,6 +24,8 @@ WHILE = 30.0
 GROWTH = 64.0
 # Largest number of threads in viser's pool for callbacks, which never shrinks.
 CALLBACKS = 32
+# The largest number of threads that serve pictures, which begin with a browser's first picture and stay.
+PICTURES = 2
 # Threads and file handles allowed after all clients have left, above their number before: the server itself may be busy at that
 # moment. Every client takes several of each.
 LEFT_THREADS, LEFT_HANDLES = 2, 2
@@ -128,7 +130,7 @@ def _median_sample(samples: Sequence[ResourceSample]) -> ResourceSample:
 def bounds(empty: ResourceSample | None, before: ResourceSample | None) -> tuple[int, int]:
     """Allowed threads and file handles without clients; arguments as in `Memory`."""
     known = [sample for sample in (empty, before) if sample is not None]
-    threads = [sample.threads for sample in known] + [sample.threads + CALLBACKS for sample in known[:1]]
+    threads = [sample.threads for sample in known] + [sample.threads + CALLBACKS + PICTURES for sample in known[:1]]
     return max(threads, default=0) + LEFT_THREADS, max((sample.handles for sample in known), default=0) + LEFT_HANDLES
 
 

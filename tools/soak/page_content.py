@@ -8,7 +8,7 @@ from html import unescape
 from html.parser import HTMLParser
 
 _DISTANCE = re.compile(r"-?\d+\.\d{3}")
-_GAP = re.compile(r"\+-?\d+\.\d{3}")
+_GAP = re.compile(r"gap \+(-?\d+\.\d{3})")
 _SHARE = re.compile(r": (-?\d+\.\d+)$")
 _ATTRIBUTE = re.compile(r"data-([a-z]+)=(['\"])(.*?)\2")
 
@@ -49,7 +49,8 @@ class MatchRow:
     @property
     def gap(self) -> float | None:
         """Difference to the next tile's squared distance; None for the last."""
-        return next((float(text[1:]) for text in self.texts[3:] if _GAP.fullmatch(text)), None)
+        gaps = (_GAP.fullmatch(text) for text in self.texts[3:])
+        return next((float(gap[1]) for gap in gaps if gap), None)
 
 
 @dataclass(frozen=True)

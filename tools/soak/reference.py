@@ -212,7 +212,7 @@ class Reference:
         """Differences in the table of the compared pair."""
         found, (_, *lines, total) = [], shown.parts
         for i, line in enumerate(lines):
-            text = [float(text.rstrip(" %")) for text in line[-3:]]
+            text = [float(text.rstrip(" %").replace("−", "-")) for text in line[-3:]]
             expected = [100 * ranking.weights[i], compared.cosines[i], compared.shares[i]]
             if line[0] != self.names[i] or any(
                 abs(here - there) > bound

@@ -165,30 +165,8 @@
       const [left, top] = toPixels(corner);
       text(pen, sheet.name, clamp(left + 8, 8, width - 60), clamp(top + 14, 14, height - 40));
     }
-    // The scale bar has a round length of at most 130 pixels.
-    const longest = 130 / view.scale, power = 10 ** Math.floor(Math.log10(longest));
-    const metres = [5, 2, 1].map((n) => n * power).find((n) => n <= longest);
-    const left = 12, top = height - 38, right = left + metres * view.scale;
-    pen.beginPath();
-    pen.moveTo(left, top - 5);
-    pen.lineTo(left, top);
-    pen.lineTo(right, top);
-    pen.lineTo(right, top - 5);
-    stroke(pen, "#fff", 2);
-    text(pen, metres >= 1000 ? metres / 1000 + " km" : metres + " m", right + 8, top - 3);
-    root.map.dataset.metres = metres;
-    // North is up.
-    const x = width - 20, y = 30;
-    pen.beginPath();
-    pen.moveTo(x, y - 18);
-    pen.lineTo(x + 7, y + 4);
-    pen.lineTo(x, y - 1);
-    pen.lineTo(x - 7, y + 4);
-    pen.closePath();
-    stroke(pen, "#fff", 1);
-    pen.fillStyle = "#fff";
-    pen.fill();
-    text(pen, "N", x, y + 13, "center");
+    root.map.dataset.metres = lpn.mapMarks.bar(pen, [12, height - 38], view.scale, width);
+    lpn.mapMarks.north(pen, [width - 20, 30]);
   };
 
   let drawing = 0;
@@ -567,9 +545,9 @@
     return best[1];
   };
   const read = (at) => {
-    const [x, y] = toMetres(at), [latitude, longitude] = flight.degrees([x, y]), frame = hit(at);
+    const [x, y] = toMetres(at), frame = hit(at);
     find(".read").textContent =
-      (frame >= 0 ? data.names[frame] + " · " : "") + latitude.toFixed(6) + ", " + longitude.toFixed(6) + " · " + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
+      (frame >= 0 ? data.names[frame] + " · " : "") + lpn.mapMarks.degrees(flight.degrees([x, y])) + " · " + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
   };
   const onMap = (event) => {
     if (!view || event.target.closest(".swipe,.zoom,.ties *")) return;

@@ -1,4 +1,4 @@
-// The page's script: messages to the server, the linked cursor over a pair's cells, painting, and maps of queries.
+// The page's script: messages to the server, the linked cursor over a pair's cells, and painting.
 // A message goes to the server through a hidden text control of viser, as {"kind": ..., "value": ..., "count": ...}.
 (() => {
   if (window.lpn) return;
@@ -136,41 +136,16 @@
     box._timer = setTimeout(() => lpn.send(kind, box.value), 250);
   };
 
+  // Enter in a box sends its text; no key typed there is a shortcut.
+  lpn.entered = (box, event, kind) => {
+    event.stopPropagation();
+    if (event.key === "Enter") lpn.send(kind, box.value);
+  };
+
   lpn.note = (element) => {
     const row = element.closest(".lab-note");
     const [tags, note] = [...row.querySelectorAll("input, textarea")].map((box) => box.value);
     lpn.send("lab-note", [row.dataset.task, Number(row.dataset.row), tags, note]);
-  };
-
-  // A map of queries: a drag selects a rectangle, a click a point; where the mouse rests, the server sends a tip.
-  const hideTips = () => document.querySelectorAll(".lab-tip").forEach((tip) => (tip.style.display = "none"));
-  lpn.map = (map, event) => {
-    const box = map.getBoundingClientRect();
-    const part = (value, length) => Math.min(Math.max(value / length, 0), 1);
-    const at = [part(event.clientX - box.left, box.width), part(event.clientY - box.top, box.height)];
-    const drawn = map.querySelector(".drawn");
-    clearTimeout(map._rest);
-    hideTips();
-    if (event.type === "pointerdown") {
-      map.setPointerCapture(event.pointerId);
-      map._from = at;
-    } else if (map._from && event.type === "pointermove") {
-      const low = [0, 1].map((axis) => Math.min(at[axis], map._from[axis]));
-      const far = [0, 1].map((axis) => Math.abs(at[axis] - map._from[axis]));
-      const shown = { display: "block", left: low[0], top: low[1], width: far[0], height: far[1] };
-      for (const [name, value] of Object.entries(shown)) drawn.style[name] = value === "block" ? value : 100 * value + "%";
-    } else if (map._from) {
-      const from = map._from;
-      map._from = null;
-      drawn.style.display = "none";
-      if (event.type !== "pointerup") return;
-      const far = Math.hypot((at[0] - from[0]) * box.width, (at[1] - from[1]) * box.height);
-      if (far > 5) lpn.send("lab-rect", [map.dataset.map, from, at]);
-      else lpn.send("lab-point", [map.dataset.map, at]);
-    } else if (event.type === "pointermove") {
-      lpn.mouse = [event.clientX, event.clientY];
-      map._rest = setTimeout(() => lpn.send("lab-tip", [map.dataset.map, at]), 120);
-    }
   };
 
   lpn.tip = (tip) => {

@@ -8,11 +8,24 @@
   let greeting = 0;
   let writing = 0;
   let ready = false;
+  let begun = false; // a session of the server has begun, and has not answered yet
+
+  // A change of these is a step of the browser's history, which Back undoes; other changes replace the address.
+  const STEPS = ["show", "task", "query", "screen"];
+  const step = (text) => STEPS.map((key) => new URLSearchParams(text).get(key)).join("\n");
+  window.addEventListener("popstate", () => {
+    clearTimeout(writing);
+    search = location.search;
+    lpn.send("back", search);
+  });
 
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {
     clearInterval(greeting);
-    const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches });
+    begun = true;
+    const first = lpn.prefersFirst() && ![...new URLSearchParams(search).keys()].some((key) => key !== "theme" && lpn.keys.includes(key));
+    if (first) lpn.opening();
+    const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first });
     greeting = setInterval(hello, 500);
     hello();
   };
@@ -25,9 +38,14 @@
     if (server) others.set("websocket", server);
     search = "?" + [query, others.toString()].filter(Boolean).join("&");
     clearTimeout(writing); // browsers limit how often the address may change
-    writing = setTimeout(() => history.replaceState(history.state, "", location.pathname + search + location.hash), 200);
+    const first = !ready;
+    writing = setTimeout(() => {
+      const write = first || step(search) === step(location.search) ? "replaceState" : "pushState";
+      history[write](history.state, "", location.pathname + search + location.hash);
+    }, 200);
     lpn.watch();
-    if (!ready) lpn.welcome();
+    if (begun) lpn.restoreDraft();
+    begun = false;
     ready = true;
   };
 

@@ -25,6 +25,40 @@
     if (seconds) notice.hiding = setTimeout(() => notice.classList.remove("shown"), 1000 * seconds);
   };
 
+  // viser calls its page after itself, says that an upload has succeeded when it is sent, before it is read, and opens its folders
+  // by clicks only. Screen readers are told the verdict, whose element is replaced whenever it changes.
+  // Its sliders, boxes, and icons have no names.
+  const ICONS = [
+    [".mantine-CloseButton-root, .tabler-icon-x", "Close"],
+    [".tabler-icon-list-search, .tabler-icon-search", "Every command"],
+    [".tabler-icon-adjustments, .tabler-icon-settings", "Settings of the connection and the stage"],
+    [".tabler-icon-arrow-back", "Back"],
+  ];
+  const live = element("lpn-live", document.body);
+  live.setAttribute("role", "status");
+  const mended = new MutationObserver(() => {
+    const verdict = document.getElementById("lpn-verdict")?.textContent.replace(/\s+/g, " ").trim() || live.textContent;
+    if (live.textContent !== verdict) live.textContent = verdict;
+    for (const head of document.querySelectorAll('.mantine-Paper-root > .mantine-Paper-root[style*="cursor: pointer"]')) {
+      head.tabIndex = 0;
+      head.setAttribute("role", "button");
+      head.setAttribute("aria-expanded", !!head.querySelector(".tabler-icon-chevron-up"));
+      head.dataset.lpnFolder = "";
+    }
+    for (const control of document.querySelectorAll('#root :is([role="slider"], input:not([type="hidden"])):is(:not([aria-label]), [aria-label=""])')) {
+      let row = control.parentElement;
+      while (row && !row.querySelector("label")) row = row.parentElement;
+      if (row) control.setAttribute("aria-label", row.querySelector("label").textContent || "value");
+    }
+    for (const button of document.querySelectorAll("button:not([aria-label])"))
+      if (!button.textContent.trim()) button.setAttribute("aria-label", ICONS.find(([icon]) => button.matches(icon) || button.querySelector(icon))?.[1] || "Button");
+    if (lpn.title && document.title !== lpn.title) document.title = lpn.title;
+    for (const text of document.querySelectorAll(".mantine-Notification-description"))
+      if (text.textContent === "File uploaded successfully.") text.textContent = "Sent; it is being read.";
+  });
+  mended.observe(document.head, { childList: true, subtree: true, characterData: true });
+  mended.observe(document.body, { childList: true, subtree: true });
+
   // viser shades the panels while the connection is lost, and reconnects by itself.
   let lost = false;
   setInterval(() => {
@@ -47,11 +81,21 @@
   });
 
   document.documentElement.addEventListener("keydown", (event) => {
-    if (!["Enter", " "].includes(event.key) || !event.target.matches?.('[role="button"][onclick]')) return;
+    if (!["Enter", " "].includes(event.key) || !event.target.matches?.('[role="button"]:is([onclick], [data-lpn-folder], [data-list])')) return;
     event.preventDefault();
     event.stopPropagation();
     event.target.click();
   });
+
+  // The glossary is a dialog of viser, which only its button closes.
+  const closing = (event) => {
+    if (event.key !== "Escape") return;
+    const close = [...document.querySelectorAll(".mantine-Modal-content button")].find((one) => one.textContent.trim() === "Close");
+    if (!close) return;
+    event.stopImmediatePropagation();
+    close.click();
+  };
+  window.addEventListener("keydown", closing, true);
 
   lpn.small = matchMedia("(max-width: 1100px)");
   lpn.small.addEventListener("change", () => lpn.send("small", lpn.small.matches));
@@ -74,17 +118,32 @@
   lpn.watch = () => {
     const canvas = document.querySelector("canvas[data-engine]");
     if (canvas) stage.observe(canvas);
+    canvas?.setAttribute("role", "img");
+    canvas?.setAttribute("aria-label", "Stage: the query, the compared tile, and the ranked tiles");
     canvas?.closest('div[style*="flex-grow: 1"]')?.classList.add("lpn-stage");
     sheet.disconnect();
     const panel = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]');
     if (panel) sheet.observe(panel);
   };
-  // A part of the sheet that opens lies below its visible part: scroll to it.
-  lpn.reveal = (selector, tries = 20) => {
-    const target = document.querySelector(selector);
-    if (!phone.matches || !tries) return;
-    if (!target?.offsetHeight) return setTimeout(() => lpn.reveal(selector, tries - 1), 250);
-    setTimeout(() => target.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
+  // A part of the sheet that opens lies below its visible part: scroll to it. Its contents come later and move it, so it is
+  // followed until the person acts.
+  const ACTS = ["pointerdown", "wheel", "keydown"];
+  let following = 0;
+  const stopFollowing = () => clearInterval(following);
+  for (const act of ACTS) window.addEventListener(act, stopFollowing, { capture: true, passive: true });
+  lpn.reveal = (selector) => {
+    stopFollowing();
+    if (!phone.matches) return;
+    const end = performance.now() + 60000;
+    following = setInterval(() => {
+      const target = document.querySelector(selector);
+      if (performance.now() > end) return stopFollowing();
+      if (!target?.offsetHeight) return;
+      const top = target.getBoundingClientRect().top;
+      const sheet = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]')?.getBoundingClientRect();
+      const seen = sheet && top >= sheet.top && top < sheet.top + sheet.height / 2;
+      if (!seen) target.scrollIntoView({ block: "start", behavior: "smooth" });
+    }, 500);
   };
   // Open a tab of a window by its name, as soon as the window is in the page.
   lpn.tab = (name, tries = 40) => {

@@ -3,49 +3,53 @@
 from __future__ import annotations
 
 import logging
-import math
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, cast
+from collections.abc import Callable
+from typing import NamedTuple, cast
 
 import torch
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import printable
 from lpn.core.images import MEAN, STD, Triple
-from lpn.core.views import View
+from lpn.models import timm_networks
 from lpn.models.adapters import convnext, sdpl, transformers
+from lpn.models.adapters.denseuav import build_denseuav
 from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.network import PartBranch
+from lpn.models.adapters.named import named_vector
+from lpn.models.adapters.network import MeanVector, PartBranch
+from lpn.models.adapters.pooled import PooledTokens, RegionWeights, first_alone
+from lpn.models.adapters.published import (
+    NORM_HELD,
+    PAIR,
+    PublishedParts,
+    by_view,
+    check_option,
+    check_views,
+    count_regions,
+    equal,
+    has,
+    region_names,
+    regions_level,
+    roles_of,
+    size_of,
+)
 from lpn.models.adapters.recognise import Kind
-from lpn.models.contract import Contract, Level, Role
+from lpn.models.adapters.sues import build_sues
+from lpn.models.contract import Contract, Level
 
 log = logging.getLogger(__name__)
 
-_PAIR: tuple[View, ...] = ("satellite", "drone")
-_TRIPLE: tuple[View, ...] = ("satellite", "street", "drone")
-# Entries that the published code keeps and does not use for descriptors.
-_UNUSED = re.compile(
-    r".*(\bclassifier\.\d+\.|num_batches_tracked$)|(bn|gem\d+|model\.fc|transformer\.fc|convnext\.head)\."
-)
-_NORM_HELD = "the LayerNorm's mean and variance"
-_CONVNEXTS = {(9, 96): "ConvNeXt-T", (27, 96): "ConvNeXt-S", (27, 128): "ConvNeXt-B", (27, 192): "ConvNeXt-L"}
-
-
-@dataclass(frozen=True)
-class PublishedParts:
-    """A model as its checkpoint tells.
-
-    Attributes:
-        contract: what the model says of itself.
-        branches: by view, or by role where the contract's roles are "role".
-        length: of a descriptor that the released test code writes.
-    """
-
-    contract: Contract
-    branches: Mapping[View | Role, PartBranch]
-    length: float = 1.0
+# ResNets by the blocks of their third stage.
+RESNETS = {6: "ResNet-50", 23: "ResNet-101", 36: "ResNet-152"}
+# Methods whose option `model` is the name of a network of timm.
+_OF_TIMM = ("Sample4Geo", "Game4Loc")
+_CONVNEXTS = {
+    (9, 96): "ConvNeXt-T",
+    (27, 96): "ConvNeXt-S",
+    (27, 128): "ConvNeXt-B",
+    (27, 192): "ConvNeXt-L",
+    (27, 256): "ConvNeXt-XL",
+}
 
 
 def build(kind: Kind, entries: Entries) -> PublishedParts:
@@ -59,35 +63,37 @@ def build(kind: Kind, entries: Entries) -> PublishedParts:
 
 
 def _fsra(entries: Entries) -> PublishedParts:
-    size = _size(entries, (256, 256))
-    regions = _regions(entries.under("model_1."))
+    size = size_of(entries, (256, 256))
+    regions = count_regions(entries.under("model_1."))
 
     def branch(name: str) -> PartBranch:
         own = entries.under(name)
         trunk = transformers.Tokens(own.under("transformer."), size, wide_scale=True)
         heads = own.heads([*(f"classifier_heat{i + 1}" for i in range(regions)), "classifier1"], trunk.channels)
-        return transformers.TokenRegions(trunk, heads, token=-1)
+        count = 1 + trunk.grid[0] * trunk.grid[1]
+        weights = RegionWeights(regions, count, class_token=True, whole=-1) if regions else first_alone(count)
+        return PooledTokens(trunk, weights, heads, cells=regions > 0)
 
-    return _by_view(
+    return by_view(
         entries,
         branch,
         "FSRA",
         "ViT-S",
         size,
         names=[*region_names(regions), "class token"],
-        **_regions_level(regions),
+        **regions_level(regions),
     )
 
 
 def _mccg(entries: Entries) -> PublishedParts:
-    size = _size(entries, (256, 256), convnext.STRIDE)
+    size = size_of(entries, (256, 256), convnext.STRIDE)
     blocks = entries.under("model_1.").count_heads("classifier_mcb")
-    _check_option(entries, "block", blocks)
+    check_option(entries, "block", blocks)
     if blocks not in (1, 2):
         raise ModelFileError(
             f"{entries.name} has {blocks} heads classifier_mcb; MCCG has one for each of its 1 or 2 gates."
         )
-    if _has(entries, "model_2.") and not _equal(entries, "model_1.", "model_2."):
+    if has(entries, "model_2.") and not equal(entries, "model_1.", "model_2."):
         log.warning(
             "%s has two networks of different weights. As in the released test, which loads the second over the first, model_2 "
             "describes all views.",
@@ -103,267 +109,211 @@ def _mccg(entries: Entries) -> PublishedParts:
     def branch(name: str) -> PartBranch:
         return convnext.Mccg(entries.under(name), size, blocks)
 
-    backbone = _convnext_name(convnext.with_timm_names(entries.under("model_1.convnext.")))
-    return _by_view(
+    own = entries.under("model_1.")
+    resnet = convnext.on_resnet(own)
+    if resnet:
+        backbone = _resnet_name(own.under("convnext.model."))
+    else:
+        backbone = _convnext_name(convnext.with_timm_names(own.under("convnext.")))
+    return by_view(
         entries,
         branch,
         "MCCG",
         backbone,
         size,
         level="exact, with held",
-        held="the gates and " + _NORM_HELD,
+        held="the gates" if resnet else "the gates and " + NORM_HELD,
         names=[*("gate of columns", "gate of rows")[:blocks], "whole"],
     )
 
 
 def _sdpl(entries: Entries) -> PublishedParts:
-    size = _size(entries, (512, 512))
-    if size[0] != size[1] or size[0] % sdpl.SIDE_STEP or size[0] < sdpl.SMALLEST:
-        raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
-            f"{sdpl.SIDE_STEP} pixels from {sdpl.SMALLEST}."
-        )
-    _check_views(entries, 2)
-    names = ["model_1.", "model_2."] if _has(entries, "model_2.") else ["model_1."]
-    shared = len(names) == 1 or _equal(entries, *names)
-    first = sdpl.Sdpl(entries.under(names[0]), entries, size)
+    check_views(entries, 2)
+    names = ["model_1.", "model_2."] if has(entries, "model_2.") else ["model_1."]
+    shared = len(names) == 1 or equal(entries, *names)
+    shifted = has(entries, "model_1.shift_blocks.")
+    size = size_of(entries, (512, 512))
+    first, parts = sdpl.build_branch(entries.under(names[0]), entries, size)
     contract = Contract(
         method="SDPL",
-        title=f"SDPL ResNet-50, n = {sdpl.PARTS}, {size[0]} x {size[1]}",
-        views=_PAIR,
+        title=f"SDPL ResNet-50, n = {len(parts)}, {size[0]} x {size[1]}",
+        views=PAIR,
         input_size=size,
-        n_parts=sdpl.PARTS,
-        embedding=first.bias.shape[1],
-        level="exact, with held",
-        held="the pooled values and the weights of the shifts",
-        **_roles(shared),
-        part_names=dict.fromkeys(_PAIR, sdpl.PART_NAMES),
+        n_parts=len(parts),
+        embedding=cast(torch.Tensor, first.bias).shape[1],
+        level="exact, with held" if shifted else "exact",
+        held="pooled values and shift weights" if shifted else "",
+        **roles_of(shared),
+        part_names=dict.fromkeys(PAIR, parts),
     )
     if shared:
-        return PublishedParts(contract, dict.fromkeys(_PAIR, first))
-    return PublishedParts(contract, {"query": first, "gallery": sdpl.Sdpl(entries.under("model_2."), entries, size)})
+        return PublishedParts(contract, dict.fromkeys(PAIR, first))
+    return PublishedParts(
+        contract, {"query": first, "gallery": sdpl.build_branch(entries.under("model_2."), entries, size)[0]}
+    )
 
 
 def _sample4geo(entries: Entries) -> PublishedParts:
-    prefix = "" if _has(entries, "stem.") else "model."
-    return _vector(entries.under(prefix), "Sample4Geo")
+    return _one_vector("Sample4Geo", [entries.under("model." if has(entries, "model.") else "")])
+
+
+def _game4loc(entries: Entries) -> PublishedParts:
+    names = next((names for names in (["model."], ["model1.", "model2."]) if has(entries, names[0])), [""])
+    shared = len(names) == 1 or equal(entries, *names)
+    return _one_vector("Game4Loc", [entries.under(name) for name in names[: 1 if shared else 2]])
 
 
 def _dac(entries: Entries) -> PublishedParts:
-    return _vector(convnext.with_timm_names(entries.under("model_1.convnext.")), "DAC")
+    return _one_vector("DAC", [entries])
 
 
 def _camp(entries: Entries) -> PublishedParts:
-    return _vector(convnext.with_timm_names(entries.under("model_1.convnext.")), "CAMP")
+    return _one_vector("CAMP", [entries])
 
 
-def _vector(entries: Entries, method: str) -> PublishedParts:
-    """Build a model of one ConvNeXt for both views."""
-    size = _size(entries, (384, 384), convnext.STRIDE)
-    branch = convnext.vector(entries, size)
-    contract = _vector_contract(method, _convnext_name(entries), size, branch.norm.weight.shape[0])
-    return PublishedParts(contract, dict.fromkeys(contract.views, branch))
+def _hand_made_network(entries: Entries, resnet: bool) -> _Network:
+    """Build DAC's or CAMP's ConvNeXt, or the ResNet-101 that DAC's code takes as well."""
+    own = entries.under("model_1.convnext.")
+    if resnet and convnext.on_resnet(entries.under("model_1.")):
+        size = size_of(entries, (384, 384), convnext.STRIDE)
+        trunk = convnext.resnet(own.under("model."))
+        branch = MeanVector(trunk, None, convnext.grid_of(size), convnext.STRIDE)
+        return _Network(branch, _resnet_name(own.under("model.")), trunk.channels, size, level="exact", held="")
+    if "downsample_layers.0.0.weight" not in own.state:
+        found = next((f"{own.prefix}{key}" for key in own.state), next(iter(entries.state), "nothing"))
+        raise ModelFileError(
+            f"{entries.name} holds {found}; expected a ConvNeXt (model_1.convnext.downsample_layers.0.0.weight), as DAC and "
+            "CAMP were published with."
+        )
+    return _network_of_timm(convnext.with_timm_names(own))
 
 
-def _vector_contract(
-    method: str,
-    backbone: str,
-    size: tuple[int, int],
-    channels: int,
-    mean: Triple = MEAN,
-    std: Triple = STD,
-    shared: bool = True,
-) -> Contract:
-    return Contract(
+class _Network(NamedTuple):
+    """A network of one vector and what its entries tell."""
+
+    branch: PartBranch
+    name: str
+    width: int
+    size: tuple[int, int]
+    mean: Triple = MEAN
+    std: Triple = STD
+    level: Level = "exact, with held"
+    held: str = NORM_HELD
+    tells_normalisation: bool = True
+
+
+def _one_vector(method: str, networks: list[Entries]) -> PublishedParts:
+    """Build a model of one network of timm for both views, or of one for queries and one for the gallery."""
+    if method in _OF_TIMM:
+        made = [_network_of_timm(entries) for entries in networks]
+    else:
+        made = [_hand_made_network(entries, method == "DAC") for entries in networks]
+    own = made[0]
+    mean, std = own.mean, own.std
+    stated = networks[0].options.get("model")
+    if isinstance(stated, str) and method in _OF_TIMM:
+        mean, std = timm_networks.normalisation(stated)
+    elif not own.tells_normalisation:
+        log.warning(
+            "%s does not tell which network of timm it holds; pictures are normalised with the mean %s and the standard "
+            "deviation %s. If its network takes others, write its name as `model: NAME` into an opts.yaml beside the file.",
+            printable(networks[0].name),
+            mean,
+            std,
+        )
+    contract = Contract(
         method=method,
-        title=f"{method} {backbone}, {size[0]} x {size[1]}",
-        views=_PAIR,
-        input_size=size,
+        title=f"{method} {own.name}, {own.size[0]} x {own.size[1]}",
+        views=PAIR,
+        input_size=own.size,
         n_parts=1,
-        embedding=channels,
-        level="exact, with held",
-        held=_NORM_HELD,
-        **_roles(shared),
+        embedding=own.width,
+        level=own.level,
+        held=own.held,
+        **roles_of(len(made) == 1),
         resize="linear",
         mean=mean,
         std=std,
         mirror="none",
-        part_names=dict.fromkeys(_PAIR, ("1 whole",)),
+        part_names=dict.fromkeys(PAIR, ("1 whole",)),
     )
+    if len(made) == 1:
+        return PublishedParts(contract, dict.fromkeys(PAIR, own.branch))
+    return PublishedParts(contract, {"query": own.branch, "gallery": made[1].branch})
 
 
-def _game4loc(entries: Entries) -> PublishedParts:
-    names = ["model."] if _has(entries, "model.") else ["model1.", "model2."]
-    if not _has(entries, names[0]) and _has(entries, "blocks."):
-        names = [""]
-    size = _size(entries, (384, 384), 16)
-    shared = len(names) == 1 or _equal(entries, *names)
-    made = [transformers.rotary_vector(entries.under(name), size) for name in names[: 1 if shared else 2]]
-    branch, configuration = made[0]
-    width = branch.norm.weight.shape[0]
-    contract = _vector_contract(
-        "Game4Loc",
-        {512: "ViT-M", 640: "ViT-Betwixt", 768: "ViT-B"}[width] + " with rotary positions",
-        size,
-        width,
-        cast(Triple, tuple(configuration["mean"])),
-        cast(Triple, tuple(configuration["std"])),
-        shared,
-    )
-    if shared:
-        return PublishedParts(contract, dict.fromkeys(_PAIR, branch))
-    return PublishedParts(contract, {"query": branch, "gallery": made[1][0]})
-
-
-def _denseuav(entries: Entries) -> PublishedParts:
-    own = entries.under("backbone.backbone.")
-    if "patch_embed.proj.weight" not in own.state or "cls_token" not in own.state or "dist_token" in own.state:
-        raise ModelFileError(
-            f"{entries.name} is DenseUAV's, of a backbone that is no plain vision transformer (found "
-            f"{', '.join(list(own.state)[:2]) or 'nothing'}); expected one of ViTS-224, ViTS-384, and ViTB-224."
-        )
-    patch = own.shape("patch_embed.proj.weight", 4)[2]
-    side = math.isqrt(own.shape("pos_embed", 3)[1] - 1) * patch
-    size = _size(entries, (side, side), patch)
-    trunk = transformers.Tokens(own, size)
-    head = entries.under("head.head.")
-    backbone = {384: "ViT-S", 768: "ViT-B"}.get(trunk.channels, "ViT")
-    names = ["whole"]
-    branch: PartBranch
-    level: dict[str, Any]
-    if "classifier1.add_block.0.weight" in head.state:
-        regions = _regions(head)
-        heads = head.heads(["classifier1", *(f"classifier_heat{i + 1}" for i in range(regions))], trunk.channels)
-        branch, level = transformers.TokenRegions(trunk, heads, token=0), _regions_level(regions)
-        names = ["class token", *region_names(regions)]
-    else:
-        pool = entries.options.get("head_pool", "avg")
-        if pool not in transformers.TOKEN_POOLS:
-            raise ModelFileError(
-                f"The opts.yaml beside {entries.name} says head_pool: {pool}; expected one of "
-                f"{', '.join(transformers.TOKEN_POOLS)}."
-            )
-        branch = transformers.PooledTokens(trunk, head.heads(["classifier"], trunk.channels), pool)
-        level = (
-            {"level": "exact"} if pool == "avg" else {"level": "exact, with held", "held": "the cells of the maxima"}
-        )
-        level = {"level": "one vector"} if pool == "global" else level
-    made = _by_view(entries, lambda _: branch, "DenseUAV", backbone, size, names=names, **level)
-    # The released code divides k + 1 parts by sqrt(k).
-    parts = made.contract.n_parts
-    return replace(made, length=math.sqrt(parts / (parts - 1))) if parts > 1 else made
-
-
-def _by_view(
-    entries: Entries,
-    branch: Callable[[str], PartBranch],
-    method: str,
-    backbone: str,
-    size: tuple[int, int],
-    names: list[str],
-    level: Level,
-    held: str = "",
-) -> PublishedParts:
-    """Build a model whose satellite and drone share `model_1`; `model_2`, where there is one, describes the street."""
-    three = _has(entries, "model_2.")
-    _check_views(entries, 3 if three else 2)
-    shared = not three or _equal(entries, "model_1.", "model_2.")
-    first = branch("model_1.")
-    numbered = tuple(f"{number + 1} {name}" for number, name in enumerate(names))
-    branches: dict[View | Role, PartBranch] = dict.fromkeys(_TRIPLE if three else _PAIR, first)
-    if not shared:
-        branches["street"] = branch("model_2.")
-    bias = cast(torch.Tensor, first.bias)
-    parts, embedding = bias.shape
-    views = _TRIPLE if three else _PAIR
-    return PublishedParts(
-        Contract(
-            method=method,
-            title=f"{method} {backbone}, n = {parts}, {size[0]} x {size[1]}",
-            views=views,
-            input_size=size,
-            n_parts=parts,
-            embedding=embedding,
-            level=level,
-            held=held,
-            groups=(views,) if shared else (_PAIR, ("street",)),
-            part_names=dict.fromkeys(views, numbered),
-        ),
-        branches,
-    )
-
-
-def _regions(entries: Entries) -> int:
-    """Return the number of regions by the heads beside that of the class token.
-
-    With one block the released code describes by the class token alone, so its region's head may be there or not.
-    """
-    count = entries.count_heads("classifier_heat")
-    if count or entries.options.get("block") != 1:
-        _check_option(entries, "block", count)
-    return count if count > 1 else 0
-
-
-def region_names(count: int) -> list[str]:
-    """Return a short name for each region of tokens, in the order of falling heat."""
-    middle = ["region"] * max(count - 2, 0)
-    return ["hottest", *middle, "coolest"][:count]
-
-
-def _regions_level(regions: int) -> dict[str, Any]:
-    return {"level": "exact, with held", "held": "the regions of each picture"} if regions else {"level": "one vector"}
-
-
-def _roles(shared: bool) -> dict[str, Any]:
-    """Return roles and groups of a contract; a branch for each role is a group for the view of that role outside of a task."""
-    return {} if shared else {"roles": "role", "groups": (("satellite",), ("drone",))}
-
-
-def _has(entries: Entries, prefix: str) -> bool:
-    return any(key.startswith(prefix) for key in entries.state)
-
-
-def _equal(entries: Entries, first: str, second: str) -> bool:
-    """Return whether two branches describe alike."""
-    one, other = (entries.under(prefix).state for prefix in (first, second))
-    return all(key in other and torch.equal(value, other[key]) for key, value in one.items() if not _UNUSED.match(key))
-
-
-def _size(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[int, int]:
-    """Return the input size of the options, by default that of the released script.
+def _network_of_timm(entries: Entries) -> _Network:
+    """Build a ConvNeXt, a vision transformer with rotary positions, a plain one, or any network of timm that the options name.
 
     Raises:
-        ModelFileError: if it is no multiple of `step`, or huge.
+        ModelFileError: if the entries are of another network, and the options do not name it.
     """
-    size = (int(entries.options.get("h", default[0])), int(entries.options.get("w", default[1])))
-    if any(side % step or side > 4096 for side in size):
+    if "stages.0.blocks.0.conv_dw.weight" in entries.state:
+        size = size_of(entries, (384, 384), convnext.STRIDE)
+        convolutional, width = convnext.vector(entries, size), entries.shape("head.norm.weight", 1)[0]
+        return _Network(convolutional, _convnext_name(entries), width, size)
+    rotary_tokens = {"reg_token", "blocks.0.attn.q_bias", "patch_embed.proj.weight"} <= entries.state.keys()
+    foreign = transformers.foreign_entry(entries)
+    if not (rotary_tokens and "pos_embed" not in entries.state) and foreign is not None:
+        return _named_network(entries, foreign)
+    width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
+    if "pos_embed" not in entries.state:
+        size = size_of(entries, (384, 384), patch)
+        rotary, given = transformers.rotary_vector(entries, size)
+        name = {512: "ViT-M", 640: "ViT-Betwixt", 768: "ViT-B"}[width] + " with rotary positions"
+        mean, std = (cast(Triple, tuple(given[key])) for key in ("mean", "std"))
+        return _Network(rotary, name, width, size, mean, std)
+    size = size_of(entries, transformers.trained_side(entries), patch)
+    branch = transformers.vector(entries, size)
+    network = _Network(
+        branch, f"{transformers.NAMES.get(width, 'ViT')}/{patch}", width, size, tells_normalisation=False
+    )
+    # DINOv2 and DeiT III have a scale for each layer and ImageNet's values; most others of timm have 0.5.
+    if "cls_token" not in entries.state or "blocks.0.ls1.gamma" not in entries.state:
+        network = network._replace(mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
+    if isinstance(branch, transformers.ClassToken):
+        return network._replace(level="one vector", held="")
+    return network if branch.norm is not None else network._replace(level="exact", held="")
+
+
+def _named_network(entries: Entries, foreign: str) -> _Network:
+    """Build the network of timm that the option `model` names.
+
+    Args:
+        foreign: an entry by which the network is not one of those that are read without a name, for the message.
+    """
+    stated = entries.options.get("model")
+    if not isinstance(stated, str):
         raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; expected multiples of {step} up to 4096."
+            f"{entries.name} holds {entries.prefix}{foreign}, which is of neither a ConvNeXt nor a plain vision transformer; "
+            "write its network's name in timm as `model: NAME`, such as swin_base_patch4_window7_224, into an opts.yaml beside "
+            "the file."
         )
-    return size
+    name = timm_networks.base_name(stated)
+    default = (384, 384)
+    if {"pos_embed", "patch_embed.proj.weight"} <= entries.state.keys():
+        default = transformers.trained_side(entries)
+    elif timm_networks.has_fixed_size(name):
+        default = timm_networks.trained_size(name)
+    size = size_of(entries, default)
+    branch = named_vector(name, entries, size)
+    with torch.inference_mode():
+        width = branch.eval()(torch.zeros(1, 3, *size)).shape[2]
+    network = _Network(branch, name, width, size)
+    if not isinstance(branch, MeanVector):
+        return network._replace(level="one vector", held="")
+    return network if branch.norm is not None else network._replace(level="exact", held="")
 
 
-def _check_views(entries: Entries, found: int) -> None:
-    said = entries.options.get("views", found)
-    if said != found:
-        raise ModelFileError(
-            f"{entries.name} describes {found} views by the networks that it holds, but the opts.yaml beside it says "
-            f"views: {said}; correct or remove it."
-        )
-
-
-def _check_option(entries: Entries, option: str, found: int) -> None:
-    said = entries.options.get(option, found)
-    if said != found:
-        raise ModelFileError(
-            f"{entries.name} has {found} of these heads, but the opts.yaml beside it says {option}: {said}; correct or remove it."
-        )
+def _resnet_name(entries: Entries) -> str:
+    return RESNETS.get(convnext.resnet_depths(entries)[2], "ResNet")
 
 
 def _convnext_name(entries: Entries) -> str:
     depth = entries.count("stages.2.blocks.{}.conv_dw.weight")
     width = entries.shape("stages.0.blocks.0.conv_dw.weight", 4)[0]
-    return _CONVNEXTS.get((depth, width), "ConvNeXt")
+    name = _CONVNEXTS.get((depth, width), "ConvNeXt")
+    return name.replace("ConvNeXt", "ConvNeXt V2") if convnext.is_second(entries) else name
 
 
 _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
@@ -374,5 +324,6 @@ _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "dac": _dac,
     "camp": _camp,
     "game4loc": _game4loc,
-    "denseuav": _denseuav,
+    "denseuav": build_denseuav,
+    "sues200": build_sues,
 }

@@ -7,9 +7,10 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from lpn.models.adapters import timm_networks
+from lpn.models import timm_networks
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, HeldNorm, MeanVector, PartBranch, by_heads
+from lpn.models.backbones import Bottleneck, ResNet
 
 # The names of the original implementation by those of timm.
 _TIMM_NAMES = {
@@ -30,14 +31,22 @@ def with_timm_names(entries: Entries) -> Entries:
     return entries.renamed(_TIMM_NAMES)
 
 
+def is_second(entries: Entries) -> bool:
+    """Return whether entries of timm's names are of a ConvNeXt V2."""
+    return "stages.0.blocks.0.mlp.grn.weight" in entries.state
+
+
 class Trunk(nn.Module):
-    """A ConvNeXt up to its map: (B, 3, H, W) -> (B, C, H/32, W/32)."""
+    """A ConvNeXt, also V2, up to its map: (B, 3, H, W) -> (B, C, H/32, W/32)."""
 
     def __init__(self, entries: Entries) -> None:
         super().__init__()
         depths = tuple(max(entries.count(f"stages.{stage}.blocks.{{}}.conv_dw.weight"), 1) for stage in range(4))
         widths = tuple(entries.shape(f"stages.{stage}.blocks.0.conv_dw.weight", 4)[0] for stage in range(4))
-        self.network = timm_networks.convnext(depths, widths)
+        # The smallest networks have convolutions of one pixel in place of linear layers.
+        first = entries.state.get("stages.0.blocks.0.mlp.fc1.weight")
+        convolutional = first is not None and first.ndim == 4
+        self.network = timm_networks.convnext(depths, widths, is_second(entries), convolutional)
         entries.fill(self.network)
         self.channels = widths[-1]
 
@@ -74,8 +83,28 @@ class Gate(nn.Module):
         return torch.sigmoid(self.bn(self.conv(torch.stack([strongest, mean], 1))))[:, 0]
 
 
+def on_resnet(entries: Entries) -> bool:
+    """Return whether a branch of MCCG has a ResNet under `convnext.model`."""
+    return "convnext.model.conv1.weight" in entries.state
+
+
+def resnet_depths(entries: Entries) -> list[int]:
+    """Return the number of blocks in each stage of a ResNet of torchvision's names."""
+    return [max(entries.count(f"layer{stage}.{{}}.conv1.weight"), 1) for stage in range(1, 5)]
+
+
+def resnet(entries: Entries) -> ResNet:
+    """Build the ResNet of MCCG and DAC up to its map, from entries of torchvision's names."""
+    with torch.device("meta"):
+        network = ResNet(Bottleneck, resnet_depths(entries), "layer4", last_stride=2)
+    entries.fill(network)
+    return network
+
+
 class Mccg(PartBranch):
     """MCCG: the means of the map under one or two gates, and the LayerNorm of its plain mean, a head each.
+
+    On a ResNet-101 the plain mean has no LayerNorm.
 
     The first gate has a value for each channel and column, the second for each row and channel.
 
@@ -85,13 +114,21 @@ class Mccg(PartBranch):
     """
 
     def __init__(self, entries: Entries, size: tuple[int, int], blocks: int) -> None:
-        trunk = Trunk(with_timm_names(entries.under("convnext.")))
+        trunk, norm = self._trunk(entries)
         names = [*(f"classifier_mcb{number + 1}" for number in range(blocks)), "classifier1"]
         weight, bias = entries.heads(names, trunk.channels)
         super().__init__(grid_of(size), weight)
-        self.trunk, self.norm, self.bias = trunk, trunk.norm(), nn.Buffer(bias)
+        self.trunk, self.norm, self.bias = trunk, norm, nn.Buffer(bias)
         gates = entries.under("tri_layer.")
         self.gates = nn.ModuleList([Gate(gates.under(f"{name}.conv.")) for name in ("cw", "hc")[:blocks]])
+
+    @staticmethod
+    def _trunk(entries: Entries) -> tuple[Trunk | ResNet, HeldNorm | None]:
+        """Return the network up to its map, and the norm of its mean; a ResNet-101 has none."""
+        if on_resnet(entries):
+            return resnet(entries.under("convnext.model.")), None
+        trunk = Trunk(with_timm_names(entries.under("convnext.")))
+        return trunk, trunk.norm()
 
     def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
         """Check that both sides are multiples of a cell's."""
@@ -110,18 +147,22 @@ class Mccg(PartBranch):
     def forward(self, images: Tensor) -> Tensor:
         """Return the raw parts of pictures: (B, 3, H, W) -> (B, n, D)."""
         features = self.trunk(images)
-        pooled = [gated.mean((2, 3)) for gated in self.gated(features)] + [self.norm(features.mean((2, 3)))]
+        whole = features.mean((2, 3))
+        pooled = [gated.mean((2, 3)) for gated in self.gated(features)]
+        pooled.append(whole if self.norm is None else self.norm(whole))
         return by_heads(torch.stack(pooled, 1), cast(Tensor, self.weight), self.bias)
 
     def account(self, images: Tensor) -> Account:
         """Return the parts and their account, with the gates and the norm's mean and variance held."""
         features = self.trunk(images)
-        scale, offset = self.norm.affine(features.mean((2, 3)))
-        maps = torch.stack([*self.gated(features), features * scale[:, :, None, None]], 1)
-        batch, parts, _, height, width = maps.shape
         weight = cast(Tensor, self.weight)
-        constants = self.bias.expand(batch, -1, -1).clone()
-        constants[:, -1] += offset @ weight[-1].T
+        constants, whole = self.bias.expand(len(features), -1, -1).clone(), features
+        if self.norm is not None:
+            scale, offset = self.norm.affine(features.mean((2, 3)))
+            whole = features * scale[:, :, None, None]
+            constants[:, -1] += offset @ weight[-1].T
+        maps = torch.stack([*self.gated(features), whole], 1)
+        batch, parts, _, height, width = maps.shape
         pooled = maps.mean((3, 4))
         return Account(
             torch.matmul(weight, pooled.unsqueeze(3)).squeeze(3) + constants,

@@ -119,15 +119,23 @@ class Entries:
         Raises:
             ModelFileError: as for `tensor`.
         """
-        size = self.shape(f"{prefix}.add_block.0.weight", 2)[0]
-        weight = self.tensor(f"{prefix}.add_block.0.weight", (size, channels))
-        bias = self.tensor(f"{prefix}.add_block.0.bias", (size,))
+        weight, bias = self.linear(f"{prefix}.add_block.0", channels)
+        size = len(bias)
         gamma, beta, mean, variance = (
             self.tensor(f"{prefix}.add_block.1.{key}", (size,))
             for key in ("weight", "bias", "running_mean", "running_var")
         )
         scale = gamma / torch.sqrt(variance + _EPSILON)
         return scale[:, None] * weight, scale * (bias - mean) + beta
+
+    def linear(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
+        """Return a head that is one linear layer: A (D, C) and c (D,).
+
+        Raises:
+            ModelFileError: as for `tensor`.
+        """
+        size = self.shape(f"{prefix}.weight", 2)[0]
+        return self.tensor(f"{prefix}.weight", (size, channels)), self.tensor(f"{prefix}.bias", (size,))
 
     def heads(self, prefixes: list[str], channels: int) -> tuple[Tensor, Tensor]:
         """Return the heads of several parts: A (n, D, C) and c (n, D).

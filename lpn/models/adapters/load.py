@@ -6,15 +6,36 @@ from pathlib import Path
 
 import torch
 
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import fingerprint
 from lpn.models.adapters.build import build
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.model import PublishedModel
-from lpn.models.adapters.recognise import Kind, check_kind, recognise
+from lpn.models.adapters.recognise import Kind, check_kind, title_of_other, unwrapped, unwrapped_as
 from lpn.models.base import Model
-from lpn.models.checkpoints import from_state, read_state
-from lpn.models.published_checkpoints import read_options
+from lpn.models.checkpoints import from_state, is_own, load_torch, read_state
+from lpn.models.published_checkpoints import State, read_options
+
+
+def load_file(
+    path: str | Path, device: torch.device | str = "cpu", compiled: bool = False, kind: Kind | None = None
+) -> Model:
+    """Open one of our `.safetensors`, or a published state dict in a PyTorch or `.safetensors` file.
+
+    Args:
+        compiled: run an LPN by torch.compile, see `TorchModel`.
+        kind: see `load_published`.
+
+    Raises:
+        ModelFileError: as for `load_published`.
+        InputError: as for `load_published`, and if a kind is given for a file of ours.
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors" or not is_own(path):
+        return load_published(path, device, compiled, kind)
+    if kind is not None:
+        raise InputError(f"{path.name} tells its kind itself; leave --kind out.")
+    return load_torch(path, device, compiled)
 
 
 def load_published(
@@ -33,8 +54,26 @@ def load_published(
     path = Path(path)
     named = None if kind is None else check_kind(kind)
     state = read_state(path)
-    kind = recognise(state, path.name) if named is None else named
+    if named is None:
+        kind, state = unwrapped(state, path.name)
+    else:
+        kind, state = named, unwrapped_as(named, state)
+    try:
+        return _built(kind, state, path, device, compiled, named is None)
+    except ModelFileError as error:
+        own = None if named is None else title_of_other(named, state)
+        if own is None:
+            raise
+        raise ModelFileError(
+            f"{str(error).removesuffix('.')}; by its entries it is a checkpoint of {own}, so leave --kind out."
+        ) from error
+
+
+def _built(kind: Kind, state: State, path: Path, device: torch.device | str, compiled: bool, recognised: bool) -> Model:
     options = read_options(path.with_name("opts.yaml"))
+    if kind == "lpn" and recognised and "dense_LPN" in options:
+        # SDPL's code trains baselines whose entries are those of an LPN of two branches, and only this option tells them.
+        kind = "sdpl"
     if kind == "lpn":
         return from_state(state, options, path, device, compiled)
     if compiled:

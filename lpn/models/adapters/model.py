@@ -11,8 +11,8 @@ from torch import Tensor
 
 from lpn.core.arrays import Float32Array
 from lpn.core.views import View
-from lpn.models.adapters.build import PublishedParts
 from lpn.models.adapters.network import Account, PartBranch
+from lpn.models.adapters.published import PublishedParts
 from lpn.models.base import Model
 from lpn.models.checkpoints import exact_inference
 from lpn.models.contract import ForwardPass, Heads, Role
@@ -69,8 +69,8 @@ class PublishedModel(Model):
     def released_descriptors(self, images: Any, view: View) -> Float32Array:
         """Return the rows that the released test code writes: (B, D n), the part index fastest.
 
-        They are `descriptors` in that order, except for DenseUAV with the head FSRA, whose rows have the length
-        sqrt((k + 1) / k) for its k regions.
+        They are `descriptors` in that order, except for DenseUAV with the heads FSRA and LPN, whose rows have the length
+        sqrt((k + 1) / k) for k regions or rings beside the class token.
 
         Raises:
             InputError, ModelFileError: as for `descriptors`.

@@ -1,4 +1,4 @@
-"""What the networks of all adapters share: one branch from pictures to parts, and the account of its parts."""
+"""The common base of the adapters' networks: one branch from pictures to parts, and the equations of its parts."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class PartBranch(nn.Module):
         Raises:
             InputError: if it does not.
         """
-        self._check_size(size, trained, size == trained, "pictures of that size, as its positions are fixed")
+        self._check_size(size, trained, size == trained, "pictures of that size alone")
 
     @staticmethod
     def _check_size(size: tuple[int, int], trained: tuple[int, int], fits: bool, wanted: str) -> None:
@@ -85,29 +85,41 @@ class HeldNorm(nn.Module):
 
 
 class MeanVector(PartBranch):
-    """One vector, the LayerNorm of the mean over the cells of a map, without a head.
+    """One vector without a head: the mean over the cells of a map, as it is or under a LayerNorm.
 
     Args:
         trunk: gives a map (B, C, h, w).
+        norm: of the mean; None for none.
         step: pixels along a side of one cell.
+        fixed: whether pictures must have the size that the network was trained with.
     """
 
-    def __init__(self, trunk: nn.Module, norm: HeldNorm, grid: tuple[int, int], step: int) -> None:
+    def __init__(
+        self, trunk: nn.Module, norm: HeldNorm | None, grid: tuple[int, int], step: int, fixed: bool = False
+    ) -> None:
         super().__init__(grid)
-        self.trunk, self.norm, self.step = trunk, norm, step
+        self.trunk, self.norm, self.step, self.fixed = trunk, norm, step, fixed
 
     def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
-        """Check that both sides are multiples of a cell's."""
-        self._check_size(size, trained, not any(side % self.step for side in size), f"multiples of {self.step} pixels")
+        """Check that both sides are multiples of a cell's, or those of the size that the network was trained with."""
+        if self.fixed:
+            super().check_size(size, trained)
+        else:
+            self._check_size(
+                size, trained, not any(side % self.step for side in size), f"multiples of {self.step} pixels"
+            )
 
     def forward(self, images: Tensor) -> Tensor:
         """Return the raw vector of pictures: (B, 3, H, W) -> (B, 1, C)."""
-        return cast(Tensor, self.norm(self.trunk(images).mean((2, 3)))).unsqueeze(1)
+        pooled = self.trunk(images).mean((2, 3))
+        return cast(Tensor, pooled if self.norm is None else self.norm(pooled)).unsqueeze(1)
 
     def account(self, images: Tensor) -> Account:
         """Return the vector and its account, with the norm's mean and variance held."""
         features = self.trunk(images)
         pooled = features.mean((2, 3))
+        if self.norm is None:
+            return Account(pooled.unsqueeze(1), features, whole_mean(features), torch.zeros_like(pooled).unsqueeze(1))
         scale, offset = self.norm.affine(pooled)
         return Account(
             self.norm(pooled).unsqueeze(1),

@@ -1,16 +1,19 @@
-"""Which published model a state dict is of, by the names of its entries."""
+"""Recognise the published model of a state dict by the names of its entries."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 
-Kind = Literal["lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "game4loc", "denseuav"]
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Kind = Literal["lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "game4loc", "denseuav", "sues200"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 _SHOWN = 4
 
@@ -32,21 +35,75 @@ class Signature:
 
 _HEAD = r"add_block\."
 # In this order: the first that fits is the model.
-SIGNATURES: dict[Kind, Signature] = {
-    "fsra": Signature("FSRA", (r"model_1\.transformer\.blocks\.", rf"model_1\.classifier1\.{_HEAD}")),
-    "sdpl": Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}")),
-    "camp": Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$")),
-    "dac": Signature("DAC", (r"model_1\.convnext\.", r"model_1\.proj\.mlp\.0\.weight$")),
-    "mccg": Signature(
-        "MCCG",
-        (r"model_1\.convnext\.", r"model_1\.tri_layer\.cw\.", rf"model_1\.classifier_mcb1\.{_HEAD}"),
-        (r"logit_scale$",),
+SIGNATURES: tuple[tuple[Kind, Signature], ...] = (
+    ("fsra", Signature("FSRA", (r"model_1\.transformer\.blocks\.", rf"model_1\.classifier1\.{_HEAD}"))),
+    ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}"))),
+    ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.gem\d\.p$", rf"classifier\d\.{_HEAD}"))),
+    ("camp", Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$"))),
+    ("dac", Signature("DAC", (r"model_1\.convnext\.", r"model_1\.proj\.mlp\.0\.weight$"))),
+    (
+        "mccg",
+        Signature(
+            "MCCG",
+            (r"model_1\.convnext\.", r"model_1\.tri_layer\.cw\.", rf"model_1\.classifier_mcb1\.{_HEAD}"),
+            (r"logit_scale$",),
+        ),
     ),
-    "game4loc": Signature("Game4Loc", (r"model[12]?\.blocks\.", r"model[12]?\.reg_token$", r"model[12]?\.fc_norm\.")),
-    "sample4geo": Signature("Sample4Geo", (r"model\.stem\.0\.weight$", r"model\.head\.norm\.")),
-    "denseuav": Signature("DenseUAV", (r"backbone\.backbone\.", r"head\.head\.")),
-    "lpn": Signature("LPN", (r"model_1\.model\.", rf"classifier\d*\.{_HEAD}"), (r"model_\d\.shift_blocks\.",)),
-}
+    (
+        "game4loc",
+        Signature(
+            "Game4Loc",
+            (r"model[12]?\.blocks\.", r"model[12]?\.reg_token$", r"model[12]?\.fc_norm\."),
+            (r"model\.(pos_embed$|blocks\.0\.attn\.qkv\.bias$)",),
+        ),
+    ),
+    ("game4loc", Signature("Game4Loc", (r"model1\.", r"model2\.", r"logit_scale$"))),
+    ("sample4geo", Signature("Sample4Geo", (r"model\.stem\.0\.weight$", r"model\.head\.norm\."))),
+    ("sample4geo", Signature("Sample4Geo", (r"model\.", r"logit_scale$"))),
+    ("denseuav", Signature("DenseUAV", (r"backbone\.backbone\.", r"head\.head\."))),
+    (
+        "sues200",
+        Signature(
+            "SUES-200",
+            (r"model_1\.", r"model_2\.", rf"classifier\d?\.{_HEAD}0\."),
+            (rf"classifier\d?\.{_HEAD}1\.", r"model_\d\.(transformer|convnext|shift_blocks)\."),
+        ),
+    ),
+    ("lpn", Signature("LPN", (r"model_1\.model\.", rf"classifier\d*\.{_HEAD}1\."), (r"model_\d\.shift_blocks\.",))),
+)
+# Prefixes of all names after training with DataParallel, torch.compile, or a class that holds the network as `model` or `net`.
+_WRAPPERS = ("module.", "_orig_mod.", "model.", "net.", "network.")
+
+
+def unwrapped(state: Mapping[str, Tensor], name: str) -> tuple[Kind, dict[str, Tensor]]:
+    """Return the kind of a state dict, and its entries without a prefix that training put before all names.
+
+    Raises:
+        ModelFileError: as for `recognise`.
+    """
+    found, inner = dict(state), dict(state)
+    while True:
+        if (kind := _kind(inner)) is not None:
+            return kind, inner
+        prefix = _wrapper(inner)
+        if prefix is None:
+            return recognise(found, name), found
+        inner = {key.removeprefix(prefix): value for key, value in inner.items()}
+
+
+def unwrapped_as(kind: Kind, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return the entries of a state dict of a named kind without a prefix that training put before all names.
+
+    Prefixes are left out until some name begins as the kind's do. Where none does, as in a bare network, all prefixes are.
+    """
+    begins = [signature.all_of[0] for named, signature in SIGNATURES if named == kind]
+    inner = dict(state)
+    while not any(_matched(pattern, inner) for pattern in begins):
+        prefix = _wrapper(inner)
+        if prefix is None:
+            break
+        inner = {key.removeprefix(prefix): value for key, value in inner.items()}
+    return inner
 
 
 def recognise(keys: Collection[str], name: str) -> Kind:
@@ -55,30 +112,43 @@ def recognise(keys: Collection[str], name: str) -> Kind:
     Raises:
         ModelFileError: if it is none of the known ones, with the names found and the nearest kind; or if its names fit two kinds.
     """
-    shares = {kind: _share(signature, keys) for kind, signature in SIGNATURES.items()}
-    for kind, share in shares.items():
-        if share == 1:
-            return kind
-    convnext = [key for key in keys if key.startswith("model_1.convnext.")]
+    if (kind := _kind(keys)) is not None:
+        return kind
+    convnext = [key for key in keys if "model_1.convnext." in key]
     if convnext and not any("tri_layer" in key for key in keys):
         raise ModelFileError(
             f"{name} holds a ConvNeXt under model_1.convnext and nothing that tells DAC from CAMP; say which with --kind dac or "
-            "--kind camp."
+            "--kind camp, of a second model with --beside-kind."
         )
     # A file of another branch alone is nearest to its own method, too.
     alike = [re.sub(r"^model_\d\.", "model_1.", key) for key in keys]
-    shares = {kind: _share(signature, alike) for kind, signature in SIGNATURES.items()}
-    nearest = max(shares, key=lambda kind: shares[kind])
+    _, nearest = max(SIGNATURES, key=lambda pair: _share(pair[1], alike))
     found = ", ".join(printable(key)[:80] for key in list(keys)[:_SHOWN]) or "nothing"
     more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
     near = "none of the known models has such names"
-    if shares[nearest] > 0:
-        lacking = [pattern for pattern in SIGNATURES[nearest].all_of if not _matched(pattern, keys)]
-        near = f"the nearest is {SIGNATURES[nearest].title}, for which it lacks {', '.join(_plain(p) for p in lacking)}"
+    if _share(nearest, alike) > 0:
+        lacking = [pattern for pattern in nearest.all_of if not _matched(pattern, keys)]
+        near = f"the nearest is {nearest.title}, for which it lacks {', '.join(_plain(p) for p in lacking)}"
     raise ModelFileError(
         f"{name} is not a checkpoint of a known model: it holds {found}{more}; {near}. If it is one under other names, "
         f"name it with --kind ({', '.join(KINDS)})."
     )
+
+
+def _wrapper(keys: Collection[str]) -> str | None:
+    """Return the prefix of training that all names begin with; None without one."""
+    return next((prefix for prefix in _WRAPPERS if keys and all(key.startswith(prefix) for key in keys)), None)
+
+
+def _kind(keys: Collection[str]) -> Kind | None:
+    """Return the first kind of which a signature fits; None if none does."""
+    return next((kind for kind, signature in SIGNATURES if _share(signature, keys) == 1), None)
+
+
+def title_of_other(kind: Kind, keys: Collection[str]) -> str | None:
+    """Return the title of the method by whose signature names fit; None if it is `kind`, or if there is none."""
+    own = next(((found, signature) for found, signature in SIGNATURES if _share(signature, keys) == 1), None)
+    return None if own is None or own[0] == kind else own[1].title
 
 
 def check_kind(kind: str) -> Kind:

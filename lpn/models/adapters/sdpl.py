@@ -9,9 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from lpn.core.arrays import Int64Array
+from lpn.core.errors import ModelFileError
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
-from lpn.models.backbones import build_backbone
+from lpn.models.adapters.pooled import FixedWeights, MapCells, PooledTokens
+from lpn.models.backbones import Bottleneck, ResNet
+from lpn.models.partition import Partition
 
 SHIFTS = (-2, 0, 2)
 PARTS = 10
@@ -33,6 +36,7 @@ STRIDE = 16
 SIDE_STEP, SMALLEST = 128, 256
 # The smallest value that the generalised mean of exponent 3 takes in.
 _FLOOR = 1e-6
+DEPTHS = [3, 4, 6, 3]
 _HIDDEN = ("0", "4", "6", "8")
 
 
@@ -89,6 +93,41 @@ def planes(side: int) -> list[list[ShiftedPlane]]:
     return found
 
 
+def build_branch(entries: Entries, heads: Entries, size: tuple[int, int]) -> tuple[PartBranch, tuple[str, ...]]:
+    """Build a branch of SDPL, or of the two baselines of its code, and return it with the names of its parts.
+
+    The baselines have no shifts: LPN's rings, divided by their own areas, or the whole map of a ResNet-50 whose last stage has
+    stride 2.
+
+    Args:
+        entries: of the branch, such as those under `model_1.`.
+        heads: the entries of the whole checkpoint.
+
+    Raises:
+        ModelFileError: if entries are missing or have wrong shapes, or SDPL takes no pictures of that size.
+    """
+    if "shift_blocks.0.weight" in entries.state:
+        if size[0] != size[1] or size[0] % SIDE_STEP or size[0] < SMALLEST:
+            raise ModelFileError(
+                f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "
+                f"{SIDE_STEP} pixels from {SMALLEST}."
+            )
+        return Sdpl(entries, heads, size), PART_NAMES
+    rings = heads.count("classifier{}.add_block.0.weight")
+    names = [f"classifier{ring}" for ring in range(rings)] if rings else ["classifier"]
+    partition = Partition("rings", rings, "area") if rings else Partition("whole", 1)
+    stride = 1 if rings else 2
+    with torch.device("meta"):
+        trunk = ResNet(Bottleneck, DEPTHS, "layer4", last_stride=stride)
+    entries.under("model.").fill(trunk)
+    step = STRIDE * stride
+    # Convolutions of stride 2 round sides up.
+    grid = -(-size[0] // step), -(-size[1] // step)
+    weights = FixedWeights(torch.from_numpy(partition.weights(*grid)).flatten(1))
+    branch = PooledTokens(MapCells(trunk, grid, trunk.channels), weights, heads.heads(names, trunk.channels))
+    return branch, tuple(partition.names())
+
+
 class Sdpl(PartBranch):
     """One branch of SDPL and the heads, which both branches share.
 
@@ -101,7 +140,7 @@ class Sdpl(PartBranch):
         side = size[0] // STRIDE
         super().__init__((side, side))
         with torch.device("meta"):
-            self.trunk = build_backbone("resnet50", last_stride=1)
+            self.trunk = ResNet(Bottleneck, DEPTHS, "layer4", last_stride=1)
             blocks = entries.under("shift_blocks.")
             first = nn.Conv2d(self.trunk.channels, blocks.shape("0.weight", 4)[0], 1)
             sizes = [blocks.shape(f"{name}.weight", 2) for name in _HIDDEN[1:]]

@@ -1,27 +1,35 @@
-"""Vision transformers: FSRA and DenseUAV's baseline (regions of tokens), and Game4Loc (rotary positions)."""
+"""Vision transformers: the tokens of FSRA and DenseUAV's baseline, and one vector (Game4Loc, Sample4Geo)."""
 
 from __future__ import annotations
 
-from typing import Any, Literal, cast, get_args
+import math
+import re
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
-from lpn.models.adapters import timm_networks
+from lpn.models import timm_networks
 from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.network import Account, HeldNorm, MeanVector, PartBranch, by_heads, on_grid
+from lpn.models.adapters.network import Account, HeldNorm, MeanVector, PartBranch, on_grid
 
-TokenPool = Literal["global", "avg", "max", "avg+max"]
-TOKEN_POOLS: tuple[TokenPool, ...] = get_args(TokenPool)
+# The entries of a plain vision transformer of timm. Others, such as CLIP's, distilled ones, and those of SwiGLU, have more.
+_PLAIN = re.compile(
+    r"(cls_token|reg_token|pos_embed|patch_embed\.proj\.(weight|bias)|(norm|fc_norm|head)\.(weight|bias)|"
+    r"blocks\.\d+\.((norm1|norm2|attn\.qkv|attn\.proj|mlp\.fc1|mlp\.fc2)\.(weight|bias)|ls[12]\.gamma))$"
+)
+NAMES = {192: "ViT-Ti", 384: "ViT-S", 512: "ViT-M", 768: "ViT-B", 1024: "ViT-L"}
 # FSRA's attention has 8 heads, and scales logits by the width of all of them together.
 _FSRA_HEADS = 8
-# Other vision transformers of every size have heads of 64 numbers.
-HEAD_WIDTH = 64
+# Other vision transformers have heads of 64 numbers up to the large size. Wider ones have heads of several widths.
+HEAD_WIDTH, WIDEST = 64, 1024
 
 
 class Tokens(nn.Module):
-    """A ViT up to its last norm: (B, 3, H, W) to all tokens, the class token first, (B, 1 + cells, C).
+    """A ViT up to its last norm: (B, 3, H, W) to all tokens, (B, prefix + cells, C).
+
+    The class token comes first where there is one, then registers, then the cells row by row.
 
     Args:
         entries: of timm's names.
@@ -30,18 +38,22 @@ class Tokens(nn.Module):
 
     def __init__(self, entries: Entries, size: tuple[int, int], wide_scale: bool = False) -> None:
         super().__init__()
+        state = entries.state
         width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
         count, depth = entries.shape("pos_embed", 3)[1], entries.count("blocks.{}.norm1.weight")
+        registers = entries.shape("reg_token", 3)[1] if "reg_token" in state else 0
+        self.prefix = registers + ("cls_token" in state)
         self.grid = size[0] // patch, size[1] // patch
-        if count < 2 or count != 1 + self.grid[0] * self.grid[1] or size[0] % patch or size[1] % patch:
+        cells = self.grid[0] * self.grid[1]
+        if not cells or count not in (cells, cells + self.prefix) or size[0] % patch or size[1] % patch:
             raise ModelFileError(
-                f"{entries.name} has positions for {count - 1} patches of {patch} pixels; {size[0]} x {size[1]} pixels give "
-                f"{self.grid[0]} x {self.grid[1]}, so put the h and w that it was trained with into the opts.yaml beside it."
+                f"{entries.name} has positions for {count - self.prefix} patches of {patch} pixels; {size[0]} x {size[1]} pixels "
+                f"give {self.grid[0]} x {self.grid[1]}, so put the h and w that it was trained with into the opts.yaml beside it."
             )
         heads = _FSRA_HEADS if wide_scale else width // HEAD_WIDTH
-        if depth == 0 or heads == 0 or width % heads:
+        if depth == 0 or heads == 0 or width % heads or width > WIDEST:
             raise ModelFileError(
-                f"{entries.name} has {depth} blocks of the width {width}; expected at least one, and a width of "
+                f"{entries.name} has {depth} blocks of the width {width}; expected at least one, and a width up to {WIDEST} of "
                 f"{f'{_FSRA_HEADS} heads' if wide_scale else f'heads of {HEAD_WIDTH} numbers'}."
             )
         self.network = timm_networks.vision_transformer(
@@ -50,8 +62,13 @@ class Tokens(nn.Module):
             entries.shape("blocks.0.mlp.fc1.weight", 2)[0],
             size,
             patch,
-            "blocks.0.attn.qkv.bias" in entries.state,
             heads,
+            qkv_bias="blocks.0.attn.qkv.bias" in state,
+            class_token="cls_token" in state,
+            registers=registers,
+            cells_only=count == cells,
+            layer_scale="blocks.0.ls1.gamma" in state,
+            last_norm="norm.weight" in state,
         )
         entries.fill(self.network)
         self.channels = width
@@ -67,90 +84,23 @@ class Tokens(nn.Module):
         return cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
 
 
-class TokenRegions(PartBranch):
-    """FSRA: heads on the means of k regions of tokens, and on the class token.
+def foreign_entry(entries: Entries) -> str | None:
+    """Return the first entry that a plain vision transformer of timm lacks, `patch_embed` or `pos_embed` if it has none.
 
-    A token's heat is the mean of its numbers. Tokens in the order of falling heat are cut into k regions of floor(N / k), of
-    which the last takes the rest. With k = 1 there are no regions, and one head on the class token.
-
-    Args:
-        token: the number of the class token's part, the last one for FSRA and the first one for DenseUAV.
+    None if it is a plain one.
     """
-
-    def __init__(self, trunk: Tokens, heads: tuple[Tensor, Tensor], token: int) -> None:
-        weight, bias = heads
-        super().__init__(trunk.grid if len(bias) > 1 else (1, 1), weight)
-        self.regions = len(bias) - 1
-        if self.regions > trunk.grid[0] * trunk.grid[1]:
-            raise ModelFileError(
-                f"The model has {self.regions} regions for {trunk.grid[0]} x {trunk.grid[1]} tokens; expected fewer regions."
-            )
-        self.trunk, self.bias = trunk, nn.Buffer(bias)
-        self.token = token % len(bias)
-
-    def weights(self, tokens: Tensor) -> Tensor:
-        """Return the weight of each token in each part, 0 in the class token's: (B, 1 + N, C) -> (B, n, N)."""
-        heat = tokens[:, 1:].mean(2)
-        count = heat.shape[1]
-        own, other = heat[:, :, None], heat[:, None, :]
-        earlier = torch.ones(count, count, dtype=torch.bool, device=heat.device).tril(-1)
-        # Ranks by comparison are stable, and ONNX has no stable sort.
-        rank = ((other > own) | ((other == own) & earlier)).sum(2)
-        size = count // self.regions
-        regions = torch.clamp(rank // size, max=self.regions - 1)
-        sizes = [size] * (self.regions - 1) + [count - size * (self.regions - 1)]
-        parts = [(regions == number) / size for number, size in enumerate(sizes)]
-        parts.insert(self.token, torch.zeros_like(parts[0]))
-        return torch.stack(parts, 1)
-
-    def account(self, images: Tensor) -> Account:
-        """Return the parts and their account, with the regions held; the class token's part is a constant."""
-        tokens = self.trunk(images)
-        weight = cast(Tensor, self.weight)
-        if not self.regions:
-            return Account(by_heads(tokens[:, :1], weight, self.bias))
-        cells = self.weights(tokens)
-        pooled = torch.matmul(cells, tokens[:, 1:])
-        constants = self.bias.expand(len(tokens), -1, -1).clone()
-        constants[:, self.token] += tokens[:, 0] @ weight[self.token].T
-        return Account(
-            torch.matmul(weight, pooled.unsqueeze(3)).squeeze(3) + constants,
-            on_grid(tokens[:, 1:].transpose(1, 2), self.grid),
-            on_grid(cells, self.grid),
-            constants,
-        )
+    lacking = (key for key in ("patch_embed.proj.weight", "pos_embed") if key not in entries.state)
+    return next((key for key in entries.state if not _PLAIN.match(key)), next(lacking, None))
 
 
-class PooledTokens(PartBranch):
-    """DenseUAV's SingleBranch: one head on the class token, or on the mean, the maximum, or the sum of both over all others.
-
-    With a maximum, each channel belongs to the cell that attains it; the account then has the head applied.
-    """
-
-    def __init__(self, trunk: Tokens, heads: tuple[Tensor, Tensor], pool: TokenPool) -> None:
-        super().__init__((1, 1) if pool == "global" else trunk.grid, heads[0])
-        self.trunk, self.pool, self.bias = trunk, pool, nn.Buffer(heads[1])
-
-    def account(self, images: Tensor) -> Account:
-        """Return the part and its account, with the cells of the maxima held."""
-        tokens, weight = self.trunk(images), cast(Tensor, self.weight)
-        if self.pool == "global":
-            return Account(by_heads(tokens[:, :1], weight, self.bias))
-        cells = tokens[:, 1:].transpose(1, 2)
-        count = cells.shape[2]
-        shares = cells if self.pool == "avg" else torch.zeros_like(cells)
-        if self.pool != "avg":
-            strongest, where = cells.max(2, keepdim=True)
-            # The cells' weight is 1 / N for all pools.
-            shares = shares.scatter(2, where, strongest * count)
-            shares = shares + cells if self.pool == "avg+max" else shares
-        batch = len(tokens)
-        return Account(
-            by_heads(shares.mean(2).unsqueeze(1), weight, self.bias),
-            on_grid(shares, self.grid),
-            cells.new_full((batch, 1, *self.grid), 1.0 / count),
-            self.bias.expand(batch, -1, -1),
-        )
+def trained_side(entries: Entries) -> tuple[int, int]:
+    """Return the size (height, width) of the square pictures that a ViT's positions are for."""
+    patch, count = entries.shape("patch_embed.proj.weight", 4)[2], entries.shape("pos_embed", 3)[1]
+    registers = entries.shape("reg_token", 3)[1] if "reg_token" in entries.state else 0
+    cells = count - registers - ("cls_token" in entries.state)
+    # Some networks have no positions for the tokens in front.
+    side = patch * math.isqrt(cells if cells > 0 and math.isqrt(cells) ** 2 == cells else count)
+    return side, side
 
 
 class RotaryMap(nn.Module):
@@ -164,6 +114,46 @@ class RotaryMap(nn.Module):
         grid = images.shape[2] // self.patch, images.shape[3] // self.patch
         tokens = cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
         return on_grid(tokens[:, self.registers :].transpose(1, 2), grid)
+
+
+class TokenMap(nn.Module):
+    """A ViT's patch tokens as a map: (B, 3, H, W) -> (B, C, h, w)."""
+
+    def __init__(self, tokens: Tokens) -> None:
+        super().__init__()
+        self.tokens = tokens
+
+    def forward(self, images: Tensor) -> Tensor:
+        return on_grid(self.tokens(images)[:, self.tokens.prefix :].transpose(1, 2), self.tokens.grid)
+
+
+class ClassToken(PartBranch):
+    """One vector, a ViT's class token after the last norm, without a head and without cells."""
+
+    def __init__(self, trunk: Tokens) -> None:
+        super().__init__((1, 1))
+        self.trunk = trunk
+
+    def account(self, images: Tensor) -> Account:
+        """Return the vector; it has no account."""
+        return Account(self.trunk(images)[:, :1])
+
+
+def vector(entries: Entries, size: tuple[int, int]) -> MeanVector | ClassToken:
+    """Build a branch of one vector from a ViT of timm: its class token, or the mean of its cells.
+
+    Raises:
+        ModelFileError: if entries are missing or have wrong shapes.
+    """
+    trunk = Tokens(entries, size)
+    if "cls_token" in entries.state:
+        return ClassToken(trunk)
+    width = (trunk.channels,)
+    norm = None
+    if "norm.weight" not in entries.state:
+        norm = HeldNorm(entries.tensor("fc_norm.weight", width), entries.tensor("fc_norm.bias", width))
+    patch = entries.shape("patch_embed.proj.weight", 4)[2]
+    return MeanVector(TokenMap(trunk), norm, trunk.grid, patch, fixed=True)
 
 
 def rotary_vector(entries: Entries, size: tuple[int, int]) -> tuple[MeanVector, Any]:

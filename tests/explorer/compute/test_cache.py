@@ -24,6 +24,8 @@ def test_values_leave_when_they_take_too_many_bytes_except_for_the_newest() -> N
     assert keys_left(cache, range(3)) == [0, 1, 2]
     cache.get(3, lambda: 30)
     assert keys_left(cache, range(4)) == [1, 2, 3]
+    assert cache.peek(1) == 50
+    assert cache.peek(0) is None
     cache.get(4, lambda: 500)
     assert keys_left(cache, range(5)) == [4]
     cache.get(5, lambda: 100)

@@ -175,11 +175,12 @@ class Direct:
         descriptor = retrieval.describe_picture(self.model, picture, "drone", angle).descriptor
         ranking = retrieval.rank(scoring.part_cosines(descriptor, self.gallery), np.full(4, 0.25, np.float32))
         assert ranking.scores[int(top)] == pytest.approx(ranking.scores.max(), abs=1e-5)
-        found = re.search(r"<td>sum</td><td>100 %</td><td>([+-][\d.]+)</td>", browser.html())
+        found = re.search(r"<td>sum</td><td>100 %</td><td>([+−][\d.]+)</td>", browser.html())
         assert found is not None
-        assert float(found[1]) == pytest.approx(ranking.scores[int(top)], abs=6e-4)
+        assert float(found[1].replace("−", "-")) == pytest.approx(ranking.scores[int(top)], abs=6e-4)
 
 
+@pytest.mark.slow
 def test_twenty_browsers_at_once_each_get_their_own_right_answer(
     app: App, workspace: Workspace, model_file: Path
 ) -> None:
@@ -301,7 +302,7 @@ def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, mo
         monkeypatch.setattr(session_of(app, browser).client.gui, "_thread_executor", pool)
         with reading:
             browser.upload("mine.png", picture(90))
-            until(session_of(app, browser)._panels.query._upload._reading.locked)
+            until(lambda: any(thread.name == "explorer-upload" for thread in threading.enumerate()))
             browser.set("Rotate", 7)
         browser.wait(lambda: browser.status("name") == "mine.png")
 

@@ -1,121 +1,186 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from explorer.failure_lab import messages
-from explorer.failure_lab.map_drawing import DrawnMap, draw
+from explorer.browse.feeds import Feeds
+from explorer.failure_lab import map_data, messages
 from explorer.failure_lab.map_page import MapPage
-from explorer.failure_lab.messages import OpenPoint, SelectRectangle, ShowMap
+from explorer.failure_lab.messages import MAX_CORNERS, ColourBy, OpenPoint, SelectLasso, ShowMap
 from explorer.failure_lab.service import FailureLab, Findings, MapPoints
 from explorer.failure_lab.state import LabState
+from explorer.server.picture_route import PREFIX
+from explorer.workspace import Workspace
+from lpn.analysis import embedding_map
+from lpn.core.arrays import Int64Array
+from lpn.core.tables import number_column, text_column
 from lpn.drawing import theme
 
-
-def plane(count: int = 9, zoomed: bool = False, selected: list[int] | None = None) -> tuple[DrawnMap, np.ndarray]:
-    """Queries on a diagonal, every third of them failed."""
-    places = np.column_stack([np.arange(count), np.arange(count)]).astype(float)
-    failed = np.arange(count) % 3 == 0
-    mask = np.isin(np.arange(count), range(count) if selected is None else selected)
-    points = MapPoints(places, places + 0.25)
-    return draw(points, failed, mask, np.zeros(count, np.int64), (400, 300), zoomed), failed
+SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 
 
-def test_a_rectangle_holds_the_queries_drawn_in_it() -> None:
-    drawn, _ = plane()
-    assert drawn.picture.shape == (600, 800, 3)
-    # y points upwards in the plane, so the upper right of the picture holds the larger numbers.
-    assert drawn.inside((0.5, 0.5), (1, 0)).tolist() == [5, 6, 7, 8]
-    assert drawn.inside((1, 0), (0.5, 0.5)).tolist() == [5, 6, 7, 8]
-    assert drawn.inside((0, 0), (0.3, 0.3)).tolist() == []
-    assert drawn.inside((0, 0), (1, 1)).tolist() == list(range(9))
+@pytest.fixture
+def view(service: FailureLab, workspace: Workspace) -> MapPage:
+    return MapPage(service, Feeds(workspace), "me")
 
 
-def test_found_and_failed_queries_have_different_shapes() -> None:
-    drawn, failed = plane()
-    west, south, east, north = drawn.bounds
-    for row, bad in enumerate(failed):
-        x, y = (row - west) / (east - west), (north - row) / (north - south)
-        assert drawn.near(x, y).tolist() == [row]
-        column, line = round(x * 800), round(y * 600)
-        patch = drawn.picture[line - 12 : line + 13, column - 12 : column + 13].reshape(-1, 3)
-        shown, other = (theme.FALSE_COLOUR, theme.TRUE_COLOUR)[:: 1 if bad else -1]
-        count = int((patch == shown).all(axis=1).sum())
-        assert count > 20
-        assert not (patch == other).all(axis=1).any()
-        beside = drawn.picture[line, column + 5]
-        assert tuple(beside) != theme.FALSE_COLOUR  # a cross has nothing there, a dot has
-        assert (tuple(beside) == theme.TRUE_COLOUR) == (not bad)
-    assert drawn.near(0.02, 0.02).tolist() == []
+def shown(view: MapPage, findings: Findings, lab: LabState, query: int | None, rows: Int64Array) -> tuple[str, str]:
+    """The map when it has been computed."""
+    for _ in range(50):
+        html, script, final = view.page(findings, lab, query, rows, (760, 400))
+        if final:
+            return html, script
+    raise AssertionError("the map is not computed")
 
 
-def test_zooming_shows_selected_queries_only_and_clicks_prefer_them() -> None:
-    drawn, _ = plane(zoomed=True, selected=[3, 4])
-    assert drawn.inside((0, 0), (1, 1)).tolist() == [3, 4]
-    places = np.zeros((4, 2))
-    chosen = np.array([False, True, False, True])
-    same = draw(MapPoints(places, places), chosen, chosen, np.zeros(4, np.int64), (400, 300), False)
-    assert same.near(0.5, 0.5).tolist() == [1, 3]
+def test_a_lasso_holds_the_points_inside_it() -> None:
+    points = np.array([(0.0, 0.0), (0.9, -0.9), (1.1, 0.0), (np.nan, np.nan)])
+    assert embedding_map.inside(points, SQUARE).tolist() == [0, 1]
+    # A line that crosses itself leaves its middle out: the even-odd rule.
+    angles = np.array([0, 2, 4, 1, 3]) * 2 * np.pi / 5
+    star = np.column_stack([np.sin(angles), np.cos(angles)])
+    assert embedding_map.inside(np.array([(0.0, 0.0), (0.0, 0.7), (0.0, -0.7)]), star).tolist() == [1]
 
 
-def test_a_place_of_several_queries_shows_the_share_that_failed() -> None:
-    places = np.zeros((4, 2))
-    ground = np.full((10, 10, 3), 200, np.uint8), (-100.0, -100.0, 100.0, 100.0)
-    failed = np.array([True, False, False, False])
-    points = MapPoints(places, places, ground=ground)
-    drawn = draw(points, failed, np.ones(4, bool), np.full(4, -1), (400, 300), False)
-    patch = drawn.picture[280:321, 380:421].reshape(-1, 3)
-    blue, yellow = (int((patch == colour).all(axis=1).sum()) for colour in (theme.FALSE_COLOUR, theme.TRUE_COLOUR))
-    assert blue / (blue + yellow) == pytest.approx(0.25, abs=0.06)
-    assert tuple(drawn.picture[500, 400]) == (100, 100, 100)  # the ground, dimmed
+def test_places_have_their_own_scale_and_unknown_ones_stay_unknown() -> None:
+    far = np.array([(4e6, 5e6), (4e6 + 10.0, 5e6), (np.nan, np.nan)])
+    points = MapPoints(far, far[:1] + np.array([0.0, 4.0]))
+    drawn = np.frombuffer(map_data.plane(points), "<f4").reshape(4, 2)
+    origin, unit = map_data.scale(points)
+    np.testing.assert_allclose(drawn[:2] * unit + origin, far[:2], atol=1e-5)
+    assert np.abs(drawn[[0, 1, 3]]).max() == 1
+    assert np.isnan(drawn[2]).all()
 
 
-def test_no_line_leads_to_an_answer_without_a_position() -> None:
-    ground = np.full((10, 10, 3), 200, np.uint8), (-100.0, -100.0, 100.0, 100.0)
-    points = MapPoints(np.zeros((1, 2)), np.array([[np.nan, np.nan], [50.0, 50.0]]), ground=ground)
-    nowhere, none, there = (
-        draw(points, np.ones(1, bool), np.ones(1, bool), np.array([answer]), (400, 300), False, 0).picture
-        for answer in (0, -1, 1)
+def test_a_map_of_the_ground_knows_the_degrees_of_its_units(service: FailureLab, findings: Findings) -> None:
+    job = service.points("ground", findings.task.name, "me")
+    assert job is not None
+    assert job.wait(60)
+    points = job.value
+    assert points is not None
+    assert points.origin is not None
+    assert findings.task.geometry is not None
+    drawn = np.frombuffer(map_data.plane(points), "<f4").reshape(-1, 2)[len(points.queries) :].astype(np.float64)
+    (latitude, north), (longitude, east) = map_data.degrees(points, points.origin)
+    places = [(place.latitude, place.longitude) for place in findings.task.geometry.tiles]
+    found = np.column_stack([latitude + drawn[:, 1] * north, longitude + drawn[:, 0] * east])
+    np.testing.assert_allclose(found, places, rtol=0, atol=1e-8)
+
+
+def test_a_column_gives_colours_and_counts_of_the_selected_queries(findings: Findings) -> None:
+    outcome = map_data.colours(findings, map_data.OUTCOME)
+    failed = findings.outcomes.failed
+    assert outcome.codes.tolist() == failed.astype(int).tolist()
+    assert outcome.palette == [theme.css(theme.TRUE_COLOUR), theme.css(theme.FALSE_COLOUR)]
+    rows = np.array([0, 3, 4])
+    assert map_data.counted(outcome, rows) == [int((~failed[rows]).sum()), int(failed[rows].sum()), 0]
+    words = map_data.colours(findings, "weather")
+    values = findings.table.columns["weather"].values
+    assert [words.labels[code] for code in words.codes] == values.tolist()
+    assert sum(map_data.counted(words, findings.table.rows())) == 13
+
+
+def test_few_far_numbers_and_rare_words_do_not_take_all_colours(findings: Findings) -> None:
+    numbers = np.r_[np.linspace(0, 1, 11), 1e9, np.nan]
+    many = [f"w{i // 2}" for i in range(12)]
+    table = findings.table.with_columns(
+        [
+            number_column("n", numbers, "m"),
+            text_column("t", [*many, ""]),
+            text_column("u", [f"v{i}" for i in range(13)]),
+        ]
     )
-    np.testing.assert_array_equal(nowhere, none)
-    assert (nowhere != there).any()
+    findings = replace(findings, table=table)
+    coloured = map_data.colours(findings, "n")
+    assert coloured.codes[12] == map_data.UNKNOWN
+    assert (np.diff(coloured.codes[:12].astype(int)) >= 0).all()
+    assert coloured.ends is not None
+    assert coloured.ends[1].startswith("≥ ")
+    assert map_data.counted(coloured, table.rows()) == [1]
+    few = map_data.colours(findings, "t")
+    assert few.labels == [f"w{i}" for i in range(6)]
+    assert few.codes[12] == map_data.UNKNOWN
+    lots = map_data.colours(findings, "u")
+    assert lots.labels[-1] == "5 others"
+    assert (lots.codes == map_data.OTHER).sum() == 5
+    assert len(lots.palette) == len(lots.labels) == 9
 
 
-def test_a_map_is_kept_until_something_on_it_changes(service: FailureLab, findings: Findings, lab: LabState) -> None:
-    view, rows = MapPage(service, "me"), findings.table.rows()
+def test_flags_and_lines_tell_what_is_selected_and_how_it_failed(findings: Findings) -> None:
+    outcomes = findings.outcomes
+    rows = np.flatnonzero(outcomes.failed)[:2]
+    flags = np.frombuffer(map_data.flags(findings, rows), np.uint8)
+    assert np.flatnonzero(flags & map_data.SELECTED).tolist() == rows.tolist()
+    assert (flags & map_data.FAILED > 0).tolist() == outcomes.failed.tolist()
+    places = np.zeros((13, 2))
+    ground = np.zeros((2, 2, 3), np.uint8), (0.0, 0.0, 1.0, 1.0)
+    points = MapPoints(places, places.copy(), ground=ground)
+    assert map_data.lines(findings, points, rows) == [[int(row), int(outcomes.answer[row])] for row in rows]
+    points.tiles[outcomes.answer[rows[0]]] = np.nan  # no line leads to an answer without a position
+    assert [query for query, _ in map_data.lines(findings, points, rows)].count(rows[0]) == 0
+    assert map_data.lines(findings, replace(points, ground=None), rows) == []
+
+
+def test_a_map_is_published_again_only_where_something_changed(
+    view: MapPage, findings: Findings, lab: LabState
+) -> None:
+    rows = findings.table.rows()
     for kind in ("pca", "ground"):
-        shown = replace(lab, map=kind)
-        for _ in range(50):
-            html, ready = view.page(findings, shown, 0, rows, (760, 400))
-            if ready:
-                break
+        state = replace(lab, map=kind)
+        html, script = shown(view, findings, state, 0, rows)
         assert f'data-map="{kind}"' in html
-        drawn = view.drawn
-        assert drawn is not None
-        assert view.page(findings, shown, 0, rows, (760, 400))[0] == html
-        assert view.drawn is drawn
-        view.page(findings, shown, 1, rows, (760, 400))
-        assert view.drawn is not drawn
-        assert view.queries_at(findings, replace(lab, map="umap"), OpenPoint(kind, (0.5, 0.5))) is None
-        chosen = view.select_rectangle(shown, SelectRectangle(kind, (0, 0), (1, 1)))
-        assert chosen.selections[0].rows.tolist() == list(range(13))
-        assert view.select_rectangle(shown, SelectRectangle("umap", (0, 0), (1, 1))) is shown
-        for wrong in ([kind, [0, 0]], [kind, [0, 0], [2, 1]], None):
-            assert messages.decode("lab-rect", wrong) is None
+        published = {name: feed for name, (_, feed) in view._published.items()}
+        feed = published["plane"]
+        piece = view._feeds.find(f"/{view._feeds.address}{feed}0".removeprefix(PREFIX))
+        assert piece is not None
+        assert len(piece().data) == 8 * (13 + len(findings.task.gallery))
+        assert shown(view, findings, state, 0, rows) == (html, script)
+        # The script fills a canvas of another height again.
+        assert view.page(findings, state, 0, rows, (760, 500))[1] != script
+        shown(view, findings, replace(state, colour="weather"), 1, rows[:4])
+        changed = {name for name, (_, feed) in view._published.items() if feed != published[name]}
+        assert changed == {"flags", "codes"}
+    assert "ground" in view._published
+    view.leave()
+    assert view._feeds.find(f"/{view._feeds.address}{feed}0".removeprefix(PREFIX)) is None
+
+
+def test_a_lasso_and_a_click_belong_to_the_map_that_is_shown(
+    view: MapPage, findings: Findings, lab: LabState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown(view, findings, lab, 0, findings.table.rows())
+    corners = [(2.0, -2.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)]
+    selected = view.select_lasso(lab, SelectLasso("pca", corners))
+    assert selected.selections[0].rows.tolist() == list(range(13))
+    assert selected.selections[0].label == "lasso on the PCA"
+    assert view.select_lasso(lab, SelectLasso("ground", corners)) is lab
+    rows = view.queries_at(findings, lab, OpenPoint("pca", 4))
+    assert rows is not None
+    assert 4 in rows
+    assert view.queries_at(findings, lab, OpenPoint("pca", 13)) is None
+    assert view.queries_at(findings, replace(lab, map="umap"), OpenPoint("pca", 4)) is None
+    points = view._points
+    asks: tuple[Callable[[], object], ...] = (
+        lambda: view.queries_at(findings, lab, OpenPoint("pca", 4)),
+        lambda: view.select_lasso(lab, SelectLasso("pca", corners)),
+    )
+    for ask in asks:
+        values = iter([points, None])  # another thread removes the map between two reads
+        monkeypatch.setattr(MapPage, "_points", property(lambda _, values=values: next(values)), raising=False)
+        assert ask() is not None
+
+
+def test_wrong_messages_of_a_map_change_nothing(findings: Findings, lab: LabState) -> None:
+    wrong = ([[0, 0]] * 2, [[0, 0]] * (MAX_CORNERS + 1), [[0, 1e9]] * 3, [[0, "1"]] * 3, None)
+    for corners in wrong:
+        assert messages.decode("lab-lasso", ["pca", corners]) is None
+    assert messages.decode("lab-point", ["pca", 2]) == OpenPoint("pca", 2)
+    for row in (-1, 1.5, "1", None):
+        assert messages.decode("lab-point", ["pca", row]) is None
+    assert messages.apply(ColourBy("no column"), lab, findings) is lab
+    assert messages.apply(ColourBy("weather"), lab, findings).colour == "weather"
     without_places = replace(findings, task=replace(findings.task, geometry=None))
     assert messages.apply(ShowMap("ground"), lab, without_places) is lab
-
-
-def test_a_click_may_come_while_the_map_is_replaced(
-    service: FailureLab, findings: Findings, lab: LabState, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    view, (drawn, _) = MapPage(service, "me"), plane(13)
-    for ask in (
-        lambda: view.queries_at(findings, lab, OpenPoint("pca", (0.5, 0.5))),
-        lambda: view.select_rectangle(lab, SelectRectangle("pca", (0, 0), (1, 1))),
-    ):
-        values = iter([drawn, None])  # another thread removes the map between two reads
-        monkeypatch.setattr(MapPage, "drawn", property(lambda _, values=values: next(values)), raising=False)
-        assert ask() is not None

@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import pytest
 
 from explorer.failure_lab import messages, state
-from explorer.failure_lab.messages import OpenPoint, SelectBin
+from explorer.failure_lab.messages import SelectBin
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState
 
@@ -32,12 +31,10 @@ from explorer.failure_lab.state import LabState
         ("lab-bin", ["margin", 0, "1"]),
         ("lab-map", "moon"),
         ("lab-sort", "\ud800"),
-        ("lab-page", 1.0),
-        ("lab-page", True),
         ("lab-open", -1),
         ("lab-open", 1e400),
         ("lab-part", 4),
-        ("lab-rect", ["pca", [0, 0]]),
+        ("lab-lasso", ["pca", [0, 0]]),
         ("lab-stop", []),
         ("lab-tab", "\ud800"),
         ("lab-go", "attic"),
@@ -54,9 +51,3 @@ def test_a_second_click_removes_a_selection(findings: Findings, lab: LabState) -
     once = messages.apply(message, lab, findings)
     assert [selection.label for selection in once.selections] == ["weather sun"]
     assert messages.apply(message, once, findings).selections == ()
-
-
-@pytest.mark.parametrize("value", [[0.5], [0, "1"], [-0.1, 0], [0, math.nan], [True, 0], None, [0, 1, 0]])
-def test_points_of_a_map_are_fractions(value: Any) -> None:
-    assert messages.decode("lab-point", ["pca", value]) is None
-    assert messages.decode("lab-point", ["pca", [0, 0.25]]) == OpenPoint("pca", (0.0, 0.25))

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 from html import unescape
 
 import numpy as np
 
+from explorer.browse.feeds import Feeds
 from explorer.failure_lab import breakdown_page, state, table
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState, Selection
@@ -15,22 +17,47 @@ from lpn.analysis import notes
 
 def test_names_and_metadata_never_become_html(workspace: Workspace, findings: Findings, lab: LabState) -> None:
     chosen = replace(lab, columns=("weather",))
-    html = table.table(findings, chosen, workspace, findings.table.rows(), 3)
+    columns, rows = table.shown_columns(findings, chosen), findings.table.rows()
+    html = "".join(cells for _, cells in table.lines(findings, columns, Feeds(workspace), rows))
+    html += table.table(findings, chosen, 13, 1, 300)
     html += breakdown_page.page(findings, chosen, workspace) + table.column_choice(findings, chosen)
     assert "<b>rain" not in html
     assert "&lt;b&gt;rain" in html
-    assert html.count('class="chosen" data-row="3"') == 1
     # The message of a bin holds the name unescaped.
     assert re.search(r'\["weather", \d, "say \\"hi\\""\]', unescape(html))
     form = table.note(findings, 0, notes.Note(("a",), "</textarea><script>"), 1)
     assert "<script>" not in form
 
 
-def test_a_page_has_as_many_rows_as_are_shown_and_an_empty_one_says_what_to_do(
+def test_what_is_offered_and_shown_fits_the_number_of_queries_and_the_filter(findings: Findings, lab: LabState) -> None:
+    assert "lab-report" in table.bar(findings, lab, 200)
+    for count in (0, 201):
+        html = table.bar(findings, lab, count)
+        assert "lab-report" not in html
+        assert f"A report holds 1 to 200 queries; {count} are chosen" in html
+    rows = findings.table.rows()
+    for before, shown in (("", "without a filter"), ("rank > 1", "of the last filter that could be read, rank &gt; 1")):
+        wrong = state.set_filter(replace(lab, filter=before), "rank > 5 and", findings.table)
+        assert f"The rows below are those {shown}." in table.summary(findings, wrong, rows)
+
+
+def test_rows_are_fetched_in_the_tables_order_and_an_empty_table_says_what_to_do(
     workspace: Workspace, findings: Findings, lab: LabState
 ) -> None:
-    assert table.table(findings, lab, workspace, findings.table.rows()[:5], None).count("<tr data-row") == 5
-    assert "lab-clear" in table.table(findings, lab, workspace, findings.table.rows()[:0], None)
+    feeds, rows = Feeds(workspace), state.sorted_rows(findings, lab)
+    feed = table.publish(feeds, "me", findings, lab, rows)
+    piece = feeds.find(f"{feeds.address.partition('/')[2]}{feed}0")
+    assert piece is not None
+    fetched = json.loads(piece().data)
+    assert [row for row, _ in fetched] == rows.tolist()
+    columns = [column.name for column in table.shown_columns(findings, lab)]
+    for row, html in fetched:
+        cells = re.findall(r"<td[^>]*>(.*?)</td>", html, re.DOTALL)
+        assert len(cells) == 1 + len(columns)
+        assert findings.task.queries[row].name in cells[1 + columns.index("name")]
+        address = re.findall(r'data-src="([^"]+)"', html)[0]
+        assert address == feeds.thumbnail(findings.task, "query", row)
+    assert "lab-clear" in table.table(findings, lab, 0, 1, 300)
 
 
 def test_a_chart_says_which_queries_it_counts(workspace: Workspace, findings: Findings, lab: LabState) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from explorer.failure_lab.state import LabState
 from explorer.web.html import Html
 from explorer.workspace import Workspace
 from lpn.analysis import notes
+from lpn.core.demo import own_file_place
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Table
 from tests.explorer.failure_lab.conftest import TASK
@@ -31,6 +33,25 @@ def test_ranks_agree_with_the_explorer(workspace: Workspace, findings: Findings)
     np.testing.assert_array_equal(findings.outcomes.rank, workspace.rankings[TASK].ranks)
     assert findings.table.columns["part"].values[0] in workspace.part_names
     assert {"distance", "altitude", "weather", "tags"} <= set(findings.table.columns)
+
+
+def test_notes_on_the_demo_are_the_user_s_own(
+    workspace: Workspace, findings: Findings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("lpn.core.demo.DEMO", workspace.root)
+    service = FailureLab(workspace)
+    service.set_note(findings.table.paths[2], "night", "")
+    assert not (workspace.root / "notes.csv").exists()
+    assert notes.read_notes(tmp_path / "home" / "lpn-explorer" / "places" / "notes.csv") == service._read_notes()[0]
+    assert service.notes_place == "lpn-explorer/places/notes.csv, in your data folder"
+    assert own_file_place(tmp_path, "notes.csv", "data") == "notes.csv, beside the data"
+    for name in ("XDG_DATA_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError))
+    assert service._read_notes() == (
+        {},
+        "This user has no home folder for notes; set XDG_DATA_HOME to a folder that can be written.",
+    )
 
 
 def test_notes_reach_every_table_and_the_disk(workspace: Workspace, service: FailureLab, findings: Findings) -> None:
@@ -55,7 +76,7 @@ def test_notes_reach_every_table_and_the_disk(workspace: Workspace, service: Fai
         without = damaged.findings(TASK)
         assert without is not None
         assert "expected path,tags,note" in without.notes_error
-        assert "left out" in table.summary(without, LabState(TASK), without.table.rows(), (0, 5))
+        assert "left out" in table.summary(without, LabState(TASK), without.table.rows())
     finally:
         (workspace.root / "notes.csv").unlink()
 

@@ -8,6 +8,7 @@ from explorer.failure_lab import messages, state, table
 from explorer.failure_lab.messages import SelectBin
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState, Selection
+from explorer.session_state import LabChoices
 from explorer.workspace import Workspace
 from lpn.analysis import breakdown
 from lpn.core.tables import Column, number_column, text_column
@@ -36,8 +37,7 @@ def test_a_selection_replaces_the_one_of_its_kind(lab: LabState) -> None:
     )
     narrowed = lab
     for selection in (one, other, third):
-        narrowed = state.add_selection(replace(narrowed, page=3), selection)
-        assert narrowed.page == 0
+        narrowed = state.add_selection(narrowed, selection)
     assert narrowed.selections == (other, third)
     assert state.remove_selection(narrowed, "b").selections == (third,)
 
@@ -53,13 +53,33 @@ def test_sorting_twice_turns_the_order_round(findings: Findings, lab: LabState) 
     assert not state.sort_by(again, "name").descending
 
 
+def test_what_an_address_keeps_brings_back_the_same_queries(findings: Findings, lab: LabState) -> None:
+    lasso = Selection("in pca", "lasso on the PCA", np.array([0, 2, 3, 5, 8, 12]))
+    shown = state.add_selection(replace(lab, tab="maps", outcome="failed", colour="weather", map="umap"), lasso)
+    shown = state.sort_by(state.sort_by(state.set_filter(shown, "altitude > 100", findings.table), "name"), "name")
+    shown = state.toggle_column(shown, findings.table, "weather")
+    again = state.with_choices(findings, LabState(TASK, name_search="gone"), state.choices(shown))
+    assert state.choices(again) == state.choices(shown)
+    assert len(state.sorted_rows(findings, shown))
+    assert state.sorted_rows(findings, again).tolist() == state.sorted_rows(findings, shown).tolist()
+    assert state.describe(findings, again) == state.describe(findings, shown)
+    assert not again.paused, "who opens the link wants to see the map"
+
+
+def test_an_address_with_a_wrong_filter_shows_all_queries_and_says_so(findings: Findings, lab: LabState) -> None:
+    shown = state.with_choices(findings, lab, LabChoices(filter="colour > 3", sort_column="gone", colour="gone"))
+    assert "There is no column 'colour'" in shown.filter_error
+    assert len(state.sorted_rows(findings, shown)) == 13
+    assert state.choices(shown).filter == ""
+
+
 def test_a_wrong_filter_is_reported_and_changes_nothing(findings: Findings, lab: LabState) -> None:
     right = state.set_filter(lab, "altitude > 100 and weather = sun", findings.table)
     assert len(state.selected_rows(findings, right)) == 4
     wrong = state.set_filter(right, "weather > 3 <script>", findings.table)
     assert (wrong.filter, wrong.filter_typed) == (right.filter, "weather > 3 <script>")
     assert "weather" in wrong.filter_error
-    html = table.summary(findings, wrong, state.selected_rows(findings, wrong), (0, 9))
+    html = table.summary(findings, wrong, state.selected_rows(findings, wrong))
     assert "4 of 13 queries" in html
     assert 'role="alert"' in html
     assert "<script>" not in html + table.search_boxes(findings, wrong)
@@ -157,11 +177,10 @@ def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:
         lab,
         filter="rank > 1",
         selections=(Selection("a", "x", np.zeros(0, int)),),
-        page=4,
         tab="maps",
         full_height=True,
     )
     other = state.for_task(busy, "satellite-to-drone")
-    assert (other.filter, other.selections, other.page) == ("", (), 0)
+    assert (other.filter, other.selections) == ("", ())
     assert (other.tab, other.full_height) == ("maps", True)
     assert state.for_task(busy, TASK) is busy

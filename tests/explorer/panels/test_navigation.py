@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from explorer.browse.query_list import entries
+from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
 from lpn.analysis.analyser import OwnPicture
+from lpn.datasets import Truth
 
 
 def test_a_task_goes_on_where_it_was_left_and_closes_ones_own_picture(data: Path, model_file: Path) -> None:
@@ -33,3 +36,32 @@ def test_a_task_goes_on_where_it_was_left_and_closes_ones_own_picture(data: Path
     assert own is not None
     assert own.upload is None
     assert notices == ["Your picture is closed"]
+
+
+def test_a_query_without_a_true_tile_is_a_failure_in_every_count(data: Path, model_file: Path) -> None:
+    workspace, notices = open_model(data, model_file), []
+    name, task = next(iter(workspace.tasks.items()))
+    workspace.tasks[name] = task = replace(task, query_labels=task.query_labels + 10_000)
+    workspace.rankings[name] = ranking = RankingJob(task)
+    ranking.start()
+    state = SessionState(name, 4)
+    chosen = Navigation(workspace, lambda title, _: notices.append(title)).failure(state)
+    assert chosen is not None
+    assert chosen.query != state.query
+    assert notices == []
+    assert ranking.results["recall@1"] == task.metrics["recall@1"] == 0
+    assert ranking.failed.all()
+    np.testing.assert_array_equal(ranking.failed, task.outcomes.failed)
+    assert [right for _, _, right in entries(ranking, [0, 1])] == [0, 0]
+
+
+def test_a_query_whose_place_is_not_known_is_no_failure(data: Path, model_file: Path) -> None:
+    workspace, notices = open_model(data, model_file), []
+    name, task = next(iter(workspace.tasks.items()))
+    none = np.zeros(0, np.int64)
+    workspace.tasks[name] = task = replace(task, truth=[Truth(none, none, known=False)] * len(task.queries))
+    workspace.rankings[name] = ranking = RankingJob(task)
+    ranking.start()
+    assert not ranking.failed.any()
+    assert Navigation(workspace, lambda title, _: notices.append(title)).failure(SessionState(name, 4)) is None
+    assert notices == ["Nothing is known"]

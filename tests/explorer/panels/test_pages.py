@@ -3,14 +3,19 @@ from __future__ import annotations
 import re
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from explorer import session_state
 from explorer.compute.worker import DelayedCall
 from explorer.opening import open_model, open_saved
-from explorer.panels import pages, tour
+from explorer.panels import pages
 from explorer.session_state import SessionState
+from explorer.stories import tour
+from explorer.stories.story import Step
 from explorer.web import style
 from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, Workspace
@@ -54,20 +59,30 @@ def test_every_ink_of_the_html_is_in_the_styles() -> None:
         assert style.STYLE.count(f"{name[1]}:#") == 2
 
 
+def tour_captions(workspace: Workspace) -> list[str]:
+    told = tour.story(workspace)
+    where = tour.places(workspace.layout)
+    for step in told.steps:
+        assert not step.shows, "the page stays as it is"
+        assert step.points_at
+        assert where[step.points_at]["selectors"] or where[step.points_at]["box"]
+        assert msgspec.convert(msgspec.to_builtins(step), Step) == step, "as short as a person's"
+    return [step.caption for step in told.steps]
+
+
 def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     workspace: Workspace, data: Path, model_file: Path, tmp_path: Path
 ) -> None:
-    live = tour.steps(workspace)
+    live = tour_captions(workspace)
     assert len(live) == 5
-    assert all(step.selectors or step.box for step in live)
-    assert not any("see the map" in step.html for step in live)
-    assert any("square rings" in step.html for step in live)
+    assert not any("see the map" in caption for caption in live)
+    assert any("square rings" in caption for caption in live)
     mapped = open_model(small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "mapped")), model_file)
-    assert any("see the map" in step.html for step in tour.steps(mapped))
+    assert any("see the map" in caption for caption in tour_captions(mapped))
     save_result(tmp_path / "r.mat", data, model_file)
-    saved = tour.steps(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
+    saved = tour_captions(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
     assert len(saved) == 5
-    assert not any(word in step.html for step in saved for word in ("evidence", "turn it", "your own"))
+    assert not any(word in caption for caption in saved for word in ("evidence", "turn it", "your own"))
 
 
 def test_the_verdict_has_the_sign_of_its_answer(workspace: Workspace) -> None:
@@ -75,6 +90,39 @@ def test_the_verdict_has_the_sign_of_its_answer(workspace: Workspace) -> None:
     for query, rank in enumerate(ranking.ranks):
         html = pages.verdict(StateAnalyser(workspace).analyse(SessionState(name, 4, query=query), 5), workspace)
         assert ("✓ Found" if rank == 0 else "✗ Wrong") in html
+
+
+def test_what_alters_the_ranking_stands_beside_the_verdict_and_is_undone(workspace: Workspace) -> None:
+    name = next(iter(workspace.tasks))
+    plain = SessionState(name, 4)
+    altered = replace(
+        plain,
+        region=(1, 2, 3),
+        weights=(1.0, 1.0, 2.0, 1.0),
+        enabled=(True, True, True, False),
+        angle=20,
+        down=5,
+        zoom=2.0,
+    )
+    analyser = StateAnalyser(workspace)
+    assert "Altered by" not in pages.verdict(analyser.analyse(plain, 5), workspace)
+    html = pages.verdict(analyser.analyse(altered, 5), workspace)
+    cells = workspace.map_sizes["drone"][0] * workspace.map_sizes["drone"][1]
+    kinds = session_state.alterations(altered, cells)
+    assert kinds == {
+        "region": f"search by 3 of {cells} cells",
+        "weights": "part weights 25 : 25 : 50 : 0 %",
+        "rotation": "turned 20°",
+        "shift": "shifted 5 px down",
+        "zoom": "scaled by 2",
+    }
+    for kind, label in kinds.items():
+        assert label in html
+        assert kind not in session_state.alterations(session_state.undo(altered, kind), cells)
+        altered = session_state.undo(altered, kind)
+    assert altered == plain
+    for kind in ("other", None, ["region"]):
+        assert session_state.undo(altered, kind) is altered
 
 
 def test_a_status_line_that_waits_still_says_what_is_shown(workspace: Workspace) -> None:

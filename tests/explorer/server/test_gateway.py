@@ -10,10 +10,13 @@ import os
 import socket
 import threading
 import time
+import urllib.error
+import urllib.request
 import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 from urllib.parse import urlsplit
 
 import cv2
@@ -23,8 +26,9 @@ import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from websockets.exceptions import InvalidStatus
 
-from explorer.app import App
+from explorer.app import App, serve_in_background
 from explorer.opening import open_model
+from explorer.panels.upload_control import UploadControl
 from explorer.server import gateway, picture_route
 from explorer.server.auth import Authenticator
 from explorer.server.gateway import Gateway
@@ -34,10 +38,11 @@ from explorer.server.rate_limiter import GUESSES, RateLimiter
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
-from lpn.core.errors import DataError, MissingPackageError
+from lpn.core.errors import DataError, InputError, MissingPackageError
 from tools.fixtures import small_worlds
 from tools.fixtures.websocket_client import WebSocketClient
 
+T = TypeVar("T")
 TOKEN = "correct horse battery"
 
 
@@ -150,6 +155,21 @@ def test_the_page_may_load_from_and_connect_to_its_own_server_only(app: App) -> 
     assert "http" not in headers["Content-Security-Policy"]
 
 
+def test_a_page_for_a_notebook_may_be_framed_by_this_machine_and_ends_when_it_is_closed(app: App) -> None:
+    page = serve_in_background(lambda: app._first.workspace)
+    with urllib.request.urlopen(page.url, timeout=60) as response:
+        policy = response.headers["Content-Security-Policy"]
+    assert "frame-ancestors 'self' http://localhost:* http://127.0.0.1:* " in policy
+    assert page._repr_html_().startswith(f'<iframe src="{page.url}"')
+    with pytest.raises(InputError, match="is in use"):
+        serve_in_background(lambda: app._first.workspace, port=urlsplit(page.url).port or 0)
+    page.close()
+    with pytest.raises(urllib.error.URLError, match="refused"):
+        urllib.request.urlopen(page.url, timeout=60)
+    with serve_in_background(lambda: app._first.workspace, authenticator=Authenticator("127.0.0.1", TOKEN)) as other:
+        assert "iframe" not in other._repr_html_()
+
+
 def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
     status, _, body = get(app, host="evil.example")
     assert status == 421
@@ -217,15 +237,23 @@ def test_pending_connections_do_not_exhaust_the_file_descriptors(app: App, monke
     before = len(list(Path("/proc/self/fd").iterdir()))
     held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) for _ in range(30)]
     try:
-        for connection in held[8:]:
+        for connection in held[:-8]:
             with contextlib.suppress(ConnectionResetError):
                 assert connection.recv(1) == b""
         assert len(list(Path("/proc/self/fd").iterdir())) <= before + 30 + 8, "30 of ours"
-        held.pop(0).close()
-        assert until(lambda: answers(app))
+        assert get(app)[0] == 200, "half-open connections keep no visitor of their address out"
     finally:
         for connection in held:
             connection.close()
+
+
+def test_an_address_as_long_as_a_page_makes_it_is_answered_and_a_longer_one_refused(app: App) -> None:
+    for length, status in ((8_500, 200), (19_900, 200), (20_500, 414)):
+        found, _, body = get(app, "/?region=" + "1" * length)
+        assert found == status
+        assert ("An address has up to 20,000 characters" in body) == (status == 414)
+    with pytest.raises(http.client.HTTPException):
+        get(app, x="1" * 9_000)  # a header
 
 
 def test_a_refusal_escapes_the_host_name(app: App) -> None:
@@ -362,7 +390,7 @@ def test_long_texts_are_truncated_or_end_the_connection(hostile: WebSocketClient
 def test_uploads_beyond_the_limits_are_not_stored(app: App, hostile: WebSocketClient) -> None:
     client = max(app.server.get_clients().items())[1]
     hostile.upload("big.png", b"x" * 1000, size=10**11, transfer="huge")
-    hostile.wait(lambda: "big.png is empty, or too large" in str(hostile.controls))
+    hostile.wait(lambda: "big.png is empty, or has more than 30 MB" in str(hostile.controls))
     for number in range(20):
         hostile.upload("slow.png", b"", size=9_000_000, transfer=f"t{number}")
         hostile.send(
@@ -535,9 +563,8 @@ def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
         talker.upload("mine.png", picture(600))
         talker.wait(lambda: talker.status("name") == "mine.png")
         assert len(alive(OwnPicture)) == 1
-        held = session()._panels.query._upload._button  # type: ignore[union-attr]
-        assert held.value.content == b"", "viser's own copy of the bytes"
-        del held
+        contents = [control._button.value.content for control in alive(UploadControl)]
+        assert set(contents) == {b""}, "viser's own copy of the bytes"
     assert until(lambda: not alive(OwnPicture) and session() is None and handle() is None), (
         alive(OwnPicture),
         session(),
@@ -545,7 +572,7 @@ def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
     assert until(lambda: threads_of("explorer-worker") <= workers_before)
 
 
-def alive(kind: type) -> list[object]:
+def alive(kind: type[T]) -> list[T]:
     gc.collect()
     return [one for one in gc.get_objects() if type(one) is kind]
 

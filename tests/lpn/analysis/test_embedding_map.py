@@ -53,8 +53,8 @@ def test_pca_of_what_does_not_vary_is_one_point() -> None:
 
 def test_points_inside_a_rectangle() -> None:
     points = np.array([[0, 0], [1, 1], [2, 2], [1, 3], [np.nan, 1]])
-    assert inside(points, (2, 2), (1, 0)).tolist() == [1, 2]
-    assert inside(points, (5, 5), (6, 6)).tolist() == []
+    assert inside(points, np.array([[2.5, 2.5], [0.5, 2.5], [0.5, 0.5], [2.5, 0.5]])).tolist() == [1, 2]
+    assert inside(points, np.array([[5, 5], [6, 5], [6, 6]])).tolist() == []
 
 
 def test_umap_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import multiprocessing
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -7,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from lpn.analysis.notes import LONGEST_NOTE, Note, columns, read_notes, set_note
+from lpn.analysis import notes
+from lpn.analysis.notes import LONGEST_NOTE, MOST_TAGS, Note, add_tags, columns, read_notes, set_note
 from lpn.core.errors import DataError, InputError, OutputError
 
 
@@ -90,6 +92,16 @@ def test_what_is_no_note_is_refused(tmp_path: Path, path: str, tags: str, text: 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_no_file_is_saved_that_could_not_be_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "notes.csv"
+    kept = set_note(file, "a.jpg", "x", "")
+    small = dataclasses.replace(notes._FORMAT, max_bytes=file.stat().st_size + 50)
+    monkeypatch.setattr(notes, "_FORMAT", small)
+    with pytest.raises(InputError, match="shorten other notes first"):
+        set_note(file, "b.jpg", "", "y" * 60)
+    assert read_notes(file) == kept
+
+
 @pytest.mark.skipif(os.geteuid() == 0, reason="root writes anywhere")
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
@@ -103,3 +115,18 @@ def test_a_place_that_is_no_file_is_one_sentence(tmp_path: Path) -> None:
         set_note(tmp_path / "notes.csv", "a.jpg", "x", "")
     with pytest.raises(DataError, match="cannot be read"):
         read_notes(tmp_path / "notes.csv")
+
+
+def test_tags_are_added_to_several_queries_in_one_change_or_to_none(tmp_path: Path) -> None:
+    file = tmp_path / "notes.csv"
+    set_note(file, "a.jpg", "night", "kept")
+    expected = {"a.jpg": Note(("night", "twin", "roof"), "kept"), "b.jpg": Note(("twin", "roof"))}
+    assert add_tags(file, ["b.jpg", "a.jpg"], "twin, roof") == expected
+    assert add_tags(file, ["a.jpg"], "twin") == read_notes(file) == expected
+    many = " ".join(f"t{i}" for i in range(MOST_TAGS))
+    for tags, message in (("", "There is no tag"), ("no/word", "no/word"), (many, "expected 20 at most")):
+        with pytest.raises(InputError, match=message):
+            add_tags(file, ["new.jpg", "a.jpg"], tags)
+    with pytest.raises(InputError, match="rename the file"):
+        add_tags(file, ["a\n.jpg"], "x")
+    assert read_notes(file) == expected

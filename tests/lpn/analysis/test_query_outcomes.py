@@ -11,7 +11,15 @@ import pytest
 import lpn
 from lpn import retrieval
 from lpn.analysis import breakdown, notes
-from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, Outcomes, build, labels_of, picture_columns, table
+from lpn.analysis.query_outcomes import (
+    OUTCOME_COLUMNS,
+    Outcomes,
+    build,
+    compared_ranks,
+    labels_of,
+    picture_columns,
+    table,
+)
 from lpn.analysis.task import gallery_geometry
 from lpn.cli import main
 from lpn.core.arrays import Float32Array
@@ -197,7 +205,7 @@ def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(kno
         ["1 centre", "2", "3", "4 outer"],
         gallery_geometry(open_dataset(known), queries, gallery),
     )
-    assert list(made.columns)[:8] == list(OUTCOME_COLUMNS)[:8]
+    assert list(made.columns)[:8] == [name for name in OUTCOME_COLUMNS if name not in ("rank A", "rank B")][:8]
     of_pictures = [column.name for column in picture_columns(made)]
     assert of_pictures == [
         *("latitude", "longitude", "altitude", "heading", "tilt", "fov"),
@@ -239,6 +247,7 @@ def test_a_data_set_of_which_nothing_is_known_has_its_outcomes_only(data: Path, 
         ("path,a,A\n", "'A', which there is already"),
         ("path,rank\n", "'rank', which there is already"),
         ("path,tags\n", "'tags', which there is already"),
+        ("path,Rank B\n", "'Rank B', which there is already"),
         ("path,a<b\n", "without any of"),
         ("path,\n", "called ''"),
         ("path,a\nx.png,1,2\n", "Line 2 of metadata.csv has 3 values; expected 2"),
@@ -369,9 +378,42 @@ def test_the_command_lists_failures_and_writes_them(
     by_path = {row["path"]: row for row in rows}
     assert (by_path[first]["tags"], by_path[first]["note"]) == ("odd", "'-1 for the roof")
     assert by_path[first]["weather"] in ("rain", "'=sun", "")
-    wrong = [["--where", "hue > 1"], ["--sort", "hue"], ["--task", "street-to-satellite"], ["--top", "0"]]
-    for options, words in zip(wrong, ["'hue'", "'hue'", "drone-to-satellite", "1 or more"], strict=True):
+    wrong = [
+        ["--where", "hue > 1"],
+        ["--where", "rank B = 1"],
+        ["--sort", "hue"],
+        ["--task", "street-to-satellite"],
+        ["--top", "0"],
+    ]
+    for options, words in zip(wrong, ["'hue'", "'rank B'", "'hue'", "drone-to-satellite", "1 or more"], strict=True):
         assert main.main([*common, *options]) == 2
         said = capsys.readouterr().err
         assert words in said
         assert [line[:5] for line in said.splitlines() if " WARNING " not in line] == ["lpn: "]
+
+
+def test_the_command_lists_the_ranks_of_two_models(
+    known: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "both.csv"
+    command = ["failures", "--data", str(known), "--model", str(one_part_model_file), "--beside", str(model_file)]
+    assert main.main([*command, "--where", "rank A > 1 and rank B = 1", "--sort", "rank A", "--csv", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "rank A" in printed
+    assert "┃ rank ┃" not in printed
+    first, second = (described(known, file)[2].rank + 1 for file in (one_part_model_file, model_file))
+    expected = np.sort(first[(first > 1) & (second == 1)])
+    assert len(expected)
+    rows = list(csv.DictReader(io.StringIO(out.read_text())))
+    assert [row["rank A"] for row in rows] == [row["rank"] for row in rows] == [str(rank) for rank in expected]
+    assert {row["rank B"] for row in rows} == {"1"}
+
+
+def test_ranks_of_other_queries_are_refused() -> None:
+    outcomes = build(descriptors(3), descriptors(4, seed=1), np.arange(3), np.arange(4))
+    pictures = [Picture(Path(f"/data/{i}.jpg"), i, str(i)) for i in range(4)]
+    made = table(Path("/data"), pictures[:3], pictures, outcomes)
+    with pytest.raises(InputError, match="3 queries and 2 ranks"):
+        compared_ranks(made, np.zeros(2, np.int64))
+    beyond = compared_ranks(made, np.array([0, 5, -1]), depth=5)[1]
+    assert [beyond.text(row) for row in range(3)] == ["1", "> 5", ""]

@@ -115,5 +115,5 @@ def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against(
     said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert said == (
         "Part 2 outer adds most to the score (+0.400 of 0.300), where the query's upper right agrees with the tile's "
-        "north-east. Part 1 centre speaks against the pair (-0.100)."
+        "north-east. Part 1 centre speaks against the pair (−0.100)."
     )

@@ -115,7 +115,10 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
             ["describe", "--model", "MODEL", "--images", "DATA", "--view", "drone", "--out", "MODEL"],
             "cannot be written",
         ),
-        (["train", "--data", "DATA", "--out", "run"], "give its weights with --init FILE, or say --from-scratch"),
+        (
+            ["train", "--data", "DATA", "--out", "run"],
+            "let --init auto find them, or say --from-scratch",
+        ),
         (["train", "--data", "DATA", "--out", "run", "--init", "x", "--from-scratch"], "exclude each other"),
         (["train", "--data", "DATA", "--out", "MODEL/run", "--batch", "4", "--from-scratch"], "cannot be written"),
         (["train", "--data", "DATA", "--out", "run", "--lr", "nan"], "lr = nan"),

@@ -318,7 +318,7 @@ class Interrupted(DescribeWorker):
 def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path, tmp_path: Path) -> None:
     """Twenty pictures join three: nothing is computed twice, also where the run that splits the shards is killed."""
     out, pictures = tmp_path / "shards", tmp_path / "some"
-    # Of these names none of eight partitions gets more than four, and the first more than the one of the first run.
+    # With these names none of eight partitions gets more than four, and the first more than the one of the first run.
     numbers = [14, 11, 13, *(i for i in range(10, 33) if i not in (11, 13, 14))]
     kept = [folder / f"{i % 3}" / f"{i:02d}.png" for i in numbers]
 

@@ -52,7 +52,7 @@ def described(items: Sequence[ShardItem]) -> Float32Array:
 
 
 def begin(folder: Path, items: Sequence[ShardItem]) -> None:
-    """What a run of lpn describe does until it writes its plan for the last time."""
+    """Do the work of lpn describe until it writes its plan for the last time."""
     Storage(folder).write(PLAN, PLANNED.to_json())
     write(folder, PLANNED, items)
 

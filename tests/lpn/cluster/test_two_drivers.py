@@ -48,7 +48,7 @@ class KilledError(Exception):
 
 
 class OneProcess:
-    """What the driver uses of Ray Data, done here, a partition at a time in the order in which they are handed out.
+    """The functions of Ray Data that the driver uses, run in this process in the order of the partitions.
 
     Args:
         before: told of each partition before it is begun, by its number and how many were begun by then.
@@ -98,7 +98,7 @@ class Place:
         shard: int | None = None,
         before: Callable[[int, int], None] = lambda *_: None,
     ) -> Summary:
-        """What lpn describe --engine ray does once it has listed the pictures."""
+        """Do the work of lpn describe --engine ray after it has listed the pictures."""
 
         @contextmanager
         def ray_session(*_: object) -> Iterator[tuple[OneProcess, int, Callable[[Any], Any]]]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lpn.core.errors import OutputError
-from lpn.core.files import check_writable, fingerprint, write_atomic
+from lpn.core.files import check_writable, distinct_names, fingerprint, write_atomic
 
 
 def test_a_file_is_whole_however_many_write_it(tmp_path: Path) -> None:
@@ -29,6 +30,21 @@ def test_what_cannot_be_written_is_said_and_nothing_is_left(tmp_path: Path) -> N
                 attempt(path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
     assert (tmp_path / "file").read_bytes() == b"kept"
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"), [(errno.ENOSPC, "free space or choose another place"), (errno.EROFS, "choose another place")]
+)
+def test_only_a_full_disk_is_told_to_be_freed(
+    number: int, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "write_bytes", refused)
+    with pytest.raises(OutputError) as error:
+        write_atomic(tmp_path / "file", b"new")
+    assert str(error.value) == f"{tmp_path / 'file'} cannot be written ({os.strerror(number)}); {remedy}."
 
 
 def test_a_fingerprint_is_of_contents_alone(tmp_path: Path) -> None:
@@ -56,3 +72,9 @@ def test_what_killed_processes_left_is_deleted_and_what_others_write_is_not(tmp_
         os.utime(tmp_path / name, (1, 1))
     write_atomic(tmp_path / "file", b"whole")
     assert {p.name for p in tmp_path.iterdir()} == {"file", *names.values()} - {names["old"]}
+
+
+def test_names_have_the_folders_that_tell_files_apart() -> None:
+    assert distinct_names([Path("runs/a/net.pth"), Path("runs/b/other.pth")]) == ["net.pth", "other.pth"]
+    assert distinct_names([Path("runs/a/net.pth"), Path("runs/b/net.pth")]) == ["a/net.pth", "b/net.pth"]
+    assert distinct_names([Path("1/a/net.pth"), Path("2/a/net\n.pth"), Path("3/a/net.pth")])[1] == "2/a/net?.pth"

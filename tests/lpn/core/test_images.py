@@ -60,6 +60,20 @@ def test_webp_is_read_as_what_it_shows(tmp_path: Path) -> None:
     assert ".webp" in images.SUFFIXES
 
 
+@pytest.mark.parametrize("suffix", [".bmp", ".gif", ".tif", ".tiff"])
+def test_further_kinds_are_read_by_every_version_of_opencv(suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = Image.fromarray(small_worlds.place(3)).convert("P")
+    whole = io.BytesIO()
+    shown.save(whole, {".bmp": "BMP", ".gif": "GIF"}.get(suffix, "TIFF"))
+    np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), suffix), np.asarray(shown.convert("RGB")))
+    assert suffix in images.SUFFIXES
+    if suffix == ".gif":
+        monkeypatch.setattr(cv2, "imdecode", lambda *_: None)
+        np.testing.assert_array_equal(images.decode_picture(whole.getvalue(), "a"), np.asarray(shown.convert("RGB")))
+        with pytest.raises(PictureError, match="a is cut short or damaged"):
+            images.decode_picture(whole.getvalue()[:800], "a")
+
+
 def test_exif_orientation_is_obeyed(tmp_path: Path) -> None:
     picture = Image.fromarray(small_worlds.place(4)[:40])
     exif = picture.getexif()

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,56 @@ def test_hidden_files_and_folders_are_not_places(tmp_path: Path) -> None:
     for name in (".ipynb_checkpoints/a.jpg", "0001/._a.jpg", "0001/a.jpg"):
         small_worlds.write(tmp_path / "test" / "query_drone" / name, small_worlds.place(1))
     assert [p.path.name for p in open_dataset(tmp_path).queries("drone")] == ["a.jpg"]
+
+
+def test_pictures_of_common_kinds_are_read_and_others_named(tmp_path: Path) -> None:
+    folder = tmp_path / "test" / "query_drone" / "0001"
+    names = ("a.bmp", "b.gif", "c.tif", "d.TIFF", "e.jpg")
+    for name in (*names, ".f.png", "no-ending.png", "._e.jpg", ".hidden/x.jpg"):
+        small_worlds.write(folder / name, small_worlds.place(1))
+    (folder / "no-ending.png").rename(folder / "g")
+    (folder / "photo.HEIC").write_bytes(b"")
+    for name in ("README", ".DS_Store", "notes.txt"):
+        (folder / name).write_text("text")
+    for root, where in ((tmp_path, "test/query_drone/0001"), (folder, ".")):
+        dataset = open_dataset(root)
+        found = next(iter(dataset.lists().values()))
+        assert [picture.path.name for picture in found] == list(names)
+        assert [(item.file, item.why) for item in dataset.unread()] == [
+            ((Path(where) / name).as_posix(), why)
+            for name, why in (
+                (".f.png", "is hidden"),
+                ("g", "has no ending such as .jpg; rename it"),
+                ("photo.HEIC", "is of a kind that is not read; save it as JPEG"),
+            )
+        ]
+
+
+def test_a_folder_without_a_task_says_what_it_lacks(tmp_path: Path) -> None:
+    for number in range(3):
+        small_worlds.write(tmp_path / "photos" / f"{number}.png", small_worlds.place(number))
+    (tmp_path / "empty" / "test").mkdir(parents=True)
+    (tmp_path / "half" / "test" / "query_drone").mkdir(parents=True)
+    for name, lack in (
+        ("photos", "is a folder of pictures without queries and a gallery; expected test/query_drone"),
+        ("empty", "has no pictures to test with; expected queries of one view and a gallery of another"),
+        ("half", "has only test/query_drone; expected queries of one view and a gallery of another"),
+    ):
+        dataset = open_dataset(tmp_path / name)
+        assert dataset.tasks() == []
+        assert dataset.why_no_task().startswith(lack)
+
+
+def test_a_folder_of_the_test_split_may_be_a_text_with_the_name_of_another(data: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(data, tmp_path / "places")
+    shutil.rmtree(root / "test" / "gallery_drone")
+    (root / "test" / "gallery_drone").write_text("query_drone\n")  # what Git leaves of a link on Windows
+    dataset = open_dataset(root)
+    assert dataset.tasks() == ["drone-to-satellite", "satellite-to-drone"]
+    assert dataset.gallery("drone") == dataset.queries("drone")
+    for text in ("../../etc", "nowhere", ""):
+        (root / "test" / "gallery_drone").write_text(text)
+        assert open_dataset(root).tasks() == ["drone-to-satellite"]
 
 
 def test_names_can_always_be_shown_and_sent(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def collected(model: Engine, pictures: Float32Array, count: int) -> Float32Array
 def test_streams_say_what_one_call_says(
     worth: int, model_file: Path, pictures: Float32Array, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whether each stream computes by itself, or all take turns with the model as it was opened."""
+    """Each stream computes by itself, or all take turns with the model as it was opened."""
     monkeypatch.setattr(parallel_inference, "_MIN_PICTURES", worth)
     model = Engine(model_file, threads=2)
     np.testing.assert_allclose(collected(model, pictures, 3), model.descriptors(pictures, "drone"), atol=1e-6)

@@ -117,7 +117,7 @@ def test_a_panorama_is_turned_by_moving_its_columns_around(tmp_path: Path) -> No
     picture = images.load_picture(street.path)
     quarter = Change(rotate=90).for_picture(street)
     turned = quarter.apply(picture)
-    # What was in the east, three quarters across, is in the north, in the middle; no corner is black.
+    # The east, three quarters across, is now the north, in the middle; no corner is black.
     width = picture.shape[1]
     np.testing.assert_array_equal(turned[:, width // 2], picture[:, 3 * width // 4])
     np.testing.assert_array_equal(Change(rotate=-90).for_picture(street).apply(turned), picture)

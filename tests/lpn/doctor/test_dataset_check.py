@@ -114,7 +114,13 @@ def test_files_named_and_not_there_are_damage_but_what_is_published_broken_is_no
     status, found = doctor(root, tmp_path)
     assert status == 1
     assert found["left_out"] == [{"file": "bingmap/19/0000002.jpg", "why": "is not there", "published": False}]
-    assert "1 are named but left out: bingmap/19/0000002.jpg is not there." in capsys.readouterr().out
+    assert "1 are left out: bingmap/19/0000002.jpg is not there." in capsys.readouterr().out
+    photos = small_worlds.make_dataset(tmp_path / "photos", train=1, test=2)
+    (photos / "test" / "query_drone" / "0002" / "photo.heic").write_bytes(b"")
+    status, found = doctor(photos, tmp_path)
+    assert (status, len(found["left_out"])) == (1, 1)
+    text = " ".join(capsys.readouterr().out.split())
+    assert "1 are left out: test/query_drone/0002/photo.heic is of a kind that is not read; save it as JPEG." in text
     status, found = doctor(layouts.paris(tmp_path / "paris"), tmp_path)
     assert (status, [item["published"] for item in found["left_out"]]) == (0, [True])
     assert "being broken in the published data set too" in " ".join(capsys.readouterr().out.split())

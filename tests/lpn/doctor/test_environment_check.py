@@ -66,7 +66,7 @@ def test_a_problem_ends_with_status_1(
     said = capsys.readouterr().out
     assert "problem cache: " in said
     assert "cannot be written (Not a directory); make it writable, or set LPN_CACHE" in said
-    assert "note    demo: not part of this installation" in said
+    assert "problem demo: its files are missing; restore assets of the checkout" in said
     assert said.endswith("Something is broken: see the problems above.\n")
 
 

@@ -51,7 +51,7 @@ def test_evidence_is_stacked_from_zero_and_its_sum_is_marked() -> None:
 
 def test_the_waterfall_ends_at_the_margin() -> None:
     steps = charts.waterfall(np.array([0.2, -0.6, 0.1]))
-    assert [float(re.findall(r">([+-][\d.]+)<", step)[0]) for step in steps] == [0.2, -0.6, 0.1, -0.3]
+    assert [re.findall(r">([+−][\d.]+)<", step)[0] for step in steps] == ["+0.200", "−0.600", "+0.100", "−0.300"]
     bars = [rectangles(step.replace(' y="6"', ""))[0] for step in steps]
     zero = bars[0][0]
     # The first step goes right from zero, the second left from its end, and the sum from the end of the last to zero.

@@ -65,7 +65,7 @@ def test_the_margin_names_the_decisive_part() -> None:
     leads = verdicts.describe_margin(np.array([0.3, -0.1]), ["a", "b"])
     assert leads == "The true tile leads by 0.200 (d²); part a does most of it (+0.300)."
     trails = verdicts.describe_margin(np.array([0.1, -0.3]), ["a", "b"], "this tile")
-    assert trails == "This tile is 0.200 (d²) behind; part b costs it most (-0.300)."
+    assert trails == "This tile is 0.200 (d²) behind; part b costs it most (−0.300)."
 
 
 def match(rank: int, shares: tuple[float, float], true: bool, beyond: bool = False) -> Match:
@@ -88,3 +88,12 @@ def test_a_true_tile_that_an_approximate_search_missed_is_told() -> None:
     verdict = verdicts.verdict(first, missed, first, ["a", "b"])
     assert verdict[:2] == (False, "Missed: the search did not return the true tile")
     assert "lead the top match by 0.150" in verdict[2]
+
+
+def test_a_query_without_a_true_tile_is_wrong_and_a_part_that_costs_has_a_minus() -> None:
+    first, true = match(1, (0.1, 0.2), False), match(2, (0.4, 0.2), True)
+    assert verdicts.verdict(first, None, None, ["a", "b"])[:2] == (False, "No true tile")
+    assert (
+        "It is 0.300 (d²) behind the top match; part a costs it most (−0.300)."
+        in verdicts.verdict(first, true, first, ["a", "b"])[2:]
+    )

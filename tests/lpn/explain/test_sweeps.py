@@ -170,7 +170,6 @@ def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model
     assert found.best.score == pytest.approx(1, abs=1e-4)
 
 
-@pytest.mark.skipif(not DEMO.is_dir(), reason="the demo is not part of this installation")
 def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     model, dataset = lpn.load(DEMO / "lpn.onnx"), open_dataset(DEMO)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")

@@ -54,7 +54,7 @@ def made(request: pytest.FixtureRequest, tiles: Tiles, tmp_path_factory: pytest.
 
 @pytest.fixture
 def searched(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, int]]:
-    """Of each search by faiss: whether only some rows were allowed, and the lists it looked through."""
+    """Record for each search by faiss if only some rows were allowed, and how many lists it looked through."""
     seen: list[tuple[bool, int]] = []
     original = FaissIndex._parameters
 
@@ -110,7 +110,7 @@ def test_more_lists_are_looked_through_until_a_box_has_given_enough(
     tmp_path: Path, tiles: Tiles, searched: list[tuple[bool, int]], codes: Any
 ) -> None:
     query = tiles.descriptors[0]
-    # What is like the query lies in the south, so that the lists nearest to it hold next to none of the north.
+    # The tiles like the query lie in the south, so that the lists nearest to it hold next to none of the north.
     positions = np.where(tiles.scores(query, None) > np.median(tiles.scores(query, None)), -45.0, 45.0)
     places = np.stack([positions, np.zeros(COUNT)], 1)
     north: Box = (0, -10, 90, 10)

@@ -65,7 +65,7 @@ def test_a_folder_of_somebody_else_is_left_as_it_is(tmp_path: Path) -> None:
         with pytest.raises(StoreError, match=r"no index\.json"):
             using()
     assert files_below(tmp_path / "index") == before
-    # What a kill leaves of a manifest that is written first is no hindrance.
+    # A kill while the manifest is written leaves a partial file, which is no hindrance.
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "index.json.4194303-12.part").write_bytes(b"{")
     with create_index(tmp_path / "new", KIND) as index:
@@ -88,7 +88,7 @@ def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> No
         (place / "0000006").symlink_to(tmp_path / "elsewhere")
         (place / "0000007").mkdir()
         (place / "0000007" / "vectors.npy").symlink_to(tmp_path / "elsewhere" / "vectors.npy")
-        # What a killed add left is ours.
+        # This is the folder of an add that was killed.
         shutil.copytree(place / "0000001", place / "0000009", ignore=shutil.ignore_patterns("photo.jpg", "dead-*"))
         (place / "0000009" / "checksums.json.4194303-12.part").write_bytes(b"{")
         for start in range(10, 300, 10):

@@ -43,7 +43,7 @@ BOXES: list[Box | None] = [None, (-30, -60, 40, 70), (-80, 150, 80, -140), (10, 
 
 @dataclass
 class Tiles:
-    """What an index should hold, and the answer by brute force in float64."""
+    """The rows that an index should hold, and its answers by brute force in float64."""
 
     names: list[str]
     descriptors: Float32Array

@@ -110,7 +110,7 @@ def _strip(tiles: Tiles, count: int) -> Box:
 
 
 def _recall(index: Index, tiles: Tiles, k: int, box: Box | None, queries: int = 6) -> float:
-    """Of the true k; what comes back is to be k tiles or all, and of each what was added, exactly."""
+    """Return the share of the true k that is found; assert that k tiles or all return, each as it was added."""
     rng, inside, hits, wanted = np.random.default_rng(2), tiles.inside(box), 0, 0
     rows_of = {name: row for row, name in enumerate(tiles.names)}
     noise = rng.standard_normal((queries, *tiles.descriptors.shape[1:])).astype(np.float32)

@@ -19,7 +19,7 @@ from lpn.flights.cut import cut_square
 from lpn.locate import pipeline
 from lpn.locate.corrections import Correction, set_correction
 from lpn.locate.ground import MapFeatures
-from lpn.locate.matchers import SiftMatcher
+from lpn.locate.matchers import Features, SiftMatcher
 from lpn.locate.pipeline import (
     LocatedFlight,
     LocatedFrame,
@@ -29,10 +29,19 @@ from lpn.locate.pipeline import (
     locate,
     nadir_pixel,
 )
-from lpn.locate.registration import Registration
+from lpn.locate.registration import Expectation, Registration, Similarity, contested, register
 from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.maps import Map, Window, open_map
-from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, GridModel, ground_to_photo, land, photo_of
+from tests.lpn.locate.scenery import (
+    CORNER,
+    RESOLUTION,
+    SIDE,
+    GridModel,
+    ground_to_photo,
+    land,
+    photo_of,
+    write_map,
+)
 
 SIZE = (360, 270)
 HEIGHT = 80.0
@@ -301,6 +310,54 @@ def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
     assert set(map(tuple, centres[1:])) == ({(90.0, 0.0)} if searches == 2 else set())
 
 
+class _MutualMatcher(SiftMatcher):
+    """SIFT that keeps what several places share, as XFeat does."""
+
+    name = "Mutual"
+    ratio = 1.0
+
+
+class _OneEyedMatcher(SiftMatcher):
+    """SIFT that finds places in the map's eastern half only, although it describes the whole."""
+
+    def match(self, photo: Features, ground: Features) -> np.ndarray:
+        pairs = super().match(photo, ground)
+        return pairs[ground.points[pairs[:, 1], 0] > 0]
+
+
+def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Flight, tmp_path: Path) -> None:
+    ground = land().copy()
+    ground[:, : SIDE // 2] = ground[:, SIDE // 2 :]
+    town = write_map(tmp_path / "twins.tif", ground)
+    size, width = (240, 180), 60.0
+    photo = photo_of(ground, ground_to_photo((50.0, 10.0), 90.0, width, size), size)
+    file = tmp_path / "photo.png"
+    cv2.imwrite(str(file), np.ascontiguousarray(photo[..., ::-1]))
+    height = width / 2 / math.tan(math.radians(FOV / 2))
+    located = LocatedFrame(replace(flight.frames[0], file=file, height_above_ground=height), None)
+    both, one = MapFeatures(town, _MutualMatcher()), MapFeatures(town, _OneEyedMatcher())
+    alone, after = (
+        pipeline._register_frame(town, kinds, located, SIFT, [], [], None) for kinds in ([one], [both, one])
+    )
+    assert alone.accepted
+    assert alone.x == pytest.approx(50, abs=1)
+    assert after.state == "refused"
+    assert "Another place of the map agrees nearly as well" in after.sentence
+
+
+def test_a_place_that_earlier_matches_hardly_support_is_no_rival(town: Map) -> None:
+    size, width = (240, 180), 60.0
+    photo = photo_of(land(), ground_to_photo((50.0, 10.0), 0.0, width, size), size)
+    described = MapFeatures(town, SiftMatcher()).around(None, 0.0, width)
+    assert described is not None
+    found = register(SiftMatcher(), photo, described, Expectation(width, 0.0))
+    searches = [(SiftMatcher(), described), (_MutualMatcher(), described)]
+    away = Similarity(complex(width), -40 - 30j)
+    assert found.accepted
+    assert contested(found, photo, searches, [away]).accepted
+    assert contested(found, photo, searches, [found.places[0]]) is found
+
+
 def sized(sizes: np.ndarray) -> MapRetrieval:
     """Return a retrieval of which only the windows' sizes are known."""
     none = np.zeros(0)
@@ -368,6 +425,8 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
     assert radius(replace(frame, heading_source="aircraft"), 0.0) == pytest.approx(aircraft)
     with pytest.raises(InputError, match="map's error is -1"):
         LocateOptions(map_error=-1)
+    with pytest.raises(InputError, match="The speed is 0 m/s; expected metres a second above 0"):
+        LocateOptions(speed=0.0)
 
 
 def test_beyond_15_degrees_of_tilt_the_middle_is_told(town: Map, tmp_path: Path) -> None:
@@ -417,7 +476,7 @@ def test_too_large_a_search_is_refused(town: Map) -> None:
 def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) -> None:
     model = GridModel()
     upright = replace(flight, frames=tuple(frame for i, frame in enumerate(flight.frames) if i != 2))
-    options = replace(SIFT, overlap=0.88, temperature=0.03)
+    options = replace(SIFT, overlap=0.88)
     found = locate(town, upright, model, options)  # type: ignore[arg-type]
     assert found.stages == ["retrieval", "sequence", "registration"]
     for located in found.frames:
@@ -441,8 +500,13 @@ def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) ->
     assert measured["ma@20"] == 100
 
 
-def _ranked(flight: Flight, scores: np.ndarray, broken: dict[int, str]) -> list[LocatedFrame]:
-    """Return frames after retrieval and sequence, with given scores (frames, 25) of 5 x 5 windows that are 40 m apart."""
+def _ranked(
+    flight: Flight, scores: np.ndarray, broken: dict[int, str], notes: list[str] | None = None
+) -> list[LocatedFrame]:
+    """Return frames after retrieval and sequence, with given scores (frames, 25) of 5 x 5 windows that are 40 m apart.
+
+    Sentences about the sequence are added to `notes`.
+    """
     places = np.stack(np.meshgrid(*[40.0 * np.arange(-2, 3)] * 2), axis=-1).reshape(-1, 2)
     # One part in as many dimensions as windows: the score of a window is its entry of the frame's descriptor.
     tiles = np.eye(25, dtype=np.float32)[:, None]
@@ -461,12 +525,30 @@ def _ranked(flight: Flight, scores: np.ndarray, broken: dict[int, str]) -> list[
         32,
         {},
         broken,
-        [],
+        overlap=0.0,
     )
     pipeline._ranked(found, frames, 2)
-    options = LocateOptions(overlap=0.0, temperature=0.02)
-    pipeline._sequenced(found, replace(flight, frames=flight.frames[: len(scores)]), frames, options)
+    told = pipeline._sequenced(found, replace(flight, frames=flight.frames[: len(scores)]), frames, LocateOptions())
+    if notes is not None:
+        notes += told
     return frames
+
+
+@pytest.mark.parametrize(("turned", "told"), [(0, False), (90, True)])
+def test_steps_that_do_not_follow_the_headings_are_told(flight: Flight, turned: int, told: bool) -> None:
+    columns = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
+    east = [True] * 5 + [False] * 4 + [True] * 3
+    frames = tuple(
+        replace(flight.frames[0], time=4.0 * i, heading=float((90 if along else 270) + turned) % 360)
+        for i, along in enumerate(east)
+    )
+    notes: list[str] = []
+    scores = np.eye(25)[np.array(columns) + 10]
+    located = _ranked(replace(flight, frames=frames), scores, {}, notes)
+    assert [frame.stages["sequence"].heading for frame in located] == [frame.heading for frame in frames]
+    assert [
+        note.startswith("The scores are more probable where the drone moves in any direction") for note in notes
+    ] == [True] * told
 
 
 def test_a_sequence_refuses_what_it_cannot_place(flight: Flight) -> None:
@@ -479,6 +561,10 @@ def test_a_sequence_refuses_what_it_cannot_place(flight: Flight) -> None:
     for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
         assert answer.state == "refused"
         assert "is larger than a window, whose side is 40 m" in answer.sentence
+    doubtful = np.eye(25)[12] + np.eye(25)[11] * 0.97
+    (answer,) = (frame.stages["sequence"] for frame in _ranked(flight, doubtful[None], {}))
+    assert answer.state == "refused"
+    assert "The frame lies within 30 m of this place with a probability of 0." in answer.sentence
 
 
 def test_a_retrieval_tells_its_score_and_margin(flight: Flight) -> None:
@@ -580,6 +666,8 @@ def test_the_commands_write_a_track_and_measures(
     for alone in (["--no-register"], ["--map-error", "2"]):
         assert main(["evaluate", *alone]) == 2
         assert "Priors, errors of a map, registration, and corrections belong" in capsys.readouterr().err
+    assert main(["evaluate", "--saved", "result.mat", "--kind", "dac"]) == 2
+    assert "give --kind with --model" in capsys.readouterr().err
     assert main(["evaluate", *where, "--order", "parts-last"]) == 2
     assert "An order belongs to plain arrays" in capsys.readouterr().err
 

@@ -7,6 +7,7 @@ import pytest
 
 from lpn.core.errors import InputError
 from lpn.core.homography import apply_homography
+from lpn.locate import registration
 from lpn.locate.matchers import Features, SiftMatcher, mutual_within, open_matcher
 from lpn.locate.registration import Expectation, Ground, describe_ground, register
 from tests.lpn.locate.scenery import BOUNDS, CORNER, RESOLUTION, ground_to_photo, land, photo_of
@@ -64,6 +65,56 @@ def test_a_heading_that_is_not_certain_does_not_lock_the_photo_out(ground: Groun
     assert found.heading == pytest.approx(100, abs=0.5)
     assert not found.turned
     assert found.turn_sentence == f"The picture is turned by {abs(turn)} degrees against its heading."
+
+
+@pytest.mark.parametrize(
+    ("other", "east", "runner_up", "accepted"), [(16.0, 0, 5.0, True), (25.0, 90, 20.0, False), (40.0, 90, 20.0, True)]
+)
+def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_not_rival_it(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch, other: float, east: float, runner_up: float, accepted: bool
+) -> None:
+    supports = {0.0: 20.0, -90.0: 5.0, 90.0: other}
+    u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
+
+    def seeds(*arguments: object) -> list[registration._Seed]:
+        seen, heading = arguments[1], arguments[5]
+        places = [90.0] if heading is None else [0.0, -90.0]
+        return [registration._Seed(seen, 80 + 0j, complex(x), supports[x]) for x in places]  # type: ignore[arg-type]
+
+    def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
+        return registration._Candidate(seed.a, seed.b, u, seed.a * u + seed.b, seed.support)
+
+    monkeypatch.setattr(registration, "_seeds", seeds)
+    monkeypatch.setattr(registration, "_guided", guided)
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    found = register(SiftMatcher(), photo, ground, Expectation(80.0, 0.0, certain=False), bounds=BOUNDS)
+    assert (found.accepted, found.runner_up) == (accepted, runner_up)
+    assert found.centre is not None
+    assert found.centre[0] == pytest.approx(east)
+    assert found.places[0] == (80, east)
+
+
+@pytest.mark.parametrize(("turn", "support", "accepted"), [(50, 20.0, True), (-100, 29.0, False), (-100, 31.0, True)])
+def test_a_heading_far_from_the_expected_one_needs_twice_the_support(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch, turn: int, support: float, accepted: bool
+) -> None:
+    u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
+
+    def seeds(*arguments: object) -> list[registration._Seed]:
+        return [registration._Seed(arguments[1], 80 + 0j, 0j, support)]  # type: ignore[arg-type]
+
+    def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
+        return registration._Candidate(seed.a, seed.b, u, seed.a * u + seed.b, seed.support)
+
+    monkeypatch.setattr(registration, "_seeds", seeds)
+    monkeypatch.setattr(registration, "_guided", guided)
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    for certain in (False, True):
+        found = register(SiftMatcher(), photo, ground, Expectation(80.0, -float(turn), certain), bounds=BOUNDS)
+        assert found.accepted == accepted
+        assert accepted or found.reason == (
+            "The picture would be turned by 100 degrees against its heading, which needs a support of 30, and this place has 29."
+        )
 
 
 def test_width_and_heading_may_be_unknown(ground: Ground) -> None:

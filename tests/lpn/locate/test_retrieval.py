@@ -9,7 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from lpn.core.arrays import UInt8Array
+from lpn.core.images import load_picture
 from lpn.flights import Flight, Frame
+from lpn.flights.cut import FrameReader, cut_size, cut_square
 from lpn.locate.retrieval import MapRetrieval, retrieve, whitening_of
 from lpn.maps import Map
 from lpn.models.base import normalise, whitened
@@ -60,6 +63,18 @@ def test_few_or_equal_frames_are_not_centred(town: Map, tmp_path: Path) -> None:
     found = _retrieved(GridModel(), town, _flight(tmp_path / "two", far))
     assert [_off(found, i, place) < 10 for i, place in enumerate(far)] == [True, True]
     assert "the flight has 2." in found.notes[0]
+
+
+def test_windows_of_an_unfit_size_are_named(town: Map, tmp_path: Path) -> None:
+    flight = _flight(tmp_path / "unfit", [(-40.0, 10.0), (30.0, -35.0)])
+    shown = cut_size(flight.frames[0])
+    assert shown is not None
+    for factor, named in ((1.35, False), (1.45, True), (1 / 1.45, True)):
+        found = retrieve(GridModel(), town, flight, [factor * shown], centre=False)  # type: ignore[arg-type]
+        compared = f"are compared with windows of {factor * shown:.0f} m, so"
+        expected = f"2 of 2 frames show squares of {shown:.0f} m of ground and {compared}"
+        assert len(found.notes) == named
+        assert all(note.startswith(expected) for note in found.notes)
 
 
 def test_many_distinct_frames_are_centred(town: Map, tmp_path: Path) -> None:
@@ -131,12 +146,16 @@ def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: 
     flat = found.windows_described.reshape(len(found.windows), -1)
     described = found.frames_described[0]
     assert described is not None
-    scores = (flat @ described.reshape(8, -1).T).astype(np.float64)
+    scores = (flat @ described.reshape(12, -1).T).astype(np.float64)
     free = replace(found, by_aircraft=frozenset())
     np.testing.assert_allclose(free.scores(0), scores.max(axis=1))
-    scores[:, 1:] -= 1.5 * scores.std()
+    scores[:, 5:] -= 1.5 * scores.std()
     np.testing.assert_allclose(found.scores(0), scores.max(axis=1))
     assert found.scores(0).argmax() == free.scores(0).argmax()
+    # An aircraft that drifts by 20 degrees costs nothing.
+    drifting = _retrieved(GridModel(), town, replace(flight, frames=(replace(frame, heading=340.0),)))
+    assert drifting.top(0, 1).headings[0] == 0
+    np.testing.assert_allclose(drifting.scores(0).max(), found.scores(0).max())
     # Turned by 90 degrees, the picture is still found.
     turned = replace(frame, heading=270.0)
     found = _retrieved(GridModel(), town, replace(flight, frames=(turned,)))
@@ -150,3 +169,30 @@ def test_a_course_is_one_of_several_turns(town: Map, tmp_path: Path) -> None:
     found = _retrieved(GridModel(), town, replace(flight, frames=(frame,)))
     assert found.top(0, 1).headings[0] == 90
     assert _off(found, 0, (-40.0, 10.0)) < 10
+
+
+def test_a_frame_of_several_turns_is_read_once(town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = _flight(tmp_path / "spun", [(-40.0, 10.0), (30.0, -35.0), (0.0, 0.0)])
+    frames = tuple(replace(frame, heading=None, heading_source=None) for frame in flight.frames)
+    read: list[Path] = []
+
+    def counted(file: Path) -> UInt8Array:
+        read.append(file)
+        return load_picture(file)
+
+    monkeypatch.setattr("lpn.core.images.load_picture", counted)
+    found = _retrieved(GridModel(), town, replace(flight, frames=frames))
+    assert sorted(read) == sorted(frame.file for frame in frames)
+    assert [len(headings) for headings in found.headings] == [8, 8, 8]
+    assert found.top(1, 1).headings[0] == 0
+
+
+def test_squares_of_reduced_pictures_are_those_of_whole_ones(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    picture = cv2.resize(rng.integers(0, 256, (30, 45, 3), np.uint8), (333, 217), interpolation=cv2.INTER_CUBIC)
+    file = tmp_path / "a.png"
+    cv2.imwrite(str(file), picture[..., ::-1])
+    for share, pixels in ((0.62, 32), (0.8, 64), (0.3, 128)):
+        reader = FrameReader(pixels)
+        for heading in (0.0, 45.0, 203.0):
+            np.testing.assert_array_equal(reader(file, heading, share), cut_square(picture, heading, share, pixels))

@@ -4,61 +4,159 @@ from __future__ import annotations
 
 import itertools
 import tracemalloc
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from lpn.core.errors import InputError
-from lpn.locate.sequence import _JUMP, MotionModel, emissions, smooth
+from lpn.locate.sequence import (
+    _ANY_HEADING,
+    _JUMP,
+    _LEGS,
+    ALONG,
+    FINER,
+    SPEEDS,
+    TEMPERATURES,
+    MotionModel,
+    SequenceResult,
+    _Grid,
+    emissions,
+    fitted,
+    score_units,
+    smooth,
+)
 
 PLACES = np.array([[0.0, 0.0], [40.0, 10.0], [15.0, 60.0], [300.0, 20.0], [90.0, 90.0]])
-STEPS = np.array([30.0, 55.0, 30.0])
+TIMES = np.array([0.0, 3.0, 9.0, 12.0])
+ANY = [np.array([np.nan])] * 4
+TOLD = [np.array([heading]) for heading in (10.0, 80.0, 260.0, 90.0)]
+MIXED = [np.array([30.0]), np.array([0.0, 120.0, 240.0]), np.array([5.0, 185.0]), np.array([90.0])]
+FLIGHTS = [ANY, TOLD, MIXED]
+MOTION = MotionModel(9.0, 15.0, along=0.7)
 
 
-def _transition(step: float) -> np.ndarray:
-    squared = ((PLACES[:, None] - PLACES[None]) ** 2).sum(axis=2)
-    kernel = np.where(squared <= (4 * step) ** 2, np.exp(-squared / (2 * step**2)), 0)
-    return (1 - _JUMP) * kernel / kernel.sum(axis=1, keepdims=True) + _JUMP / len(PLACES)
+def _density(off: np.ndarray, deviation: float) -> np.ndarray:
+    return np.exp(-(off**2).sum(axis=-1) / (2 * deviation**2)) / (2 * np.pi * deviation**2)
 
 
-def _brute(emitted: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Posteriors, the best path, and the log likelihood, from all paths."""
-    frames, states = emitted.shape
-    matrices = [_transition(step) for step in STEPS]
-    posterior, best, total = np.zeros((frames, states)), (-np.inf, ()), 0.0
-    for path in itertools.product(range(states), repeat=frames):
-        value = np.log(1 / states) + emitted[0, path[0]]
+def _direction(heading: float) -> np.ndarray:
+    return np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading))])
+
+
+def _transition(motion: MotionModel, elapsed: float, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the probability of each state after a step, (5 K, 5 M)."""
+    off = PLACES[None] - PLACES[:, None]
+    any_way = _density(off, float(motion.steps([0.0, elapsed])[0]))
+    matrix = np.zeros((5, len(before), 5, len(after)))
+    for k, one in enumerate(before):
+        kernel = any_way
+        if motion.along and not np.isnan([one, elapsed]).any():
+            lone = len(after) == 1 and not np.isnan(after[0])
+            ways = [share * _direction(one) + (1 - share) * _direction(after[0]) for share in _LEGS] if lone else []
+            deviation = float(np.hypot(motion.spacing, 0.3 * motion.speed * elapsed))
+            along = np.mean(
+                [_density(off - motion.speed * elapsed * way, deviation) for way in ways or [_direction(one)]], axis=0
+            )
+            kernel = motion.along * along + (1 - motion.along) * any_way
+        turns = np.full(len(after), 1 / len(after))
+        if not np.isnan([one, elapsed, *after]).any():
+            deviation = float(np.hypot(20, motion.turn_rate * elapsed))
+            change = np.abs((after - one + 180) % 360 - 180)
+            likely = sum(np.exp(-((change + turn) ** 2) / (2 * deviation**2)) for turn in (-360, 0, 360))
+            turns = (1 - _ANY_HEADING) * likely / likely.sum() + _ANY_HEADING / len(after)
+        step = kernel / kernel.sum(axis=1, keepdims=True)
+        matrix[:, k] = (1 - _JUMP) * step[:, :, None] * turns + _JUMP / (5 * len(after))
+    return matrix.reshape(5 * len(before), -1)
+
+
+def _brute(
+    emitted: Sequence[np.ndarray],
+    headings: Sequence[np.ndarray],
+    times: np.ndarray = TIMES,
+    motion: MotionModel = MOTION,
+) -> tuple[list[np.ndarray], list[tuple[int, int]], float]:
+    """Posteriors (5, K), the best path, and the log likelihood, from all paths."""
+    frames = len(emitted)
+    matrices = [
+        _transition(motion, float(times[t + 1] - times[t]), headings[t], headings[t + 1]) for t in range(frames - 1)
+    ]
+    flat = [one.ravel() for one in emitted]
+    posterior = [np.zeros(one.size) for one in emitted]
+    best: tuple[float, tuple[int, ...]] = (-np.inf, ())
+    total = 0.0
+    for path in itertools.product(*(range(one.size) for one in emitted)):
+        value = -np.log(emitted[0].size) + flat[0][path[0]]
         for t in range(1, frames):
-            value += np.log(matrices[t - 1][path[t - 1], path[t]]) + emitted[t, path[t]]
+            value += np.log(matrices[t - 1][path[t - 1], path[t]]) + flat[t][path[t]]
         best = max(best, (value, path))
         total += np.exp(value)
         for t, state in enumerate(path):
-            posterior[t, state] += np.exp(value)
-    return posterior / total, np.array(best[1]), float(np.log(total))
+            posterior[t][state] += np.exp(value)
+    pairs = [divmod(state, len(own)) for state, own in zip(best[1], headings, strict=True)]
+    shares = [one.reshape(own.shape) / total for one, own in zip(posterior, emitted, strict=True)]
+    return shares, pairs, float(np.log(total))
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_posteriors_and_path_are_those_of_all_paths(seed: int) -> None:
-    emitted = emissions(np.random.default_rng(seed).normal(size=(4, 5)), temperature=0.5, floor=0.01)
-    posterior, path, total = _brute(emitted)
-    found = smooth(emitted, PLACES, STEPS)
+def _random(seed: int, headings: Sequence[np.ndarray], scale: float = 1.0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [scale * rng.normal(size=(5, len(own))) for own in headings]
+
+
+@pytest.mark.parametrize("headings", FLIGHTS)
+@pytest.mark.parametrize("seed", range(2))
+def test_posteriors_and_path_are_those_of_all_paths(seed: int, headings: list[np.ndarray]) -> None:
+    emitted = [emissions(one, temperature=0.5, floor=0.01) for one in _random(seed, headings)]
+    shares, pairs, total = _brute(emitted, headings)
+    posterior = np.array([one.sum(axis=1) for one in shares])
+    found = smooth(emitted.__getitem__, headings, PLACES, TIMES, MOTION)
     np.testing.assert_allclose(found.positions, posterior @ PLACES, rtol=1e-9)
     np.testing.assert_array_equal(found.likeliest, posterior.argmax(axis=1))
     np.testing.assert_allclose(found.probabilities, posterior.max(axis=1), rtol=1e-9)
-    np.testing.assert_array_equal(found.path, path)
+    np.testing.assert_array_equal(found.path, [window for window, _ in pairs])
+    np.testing.assert_array_equal(found.path_headings, [headings[t][k] for t, (_, k) in enumerate(pairs)])
+    best = [own[one[i].argmax()] for own, one, i in zip(headings, shares, found.likeliest, strict=True)]
+    np.testing.assert_array_equal(found.headings, best)
     assert found.log_likelihood == pytest.approx(total, rel=1e-12)
+    np.testing.assert_allclose(found.nearby, 1)
     spread = posterior @ (PLACES**2).sum(axis=1) - ((posterior @ PLACES) ** 2).sum(axis=1)
     np.testing.assert_allclose(found.radii, np.sqrt(spread / 2), rtol=1e-6, atol=1e-6)
 
 
+def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
+    headings = [MIXED[1], MIXED[2]]
+    times = np.array([0.0, np.nan])
+    emitted = [emissions(one) for one in _random(5, headings)]
+    shares, _, total = _brute(emitted, headings, times)
+    found = smooth(emitted.__getitem__, headings, PLACES, times, MOTION)
+    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
+    np.testing.assert_allclose(found.probabilities, [one.sum(axis=1).max() for one in shares], rtol=1e-9)
+
+
+def test_coordinates_that_names_rounded_to_a_centimetre_are_one() -> None:
+    side = np.arange(-20, 20) * 17.5
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    off = np.random.default_rng(0).uniform(-0.006, 0.006, places.shape)
+    grid = _Grid(places + off)
+    assert grid.windows.shape == (40, 40)
+    for axis, numbers, own in ((grid.axes[0], grid.columns, places[:, 0]), (grid.axes[1], grid.rows, places[:, 1])):
+        np.testing.assert_allclose(axis[numbers], own, atol=0.006)
+
+
+def _track(scores: np.ndarray, places: np.ndarray, times: np.ndarray, motion: MotionModel) -> SequenceResult:
+    headings = [np.array([np.nan])] * len(scores)
+    return smooth(lambda t: emissions(scores[t][:, None], 0.05), headings, places, times, motion)
+
+
 def test_a_position_does_not_lie_between_two_places() -> None:
-    emitted = np.log(np.array([[0.5, 0.1, 1e-30, 0.4, 1e-30]]))
-    found = smooth(emitted, PLACES, np.zeros(0), near=50.0)
-    shares = np.exp(emitted[0]) / np.exp(emitted[0]).sum()
+    emitted = np.log(np.array([[0.5, 0.1, 1e-30, 0.4, 1e-30]])).T
+    found = smooth(lambda _: emitted, ANY[:1], PLACES, np.zeros(1), MOTION, near=50.0)
+    shares = np.exp(emitted[:, 0]) / np.exp(emitted).sum()
     expected = (shares[:2] @ PLACES[:2]) / shares[:2].sum()
     np.testing.assert_allclose(found.positions[0], expected)
     squared = shares @ ((PLACES - expected) ** 2).sum(axis=1)
     assert found.radii[0] == pytest.approx(np.sqrt(squared / 2))
+    assert found.nearby[0] == pytest.approx(shares[:2].sum())
 
 
 def test_neighbours_outvote_a_frame_that_jumps() -> None:
@@ -69,7 +167,7 @@ def test_neighbours_outvote_a_frame_that_jumps() -> None:
     scores[np.arange(20), truth] = 0.3
     scores[9] = 0
     scores[9, 70], scores[9, truth[9]] = 0.32, 0.28
-    found = smooth(emissions(scores), places, MotionModel(10, 20).steps(np.arange(20) * 2.0))
+    found = _track(scores, places, np.arange(20) * 2.0, MotionModel(10, 20))
     assert found.own[9] == 70
     assert abs(found.likeliest[9] - truth[9]) <= 1
     assert found.moved[9] > 1000
@@ -77,17 +175,113 @@ def test_neighbours_outvote_a_frame_that_jumps() -> None:
     assert found.sentence(3) == "The neighbours agree with the picture's own answer."
 
 
-def test_emissions_are_distributions_with_a_floor_and_take_the_best_heading() -> None:
-    scores = np.random.default_rng(1).normal(size=(3, 7, 4))
-    logs = emissions(scores, temperature=0.01, floor=0.07)
-    np.testing.assert_allclose(np.exp(logs).sum(axis=1), 1)
+def test_headings_tell_two_equal_places_apart() -> None:
+    x = np.arange(0, 1000, 25.0)
+    places = np.stack([x, np.zeros_like(x)], axis=1)
+    # Two places give each frame the same score, one to the east and one to the west of the frame before.
+    times, turns = np.arange(9) * 10.0, np.array([0.0, 90.0, 180.0, 270.0])
+    scores = [np.zeros((len(x), 4)) for _ in times]
+    for t, of_frame in enumerate(scores):
+        of_frame[[20 + 2 * t, 20 - 2 * t], 1] = 1.0
+    headings = [turns] * 9
+    motion = MotionModel(5.0, 10.0, along=ALONG)
+    found = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, motion)
+    np.testing.assert_array_equal(found.headings, 90)
+    np.testing.assert_array_equal(found.path_headings, 90)
+    np.testing.assert_array_equal(found.likeliest, 20 + 2 * np.arange(9))
+    np.testing.assert_array_equal(found.path, found.likeliest)
+    assert found.probabilities.min() > 0.9
+    anywhere = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, MotionModel(5.0, 10.0))
+    assert anywhere.probabilities[1:].max() < 0.6
+
+
+def test_scores_are_in_units_of_their_frame_and_window() -> None:
+    rng = np.random.default_rng(2)
+    scores, compared = rng.normal(size=(7, 6)), rng.uniform(size=(7, 6)) < 0.8
+    compared[:, 0], scores[4] = True, 0.3
+    steps = np.array([30.0, 20.0, 90.0, 10.0, 10.0, 40.0])
+    expected, units = np.zeros((7, 6)), np.zeros((7, 6))
+    for t in range(7):
+        own = scores[t, compared[t]]
+        if t != 4:
+            expected[t, compared[t]] = (own - own.mean()) / own.std()
+            units[t] = own.std()
+    squares = expected**2
+    for t, w in itertools.product(range(7), range(6)):
+        others = [s for s in range(7) if (steps[min(s, t) : max(s, t)] ** 2).sum() > 40.0**2]
+        told = [squares[s, w] for s in others if compared[s, w] and s != 4]
+        unit = np.sqrt((sum(told) + 30) / (len(told) + 30))
+        expected[t, w] /= unit
+        units[t, w] *= unit
+    for t in range(7):
+        expected[t, ~compared[t]] = expected[t, compared[t]].min()
+    found = score_units(scores, steps, 40.0, compared)
+    values = [found.standardised(t, np.stack([scores[t], scores[t] - 0.1], axis=1)) for t in range(7)]
+    np.testing.assert_allclose([one[:, 0] for one in values], expected, atol=1e-12)
+    lower = np.divide(0.1, units, out=np.zeros((7, 6)), where=compared & (units > 0))
+    np.testing.assert_allclose([one[:, 1] for one in values], expected - lower, atol=1e-12)
+
+
+@pytest.mark.parametrize("headings", [ANY, TOLD])
+def test_motion_and_temperature_are_the_most_probable_of_all_paths(headings: list[np.ndarray]) -> None:
+    chosen = set()
+    for seed in range(3):
+        scores = _random(seed, headings, 2)
+
+        def likelihood(motion: MotionModel, temperature: float, scores: list[np.ndarray] = scores) -> float:
+            return _brute([emissions(one, temperature) for one in scores], headings, TIMES, motion)[2]
+
+        motions = [MotionModel(speed, 20.0) for speed in SPEEDS]
+        if headings is TOLD:
+            motions += [MotionModel(speed, 20.0, along=ALONG) for speed in SPEEDS]
+        motion = max(motions, key=lambda one: likelihood(one, 0.4))
+        if motion.along:
+            finer = [MotionModel(motion.speed * by, 20.0, along=ALONG) for by in (1, 1 / FINER, FINER)]
+            motion = max(finer, key=lambda one: likelihood(one, 0.4))
+        temperature = max(TEMPERATURES, key=lambda one: likelihood(motion, one))
+        found = fitted(scores.__getitem__, headings, PLACES, TIMES, 20.0)
+        assert found[0].speed == pytest.approx(motion.speed)
+        assert (found[0].along, found[1]) == (motion.along, temperature)
+        assert fitted(scores.__getitem__, headings, PLACES, TIMES, 20.0, 7.0)[0].speed == 7.0
+        chosen.add((motion.speed, motion.along, temperature))
+    assert len(chosen) > 1
+
+
+def test_a_window_that_resembles_many_frames_does_not_draw_them() -> None:
+    rng = np.random.default_rng(0)
+    x = np.arange(0, 1200, 25.0)
+    places = np.stack([x, np.zeros_like(x)], axis=1)
+    truth = 4 + 2 * np.arange(20)
+    scores = rng.normal(0, 0.05, (20, len(x)))
+    scores[np.arange(20), truth] += 0.3
+    # Every other frame resembles one window more than its own.
+    scores[::2, 25] = 0.33
+    times, motion = np.arange(20) * 15.0, MotionModel(25.0, 25.0)
+    raw = (scores - scores.mean(axis=1, keepdims=True)) / scores.std(axis=1, keepdims=True)
+    units = score_units(scores, motion.steps(times), 100)
+    standardised = np.stack([units.standardised(t, scores[t][:, None])[:, 0] for t in range(20)])
+    nowhere = [np.array([np.nan])] * 20
+    drawn, found = (
+        smooth(lambda t, values=values: emissions(values[t][:, None]), nowhere, places, times, motion, 75.0)
+        for values in (raw, standardised)
+    )
+    errors = [np.abs(one.positions[:, 0] - x[truth]) for one in (drawn, found)]
+    assert (errors[0] > 75).sum() > 4
+    assert (errors[0] > 75)[drawn.nearby > 0.9].any()
+    assert errors[1].max() < 50
+
+
+def test_emissions_are_a_distribution_with_a_floor() -> None:
+    scores = np.random.default_rng(1).normal(size=(7, 4))
+    logs = emissions(scores, temperature=0.01, floor=0.28)
+    assert np.exp(logs).sum() == pytest.approx(1)
     assert np.exp(logs).min() >= 0.01 - 1e-12
-    np.testing.assert_array_equal(logs.argmax(axis=1), scores.max(axis=2).argmax(axis=1))
+    assert logs.argmax() == scores.argmax()
 
 
 def test_steps_follow_time_and_unknown_times() -> None:
     steps = MotionModel(10, 30, 60).steps([0, 4, np.nan, 10])
-    np.testing.assert_allclose(steps, [50, 60, 60], rtol=0.05)
+    np.testing.assert_allclose(steps, [50, 60, 60])
 
 
 def test_wrong_numbers_are_refused() -> None:
@@ -95,26 +289,26 @@ def test_wrong_numbers_are_refused() -> None:
         emissions(np.zeros((2, 3)), temperature=0)
     with pytest.raises(InputError, match="shape"):
         emissions(np.full((2, 3), np.nan))
-    with pytest.raises(InputError, match="expected \\(3, 2\\) and 1"):
-        smooth(np.zeros((2, 3)), np.zeros((3, 2)), np.zeros(2))
+    with pytest.raises(InputError, match=r"expected \(4,\), \(5, 2\), and \(5, 1\)"):
+        smooth(lambda _: np.zeros((4, 1)), ANY, PLACES, TIMES, MOTION)
     with pytest.raises(InputError, match="motion model"):
         MotionModel(speed=0)
+    with pytest.raises(InputError, match="probability of 1"):
+        MotionModel(along=1)
 
 
-def test_transitions_together_hold_a_bounded_number_of_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_grows_with_the_root_of_the_frames() -> None:
     side = np.arange(40) * 25.0
     places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    scores = np.random.default_rng(0).normal(0, 0.05, (9, len(places)))
-    steps = np.array([60.0, 66.0, 72.6, 79.9, 60.0, 66.0, 72.6, 79.9])
-    free = smooth(emissions(scores), places, steps)
-    monkeypatch.setattr("lpn.locate.sequence._MAX_PAIRS", 200_000)
-    monkeypatch.setattr("lpn.locate.sequence._BLOCK", 16)
+    turns = np.arange(8) * 45.0
+    emitted = emissions(np.random.default_rng(0).normal(size=(1600, 8)))
     tracemalloc.start()
-    found = smooth(emissions(scores), places, steps)
+    found = smooth(lambda _: emitted, [turns] * 64, places, np.arange(64.0), MotionModel(5.0, 25.0))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert peak < 200_000 * 110
-    assert np.median(np.linalg.norm(found.positions - free.positions, axis=1)) < 25
+    # All frames at once would take 64 values.
+    assert peak < 50 * emitted.nbytes
+    assert found.positions.shape == (64, 2)
 
 
 @pytest.mark.slow
@@ -124,5 +318,5 @@ def test_ten_thousand_windows_and_many_frames_fit() -> None:
     truth = np.stack([np.linspace(100, 2300, 60), np.linspace(200, 1900, 60)], axis=1)
     distance = np.linalg.norm(truth[:, None] - places[None], axis=2)
     scores = 0.4 * np.exp(-((distance / 40) ** 2)) + np.random.default_rng(0).normal(0, 0.05, distance.shape)
-    found = smooth(emissions(scores), places, np.full(59, 60.0))
+    found = _track(scores, places, np.arange(60) * 10.0, MotionModel(6.0, 10.0))
     assert np.median(np.linalg.norm(found.positions - truth, axis=1)) < 15

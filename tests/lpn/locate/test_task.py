@@ -74,6 +74,7 @@ def test_evidence_of_centred_descriptors_adds_up(task: Task) -> None:
     np.testing.assert_allclose(analysis.tile.descriptor, task.gallery_descriptors[analysis.chosen.index], atol=1e-5)
     assert task.model is not None
     assert task.model.for_parallel_inference().means is task.model.means
+    assert task.contract.claim.endswith("the length of the mean's term held")
     assert analysis.pair_evidence is not None
     evidence = analysis.pair_evidence.evidence
     assert evidence.score == pytest.approx(analysis.chosen.score, abs=1e-5)

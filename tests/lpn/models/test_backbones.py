@@ -34,14 +34,14 @@ SPEC = ModelSpec(
 )
 
 
-def entries(numbers: tuple[int, ...], normalised: bool = False) -> set[str]:
-    """The names of a torchvision file; BatchNorm follows its convolution."""
+def entries(numbers: tuple[int, ...], normalised: bool = False) -> dict[str, Tensor]:
+    """The entries of a torchvision file by name; BatchNorm follows its convolution."""
     names = {f"features.{number}.{kind}" for number in numbers for kind in ("weight", "bias")}
     if normalised:
         names |= {
             f"features.{n + 1}.{kind}" for n in numbers for kind in ("weight", "bias", "running_mean", "running_var")
         }
-    return names | {"classifier.0.weight", "classifier.0.bias"}
+    return dict.fromkeys(names | {"classifier.0.weight", "classifier.0.bias"}, torch.zeros(1))
 
 
 def test_plain_vgg16_has_torchvision_s_names_with_and_without_dropout() -> None:

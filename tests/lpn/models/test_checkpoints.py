@@ -21,7 +21,7 @@ from lpn.models.weight_storage import Storage
 from tools.fixtures import seeded, small_worlds
 
 
-@pytest.mark.parametrize("case", ["n4", "n1_baseline"])
+@pytest.mark.parametrize("case", ["n4", pytest.param("n1_baseline", marks=pytest.mark.slow)])
 def test_published_checkpoint_gives_the_published_descriptors(case: str, tmp_path: Path) -> None:
     published = np.load(seeded.DATA / f"parity_{case}.npz")
     torch.save(seeded.state_dict(case), tmp_path / "net_119.pth")
@@ -39,8 +39,14 @@ def test_published_checkpoint_gives_the_published_descriptors(case: str, tmp_pat
 @pytest.mark.parametrize(
     "spec",
     [
-        ModelSpec("vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa", classes=5),
-        ModelSpec("resnet50", views=("satellite", "street"), shared=False, n_parts=4, layout="cvusa", classes=5),
+        pytest.param(
+            ModelSpec("vgg16_bn", views=("satellite", "street"), shared=False, n_parts=8, layout="cvusa", classes=5),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            ModelSpec("resnet50", views=("satellite", "street"), shared=False, n_parts=4, layout="cvusa", classes=5),
+            marks=pytest.mark.slow,
+        ),
         ModelSpec("resnet18", views=("satellite", "street", "drone"), n_parts=6, classes=5),
         ModelSpec("resnet18", "layer3", views=("satellite",), shared=False, n_parts=1, classes=5),
     ],

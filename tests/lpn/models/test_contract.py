@@ -196,6 +196,17 @@ def test_shapes_that_contradict_the_contract_are_refused_with_the_shapes(change:
     check_pass(model.contract, model.run(image, "drone"), model.heads("drone"))
 
 
+def test_cells_of_the_heads_that_do_not_fit_the_map_are_refused_with_the_shapes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = RegionModel()
+    outputs = model.run(np.zeros((1, 3, 64, 64), np.float32), "drone")._replace(cells=None)
+    heads = replace(model.heads("drone"), cells=np.zeros((3, 8, 7), np.float32))
+    monkeypatch.setattr(model, "heads", lambda _: heads)
+    with pytest.raises(ModelFileError, match=r"the heads' cells of shape 3 x 8 x 7; .* 4 x 8 x 8"):
+        Trace.from_pass(model, outputs, "drone")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -6,6 +6,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from onnx import TensorProto, helper, numpy_helper
 
 import lpn
 from lpn import explain
@@ -14,10 +15,12 @@ from lpn.core.errors import InputError, PictureError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
 from lpn.models.checkpoints import save
+from lpn.models.contract_metadata import FORMAT
 from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.quantize import calibration_pictures, quantize
 from lpn.models.spec import ModelSpec
+from lpn.models.trace import Trace
 from lpn.retrieval import describe_picture, evaluate, scoring
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
@@ -40,8 +43,9 @@ def test_every_convolution_computes_in_8_bits_and_descriptors_stay(
     ready, total = convolutions(files[0])
     assert ready == total > 10
     assert convolutions(model_file)[0] == 0
-    assert set(agreement) == {"satellite", "drone"}
-    assert min(agreement.values()) > 0.99
+    assert set(agreement.cosines) == {"satellite", "drone"}
+    assert min(agreement.cosines.values()) > 0.99
+    assert (agreement.queries, agreement.gallery) == (6, 6)
     before, after = lpn.load(model_file), lpn.load(files[0])
     assert (before.precision, after.precision) == ("float32", "int8")
     assert before.fingerprint != after.fingerprint
@@ -74,7 +78,7 @@ def test_views_with_weights_of_their_own_are_calibrated_by_their_own_pictures(da
     export(tmp_path / "apart.safetensors", tmp_path / "apart.onnx")
     files, agreement = quantize(tmp_path / "apart.onnx", open_dataset(data), tmp_path / "small.onnx", 6)
     assert [file.name for file in files] == ["small.onnx", "small.drone.onnx"]
-    assert min(agreement.values()) > 0.98
+    assert min(agreement.cosines.values()) > 0.98
     assert lpn.load(files[0]).precision == "int8"
 
 
@@ -100,6 +104,8 @@ def test_what_cannot_be_quantised_is_refused_in_words(data: Path, model_file: Pa
         quantize(model_file, dataset, tmp_path / "small.bin")
     with pytest.raises(InputError, match="at least one"):
         quantize(model_file, dataset, tmp_path / "small.onnx", 0)
+    with pytest.raises(InputError, match=r"least cosine is 2; expected a number from -1 to 1"):
+        quantize(model_file, dataset, tmp_path / "small.onnx", 2, least_cosine=2)
     export(model_file.with_suffix(".safetensors"), tmp_path / "stored.onnx", "int8")
     with pytest.raises(InputError, match="--storage float32"):
         quantize(tmp_path / "stored.onnx", dataset, tmp_path / "small.onnx", 2)
@@ -127,6 +133,102 @@ def test_the_command_says_how_close_it_is(
     said = capsys.readouterr().out
     assert "Wrote small.onnx" in said
     assert "satellite 0.9" in said
+    assert "the same of 2 pictures first" in said
+    assert "of 2 queries" in said
+
+
+def transformer(path: Path) -> Path:
+    """Write a graph of one block of a vision transformer, whose two parts weigh its 4 x 4 tokens by a softmax of each picture.
+
+    The nodes of the trunk have the names that the tests ask for, and those behind it none.
+    """
+    rng = np.random.default_rng(3)
+    shapes = {"kernels": (8, 3, 8, 8), "qkv": (8, 24), "projection": (8, 8), "scale": (8,), "head_weight": (2, 5, 8)}
+    weights = {name: rng.normal(size=shape).astype(np.float32) / 4 for name, shape in shapes.items()}
+    weights |= {"head_bias": np.ones((2, 5), np.float32), "two": rng.normal(size=(2, 8)).astype(np.float32)}
+    sizes = {"to_tokens": [0, 8, 16], "to_map": [0, 8, 4, 4], "to_cells": [0, 2, 4, 4], "last": [3]}
+    trunk = [
+        helper.make_node("Conv", ["images", "kernels"], ["patches"], "patches", strides=[8, 8]),
+        helper.make_node("Reshape", ["patches", "to_tokens"], ["rows"], "rows"),
+        helper.make_node("Transpose", ["rows"], ["embedded"], "embedded", perm=[0, 2, 1]),
+        helper.make_node("LayerNormalization", ["embedded", "scale"], ["normed"], "normed"),
+        helper.make_node("MatMul", ["normed", "qkv"], ["triple"], "qkv"),
+        helper.make_node("Split", ["triple"], ["queries", "keys", "values"], "split", axis=2, num_outputs=3),
+        helper.make_node("Transpose", ["keys"], ["turned"], "turned", perm=[0, 2, 1]),
+        helper.make_node("MatMul", ["queries", "turned"], ["logits"], "logits"),
+        helper.make_node("Softmax", ["logits"], ["attention"], "attention", axis=2),
+        helper.make_node("MatMul", ["attention", "values"], ["mixed"], "mixed"),
+        helper.make_node("MatMul", ["mixed", "projection"], ["projected"], "projection"),
+        helper.make_node("Add", ["embedded", "projected"], ["tokens"], "residual"),
+    ]
+    tail = [
+        helper.make_node("Transpose", ["tokens"], ["channels"], perm=[0, 2, 1]),
+        helper.make_node("Reshape", ["channels", "to_map"], ["features"]),
+        helper.make_node("MatMul", ["two", "channels"], ["heat"]),
+        helper.make_node("Softmax", ["heat"], ["weights"], axis=2),
+        helper.make_node("Reshape", ["weights", "to_cells"], ["cells"]),
+        helper.make_node("MatMul", ["weights", "tokens"], ["means"]),
+        helper.make_node("Unsqueeze", ["means", "last"], ["column"]),
+        helper.make_node("MatMul", ["head_weight", "column"], ["lifted"]),
+        helper.make_node("Squeeze", ["lifted", "last"], ["raw"]),
+        helper.make_node("Add", ["raw", "head_bias"], ["parts"]),
+    ]
+    outputs = {"parts": ["batch", 2, 5], "features": ["batch", 8, 4, 4], "cells": ["batch", 2, 4, 4]}
+    outputs |= {"head_weight": [2, 5, 8], "head_bias": [2, 5]}
+    initializers = [numpy_helper.from_array(array, name) for name, array in weights.items()]
+    initializers += [numpy_helper.from_array(np.array(size), name) for name, size in sizes.items()]
+    made = helper.make_graph(
+        trunk + tail,
+        "transformer",
+        [helper.make_tensor_value_info("images", TensorProto.FLOAT, ["batch", 3, 32, 32])],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, shape) for name, shape in outputs.items()],
+        initializers,
+    )
+    model = helper.make_model(made, opset_imports=[helper.make_opsetid("", 20)], ir_version=10)
+    metadata = {"format": FORMAT, "method": "Tokens", "views": "satellite drone", "resize": "bicubic", "mirror": "sum"}
+    helper.set_model_props(model, metadata | {"held": "the weights of each picture"})
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_a_transformer_s_linear_layers_compute_in_8_bits_and_its_account_stays_exact(
+    data: Path, tmp_path: Path
+) -> None:
+    model = transformer(tmp_path / "tokens.onnx")
+    (file,), agreement = quantize(model, open_dataset(data), tmp_path / "small.onnx", 8)
+    assert 0.98 < min(agreement.cosines.values()) < 1
+    graph = onnx.load_model(file).graph
+    makers = {name: node.op_type for node in graph.node for name in node.output}
+    products = [node for node in graph.node if node.op_type in ("Conv", "MatMul")]
+    ready = [node for node in products if {makers.get(name) for name in node.input[:2]} == {"DequantizeLinear"}]
+    assert [node.op_type for node in ready] == ["Conv", "MatMul", "MatMul"]
+    # Neither attention, nor the residual stream, nor the weights of the parts, nor the heads are rounded.
+    rounded = {node.input[0] for node in graph.node if node.op_type == "QuantizeLinear"}
+    assert rounded == {"images", "patches", "normed", "mixed"}
+    before, after = lpn.load(model), lpn.load(file)
+    assert (after.precision, after.contract) == ("int8", before.contract)
+    firsts = []
+    for one in (before, after):
+        rows: dict[str, list[np.ndarray]] = {"satellite": [], "drone": []}
+        for view, chosen in calibration_pictures(open_dataset(data), ("satellite", "drone"), 8):
+            rows[view].append(describe_picture(one, load_picture(chosen.path), view).descriptor.ravel())
+        firsts.append((np.stack(rows["drone"]) @ np.stack(rows["satellite"]).T).argmax(1))
+    assert agreement.same_first == (firsts[0] == firsts[1]).mean()
+    assert (agreement.queries, agreement.gallery) == (4, 4)
+    picture = after.with_mirror(after.prepare(load_picture(open_dataset(data).queries("drone")[0].path), "drone"))
+    outputs = after.run(picture, "drone")
+    assert Trace.from_pass(after, outputs, "drone").errors().max() < 1e-5
+    assert np.abs(outputs.parts - before.run(picture, "drone").parts).max() > 0
+
+
+def test_a_model_that_8_bits_change_too_much_is_not_written(data: Path, tmp_path: Path) -> None:
+    model = transformer(tmp_path / "tokens.onnx")
+    with pytest.raises(
+        InputError, match=r"tokens\.onnx describes \w+ pictures otherwise: .* below 1, so nothing was"
+    ) as said:
+        quantize(model, open_dataset(data), tmp_path / "small.onnx", 4, least_cosine=1)
+    assert "\n" not in str(said.value)
+    assert not (tmp_path / "small.onnx").exists()
 
 
 @pytest.mark.slow

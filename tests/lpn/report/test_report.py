@@ -22,6 +22,7 @@ from lpn.cli import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
+from lpn.core.numbers import signed
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
@@ -126,7 +127,7 @@ def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     np.testing.assert_allclose(sums[:5], expected, atol=5e-4)
     steps = outcomes.parts[query]
     for step in (*steps, steps.sum()):
-        assert f"{step:+.3f}" in text
+        assert signed(step) in text
     assert f"{task.metrics['recall@1']:.1f} %" in text
     without = counterfactual.ranks_without_parts(ranking)
     assert without is not None

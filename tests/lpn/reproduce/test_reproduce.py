@@ -392,6 +392,7 @@ def landmarks(folder: Path) -> Path:
     return folder / "oxford" if (folder / "oxford").is_dir() else layouts.oxford(folder / "oxford")
 
 
+@pytest.mark.slow
 def test_tuning_tries_each_setting_on_held_out_places_and_trains_the_best(
     model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,7 +24,7 @@ from lpn.models.checkpoints import save
 from lpn.models.network import LPN
 from lpn.retrieval import field_metrics, metrics
 from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.retrieval.protocol import Protocol, centred
 from tools.fixtures import layouts, small_worlds
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
@@ -56,6 +56,26 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
     for key in KEYS:
         assert found.to_dict()[key] == pytest.approx(expected[key])
     assert found.parts == tuple(i + 1 for i in index)
+
+
+def test_centred_figures_are_those_of_a_model_with_the_means_of_both_sides(data: Path, model_file: Path) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(data)
+    found = evaluate(model, dataset, "drone-to-satellite", Protocol(centre=True))
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    means = {
+        view: described(model, pictures, view).mean(axis=0)
+        for view, pictures in (("drone", queries), ("satellite", gallery))
+    }
+    moved = model.centred(means)  # type: ignore[arg-type]
+    expected = metrics.evaluate(
+        described(moved, queries, "drone"), labels(queries), described(moved, gallery, "satellite"), labels(gallery)
+    )
+    assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
+    assert "each part normalised; the mean of the queries and that of the gallery subtracted" in found.sentence
+    rows = np.arange(24, dtype=np.float32).reshape(3, 2, 4) ** 2
+    rows /= np.linalg.norm(rows, axis=2, keepdims=True) * np.float32(np.sqrt(2))
+    away = rows[1, 0] - rows[:, 0].mean(axis=0)
+    np.testing.assert_allclose(centred(rows)[1, 0], away / np.linalg.norm(away) / np.sqrt(2), rtol=1e-5)
 
 
 def test_figures_in_training_leave_nothing_in_the_cache(data: Path, model_file: Path) -> None:

@@ -123,7 +123,20 @@ def test_queries_without_a_label_are_ranked_and_not_counted(
     alone = array_task(load_arrays(*files), "q.npy")
     assert alone.known is not None
     assert not alone.known.any()
-    assert [picture.name for picture in alone.gallery][:2] == ["gallery/1", "gallery/2"]
+    assert [picture.name for picture in alone.gallery][:2] == ["1", "2"]
+
+
+def test_names_leave_out_the_folders_that_all_pictures_of_a_side_share(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]
+) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    lines = [f"test/query_drone/{row // 2}/{row}.jpg,query" for row in range(Q)]
+    lines += [f"test/gallery_satellite/{row}.tile.png,gallery" for row in range(G)]
+    (tmp_path / "paths.csv").write_text("\n".join(["file,side", *lines]))
+    found = load_arrays(*files, tmp_path / "paths.csv")
+    assert [picture.name for picture in found.queries] == ["0/0", "0/1", "1/2", "1/3", "2/4"][:Q]
+    assert found.gallery[3].name == "3.tile"
+    assert found.gallery[3].path == tmp_path / "test/gallery_satellite/3.tile.png"
 
 
 def test_the_command_evaluates_plain_arrays(
@@ -228,6 +241,7 @@ def test_labels_are_texts(tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray])
     for labels, same, junk in (
         (["7", "007", "7", "8", "", "-1", "-01"], [True, False, True, False, False, False, False], 1),
         (["3", "-01", "3", "-1", "-1", "0", "4"], [True, False, True, False, False, False, False], 2),
+        (["-2", "-3", "-2", "-4", "", "-5", "-1"], [True, False, True, False, False, False, False], 1),
         (["0003", "5", "0003", "-1", "", "6", "9"], [True, False, True, False, False, False, False], 1),
     ):
         lines = ["file,side,label", *(f"q/{row},query,{labels[0]}" for row in range(Q))]

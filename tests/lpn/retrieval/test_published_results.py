@@ -39,7 +39,8 @@ def test_parts_lie_in_the_file_as_the_published_code_lays_them(tmp_path: Path) -
 def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: Path, tmp_path: Path) -> None:
     savemat(tmp_path / "pytorch_result.mat", contents(data, model_file))
     model, dataset = lpn.load(model_file), open_dataset(data)
-    for n, protocol in ((1, Protocol()), (4, Protocol(parts=(1, 3))), (4, Protocol(average=True))):
+    protocols = (Protocol(), Protocol(parts=(1, 3)), Protocol(average=True), Protocol(centre=True))
+    for n, protocol in zip((1, 4, 4, 4), protocols, strict=True):
         saved = load_saved(tmp_path / "pytorch_result.mat", n)
         found, expected = evaluate_saved(saved, protocol), evaluate(model, dataset, "drone-to-satellite", protocol)
         assert (found.recall, found.task, found.queries) == (expected.recall, "drone-to-satellite", 14)
@@ -61,11 +62,12 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
     assert figures[0]["ap"] == pytest.approx(figures[1]["ap"], abs=1e-9)
 
 
-def test_queries_of_a_saved_result_are_averaged_part_by_part_only(
-    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("flag", ["--average-queries", "--centre"])
+def test_a_saved_result_is_averaged_and_centred_part_by_part_only(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str
 ) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    arguments = ["evaluate", "--saved", str(tmp_path / "r.mat"), "--average-queries"]
+    arguments = ["evaluate", "--saved", str(tmp_path / "r.mat"), flag]
     assert main.main(arguments) == 2
     assert "--n-parts" in capsys.readouterr().err
     assert main.main([*arguments, "--n-parts", "4"]) == 0

@@ -43,6 +43,7 @@ def shared(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow
 def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: Path) -> None:
     run, threads = trainer(places, tmp_path / "alone"), torch.get_num_threads()
     torch.set_num_threads(1)  # as torchrun does
@@ -54,6 +55,7 @@ def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: P
         torch.testing.assert_close(weights[name], alone.detach(), rtol=1e-3, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_two_processes_share_sets_that_are_shuffled_on_their_own(places: Path, shared: Path, tmp_path: Path) -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -62,11 +64,13 @@ def test_two_processes_share_sets_that_are_shuffled_on_their_own(places: Path, s
     assert losses(shared / "independent") == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_both_processes_have_the_same_weights(shared: Path) -> None:
     one, two = (torch.load(shared / f"weights{rank}.pt", weights_only=True) for rank in (0, 1))
     assert all(torch.equal(one[name], two[name]) for name in one)
 
 
+@pytest.mark.slow
 def test_a_shared_run_is_resumed_to_the_same_losses(shared: Path) -> None:
     assert "after epoch 1 of 2" in (shared / "cut.txt").read_text()
     assert losses(shared / "cut") == losses(shared / "whole")
@@ -83,7 +87,7 @@ def test_an_error_in_one_process_ends_all_with_its_sentence(places: Path, tmp_pa
     done = torchrun("-m", "lpn", "train", "--data", data, "--out", tmp_path / "run", *quick)
     assert done.returncode != 0
     said = [line for line in done.stderr.splitlines() if line.startswith("lpn: ")]
-    assert sum("0003/image-01.png is not a picture" in line for line in said) == 1
+    assert sum("0003/image-01.png is cut short or damaged" in line for line in said) == 1
     assert not (tmp_path / "run" / "last.safetensors").exists()
 
 

@@ -17,6 +17,7 @@ from torch import Tensor
 import lpn
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
+from lpn.models.backbones import build_backbone
 from lpn.models.checkpoints import load_torch, save
 from lpn.retrieval.evaluate import evaluate
 from lpn.training import optimizer
@@ -92,7 +93,19 @@ RELEASED = replace(
 )
 
 
-@pytest.mark.parametrize("recipe", [QUICK, pytest.param(RELEASED, marks=pytest.mark.slow)], ids=["small", "released"])
+TIMM = replace(QUICK, backbone="timm:test_vit", n_parts=2)
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        # With a memory, a resumed run needs the descriptors of the epochs before it, too.
+        replace(QUICK, memory=True, part_dropout=0.3),
+        pytest.param(RELEASED, marks=pytest.mark.slow),
+        pytest.param(TIMM, marks=pytest.mark.slow),
+    ],
+    ids=["small", "released", "timm"],
+)
 def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recipe: Recipe
 ) -> None:
@@ -116,6 +129,21 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
     assert losses(tmp_path / "cut") == losses(tmp_path / "whole")
     one, two = (load_torch(tmp_path / run / "last.safetensors").network.state_dict() for run in ("cut", "whole"))
     assert all(torch.equal(one[key], two[key]) for key in one)
+
+
+def test_init_auto_takes_the_weights_that_are_here_and_names_them(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path))
+    with pytest.raises(ModelFileError, match="no weights of resnet18 here"):
+        trainer(places, tmp_path / "none", init=Path("auto"))
+    torch.manual_seed(5)
+    weights, file = build_backbone("resnet18", "layer3").state_dict(), tmp_path / "checkpoints" / "resnet18-1a2b.pth"
+    file.parent.mkdir()
+    torch.save(weights, file)
+    run, said = trainer(places, tmp_path / "run", init=Path("auto"))
+    assert f"--init auto takes {file}, of torch's folder of weights." in said.getvalue()
+    assert torch.equal(run.network.branch("drone").model.state_dict()["conv1.weight"], weights["conv1.weight"])
 
 
 def test_an_epoch_is_kept_although_its_evaluation_fails(places: Path, tmp_path: Path) -> None:
@@ -388,7 +416,7 @@ def test_a_compiled_training_has_the_losses_of_an_eager_one(places: Path, tmp_pa
 
 
 def test_a_run_starts_from_given_weights_or_says_that_it_does_not(places: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--init FILE, or say --from-scratch"):
+    with pytest.raises(InputError, match="--init FILE, let --init auto find them, or say --from-scratch"):
         trainer(places, tmp_path / "run", from_scratch=False)
     save(small_worlds.make_network(), tmp_path / "init.safetensors")
     with pytest.raises(InputError, match="exclude each other"):
@@ -396,7 +424,7 @@ def test_a_run_starts_from_given_weights_or_says_that_it_does_not(places: Path, 
     # A run that was killed in its first epoch starts anew, so it needs its weights again.
     (tmp_path / "run").mkdir(exist_ok=True)
     (tmp_path / "run" / "log.csv").write_text("epoch,loss\n1,2.0\n")
-    with pytest.raises(InputError, match="--init FILE, or say --from-scratch"):
+    with pytest.raises(InputError, match="--init FILE, let --init auto find them, or say --from-scratch"):
         trainer(places, tmp_path / "run", from_scratch=False, resume=True)
 
 

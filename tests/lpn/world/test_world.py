@@ -56,9 +56,7 @@ def city(atlas: Atlas) -> City:
     return atlas.city
 
 
-@pytest.mark.parametrize(
-    ("seed", "buildings"), [pytest.param(0, 200, marks=pytest.mark.slow), *((seed, 30) for seed in range(1, 6))]
-)
+@pytest.mark.parametrize(("seed", "buildings"), [pytest.param(0, 200, marks=pytest.mark.slow), (1, 30), (2, 30)])
 def test_any_seed_gives_a_city_of_the_size_asked_for(seed: int, buildings: int) -> None:
     targets = plan_city(seed, buildings).targets
     assert [target.number for target in targets] == list(range(1, buildings + 1))

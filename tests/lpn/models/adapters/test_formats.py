@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 
 import lpn
+from lpn.core import images
 from lpn.core.errors import InputError, ModelFileError
-from lpn.models.adapters.build import build
+from lpn.models import timm_networks
+from lpn.models.adapters import convnext
+from lpn.models.adapters.build import RESNETS, build
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.model import PublishedModel
 from lpn.models.adapters.sdpl import SHIFTS, planes
@@ -27,6 +30,7 @@ from tools.fixtures.published_models import (
     small_fsra,
     small_mccg,
     small_vector,
+    small_vit,
 )
 
 TOLERANCE = 2e-5
@@ -55,7 +59,7 @@ def check(
         assert model.map_size(view) == (1, 1)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("blocks", [1, 2, 4])
+@pytest.mark.parametrize("blocks", [2, *(pytest.param(blocks, marks=pytest.mark.slow) for blocks in (1, 4))])
 def test_fsra_of_other_blocks(blocks: int, tmp_path: Path) -> None:
     state, pictures = small_fsra(blocks), seeded.pictures(3, 1, 256, 256)
     model = opened(state, tmp_path, f"views: 2\nblock: {blocks}\nh: 256\nw: 256\n")
@@ -114,6 +118,88 @@ def test_mccg_of_three_views_is_described_by_the_network_that_the_released_test_
     for view in model.views:
         expected = published_models.mccg(state, "model_2.", pictures, 2)
         assert relative_by_part(model.part_embeddings(pictures, view), expected) < TOLERANCE
+
+
+def test_mccg_on_a_resnet_has_the_plain_mean_as_its_last_part(tmp_path: Path) -> None:
+    state, pictures = small_mccg(2, resnet=True), seeded.pictures(5, 1, 96, 64)
+    model = opened(state, tmp_path, "resnet: true\nblock: 2\nh: 96\nw: 64\n")
+    assert model.contract.claim == "exact, with the gates held"
+    assert (model.map_size("drone"), model.n_parts) == ((3, 2), 3)
+    raw, mirror = (published_models.mccg(state, "model_1.", p, 2) for p in (pictures, pictures[..., ::-1].copy()))
+    check(model, "drone", pictures, raw, mirror)
+    deep = {f"model_1.convnext.model.layer3.{block}.conv1.weight": torch.zeros(256, 1024, 1, 1) for block in range(23)}
+    own = Entries("net_119.pth", deep).under("model_1.convnext.model.")
+    assert RESNETS[convnext.resnet_depths(own)[2]] == "ResNet-101"
+    dac = opened(state | {"model_1.proj.mlp.0.weight": torch.zeros(2, 2)}, tmp_path, "h: 96\nw: 64\n")
+    assert (dac.contract.method, dac.contract.claim) == ("DAC", "exact")
+    pooled = published_models.resnet_map(published_models.under(state, "model_1.convnext.model."), pictures).mean(
+        (2, 3)
+    )
+    check(dac, "drone", pictures, pooled[:, None], None)
+    with pytest.raises(ModelFileError, match=r"holds model_1\.convnext\.model\..*; expected a ConvNeXt"):
+        opened(state | {"model_1.pos_embed": torch.zeros(1, 2, 2, 2)}, tmp_path)
+
+
+def test_sample4geo_on_a_vision_transformer_is_its_class_token(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state, pictures = small_vit("model."), seeded.pictures(9, 2, 64, 64)
+    model = opened(state, tmp_path)
+    assert (model.contract.level, model.contract.mean, model.input_size) == ("one vector", (0.5, 0.5, 0.5), (64, 64))
+    assert "write its name as `model: NAME`" in caplog.text
+    raw = published_models.vit_tokens(published_models.under(state, "model."), pictures, 1, 64**-0.5)[:, :1]
+    check(model, "satellite", pictures, raw, None)
+    caplog.clear()
+    stated = opened(state, tmp_path, "model: timm/deit_tiny_patch16_224.fb_in1k\n")
+    assert not caplog.records
+    assert stated.contract.mean == images.MEAN
+    with pytest.raises(InputError, match="no network 'vit_smal'; the nearest are"):
+        opened(state, tmp_path, "model: vit_smal\n")
+    with pytest.raises(InputError, match="trained with 64 x 64"):
+        model.part_embeddings(seeded.pictures(9, 1, 32, 32), "drone")
+
+
+@pytest.mark.parametrize(
+    ("form", "claim"),
+    [
+        ({"fc_norm": False, "qkv_bias": False}, "exact"),
+        ({"reg_tokens": 3, "no_embed_class": True}, "exact, with the LayerNorm's mean and variance held"),
+        ({"class_token": True, "global_pool": "token", "no_embed_class": True, "reg_tokens": 2}, "one vector"),
+    ],
+)
+def test_forms_of_a_vision_transformer_are_read_off_its_entries(
+    form: dict[str, Any], claim: str, tmp_path: Path
+) -> None:
+    timm_networks.import_timm()
+    from timm.models.vision_transformer import VisionTransformer
+
+    sizes = {"img_size": 64, "embed_dim": 64, "depth": 1, "num_heads": 1, "num_classes": 0, "init_values": 1.0}
+    network = VisionTransformer(**{"class_token": False, "global_pool": "avg", **sizes, **form}).eval()
+    state = seeded.entries({key: list(value.shape) for key, value in network.state_dict().items()})
+    network.load_state_dict(state)
+    model = opened({"logit_scale": torch.ones(()), **{f"model.{key}": value for key, value in state.items()}}, tmp_path)
+    assert model.contract.claim == claim
+    pictures = seeded.pictures(10, 1, 64, 64)
+    with torch.inference_mode():
+        check(model, "drone", pictures, network(torch.from_numpy(pictures))[:, None], None)
+
+
+@pytest.mark.parametrize("form", [{"use_grn": True, "ls_init_value": None}, {"conv_mlp": True}])
+def test_forms_of_a_convnext_are_read_off_its_entries(form: dict[str, Any], tmp_path: Path) -> None:
+    timm_networks.import_timm()
+    from timm.models.convnext import ConvNeXt
+
+    network = ConvNeXt(depths=(1, 1, 1, 1), dims=(4, 8, 12, 16), num_classes=0, **form).eval()
+    state = seeded.entries({key: list(value.shape) for key, value in network.state_dict().items()})
+    network.load_state_dict(state)
+    # Branches of their own make it a model of Game4Loc.
+    branches = {f"model{number}.{key}": value for number in (1, 2) for key, value in state.items()}
+    model = opened({"logit_scale": torch.ones(()), **branches}, tmp_path, "h: 64\nw: 64\n")
+    assert (model.contract.method, model.contract.roles) == ("Game4Loc", "view")
+    assert model.describe().startswith("Game4Loc ConvNeXt V2" if "use_grn" in form else "Game4Loc ConvNeXt,")
+    pictures = seeded.pictures(10, 1, 64, 64)
+    with torch.inference_mode():
+        check(model, "drone", pictures, network(torch.from_numpy(pictures))[:, None], None)
 
 
 @pytest.mark.parametrize("kind", ["camp", "dac"])
@@ -189,7 +275,7 @@ def test_a_small_part_counts_as_much_as_a_large_one() -> None:
 
 
 def test_the_branches_of_sdpl_follow_the_role() -> None:
-    """Of zeros, which take no memory; the branches differ in one number."""
+    """Return entries of zeros, which take no memory; the branches differ in one number."""
     blank = torch.zeros(())
     state = {key: blank.expand(shape) for key, shape in published_models.shapes_of("sdpl_resnet50_512").items()}
     entries = Entries("net_350.pth", state, {"h": 256, "w": 256})
@@ -257,5 +343,16 @@ def test_wrong_shapes_and_options_are_told_in_one_sentence(tmp_path: Path) -> No
     odd["backbone.backbone.patch_embed.proj.weight"] = torch.zeros(40, 3, 16, 16)
     with pytest.raises(ModelFileError, match=r"1 blocks of the width 40; expected .* heads of 64 numbers"):
         opened(odd, tmp_path)
+    for change, options, said in (
+        ({"head.head.netvlad.centroids": torch.ones(4, 64)}, "", r"not read \(found head\.head\.netvlad\.centroids\)"),
+        ({}, "head: GeM", r"head SingleBranch, but the opts\.yaml beside it says head: GeM; correct or remove it"),
+        (
+            {"backbone.backbone.dist_token": torch.ones(1, 1, 64)},
+            "backbone: DeitT-224",
+            r"backbone that is not read \(DeitT-224, found backbone\.backbone\.cls_token\)",
+        ),
+    ):
+        with pytest.raises(ModelFileError, match=said):
+            opened(small_denseuav(0) | change, tmp_path, options)
     with pytest.raises(ModelFileError, match="head_pool: median; expected one of global"):
         opened(small_denseuav(0), tmp_path, "head_pool: median")

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 
 import lpn
 from lpn.core.errors import InputError, ModelFileError
-from lpn.models.adapters import timm_networks
+from lpn.models import timm_networks
 from lpn.models.adapters.build import build
 from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.recognise import KINDS, Kind, recognise
-from tools.fixtures import published_models, small_worlds
-from tools.fixtures.published_models import small_denseuav, small_fsra, small_mccg, small_vector
+from lpn.models.adapters.recognise import KINDS, Kind, recognise, unwrapped, unwrapped_as
+from tools.fixtures import published_models, seeded, small_worlds
+from tools.fixtures.published_models import small_denseuav, small_fsra, small_mccg, small_vector, small_vit
 
 GOLDENS = {
     "fsra_vits_b3": "fsra",
@@ -54,7 +57,7 @@ def test_formats_that_share_names_are_told_apart() -> None:
             ["model_1.transformer.blocks.0.norm1.weight", "model_1.transformer.cls_token"],
             r"holds model_1\.transformer\.blocks\.0\..* nearest is FSRA, for which it lacks model_1\.classifier1\.add_block\.\*",
         ),
-        (["model_1.model.conv1.weight"], r"nearest is LPN, for which it lacks classifier0\.add_block\.\*"),
+        (["model_1.model.conv1.weight"], r"nearest is LPN, for which it lacks classifier0\.add_block\.1\.\*"),
         (
             [key.replace("model_1.", "model_2.") for key in small_mccg(2)],
             r"nearest is MCCG, for which it lacks model_1\.convnext\.\*, model_1\.tri_layer\.cw\.\*, model_1\.classifier_mcb1\.",
@@ -78,8 +81,12 @@ def test_a_kind_that_is_named_must_exist_and_fit(tmp_path: Path) -> None:
     torch.save(small_fsra(2), file)
     with pytest.raises(InputError, match=f"no kind of model 'vit'; expected one of {', '.join(KINDS)}"):
         lpn.load(file, "cpu", kind="vit")  # type: ignore[arg-type]
-    with pytest.raises(ModelFileError, match="has 0 heads classifier_mcb"):
+    with pytest.raises(
+        ModelFileError, match=r"has 0 heads classifier_mcb.*by its entries it is a checkpoint of FSRA, so leave"
+    ):
         lpn.load(file, "cpu", kind="mccg")
+    with pytest.raises(ModelFileError, match=r"is not an LPN checkpoint.* found model_1.*checkpoint of FSRA, so leave"):
+        lpn.load(file, "cpu", kind="lpn")
     with pytest.raises(InputError, match="another kind"):
         lpn.load(file, "cpu", compiled=True)
     (tmp_path / "lpn.onnx").touch()
@@ -97,10 +104,69 @@ def test_a_kind_that_does_not_fit_is_refused_in_one_sentence(kind: Kind) -> None
             assert "\n" not in str(caught.value)
 
 
+def test_a_prefix_of_training_and_the_container_of_a_checkpoint_do_not_matter(tmp_path: Path) -> None:
+    state, (height, width) = small_mccg(2), (64, 64)
+    (tmp_path / "opts.yaml").write_text(f"h: {height}\nw: {width}\n")
+    forms: dict[str, Any] = {
+        "module.": {f"module.{key}": value for key, value in state.items()},
+        "compiled": {f"_orig_mod.module.{key}": value for key, value in state.items()},
+        "lightning": {"epoch": 3, "state_dict": {f"model.{key}": value for key, value in state.items()}},
+        "trainer": {"model": state, "optimizer": {"state": {}}},
+        "own": {"epoch": 3, "net": state, "optimizer": {"lr": 0.1}},
+        "nested": {"model": {"state_dict": state}},
+    }
+    torch.save(state, tmp_path / "net.pth")
+    pictures = seeded.pictures(3, 1, height, width)
+    expected = lpn.load(tmp_path / "net.pth", "cpu").part_embeddings(pictures, "drone")
+    files = []
+    for name, content in forms.items():
+        files.append(tmp_path / f"{name}.pth")
+        torch.save(content, files[-1])
+    for name, metadata in (("plain", None), ("hub", {"format": "pt"})):
+        files.append(tmp_path / f"{name}.safetensors")
+        save_file(state, files[-1], metadata)
+    for file in files:
+        np.testing.assert_array_equal(lpn.load(file, "cpu").part_embeddings(pictures, "drone"), expected)
+
+
+def test_baselines_of_other_code_are_recognised() -> None:
+    for keys, kind in (
+        (["model_1.conv1.weight", "model_2.conv1.weight", "classifier.add_block.0.weight"], "sues200"),
+        (["model_1.model.conv1.weight", "model_1.gem0.p", "classifier0.add_block.0.weight"], "sdpl"),
+        (["logit_scale", "model.layers.0.blocks.0.attn.qkv.weight"], "sample4geo"),
+        (["logit_scale", "model1.conv1.weight", "model2.conv1.weight"], "game4loc"),
+    ):
+        assert recognise(keys, "net.pth") == kind
+
+
+@pytest.mark.parametrize(
+    "entry", ["norm_pre.weight", "blocks.0.attn.q_norm.weight", "blocks.0.mlp.w12.weight", "dist_token"]
+)
+def test_another_form_of_a_vision_transformer_needs_the_name_of_its_network(entry: str) -> None:
+    state = {**small_vit("model."), f"model.{entry}": torch.ones(1, 1, 64)}
+    with pytest.raises(
+        ModelFileError, match=rf"holds model\.{entry}, .* write its network's name in timm as `model: NAME`"
+    ):
+        build("sample4geo", Entries("net.pth", state))
+
+
 def test_a_bare_network_of_timm_is_read_as_the_kind_that_is_named(tmp_path: Path) -> None:
     network = timm_networks.convnext((1, 1, 1, 1), (4, 8, 12, 16)).to_empty(device="cpu")
-    torch.save({key: torch.ones_like(value) for key, value in network.state_dict().items()}, tmp_path / "bare.pth")
-    assert lpn.load(tmp_path / "bare.pth", "cpu", kind="sample4geo").embedding == 16
+    for prefix in ("", "_orig_mod.", "net.module."):
+        state = {f"{prefix}{key}": torch.ones_like(value) for key, value in network.state_dict().items()}
+        torch.save(state, tmp_path / "bare.pth")
+        assert lpn.load(tmp_path / "bare.pth", "cpu", kind="sample4geo").embedding == 16
+
+
+def test_a_prefix_of_training_does_not_matter_to_a_kind_that_is_named() -> None:
+    inner = {"model_1.convnext.downsample_layers.0.0.weight": torch.ones(1)}
+    for prefix in ("", "_orig_mod.", "module._orig_mod.", "model."):
+        state = {f"{prefix}{key}": value for key, value in inner.items()}
+        assert unwrapped_as("dac", state) == inner
+        with pytest.raises(ModelFileError, match="nothing that tells DAC from CAMP; say which with --kind dac"):
+            unwrapped(state, "net.pth")
+    own = {"model.stem.0.weight": torch.ones(1), "model.head.norm.weight": torch.ones(1)}
+    assert unwrapped_as("sample4geo", own) == own
 
 
 def test_timm_is_imported_where_torchvision_is_missing_and_no_stand_in_stays(monkeypatch: pytest.MonkeyPatch) -> None:

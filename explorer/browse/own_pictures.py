@@ -1,0 +1,341 @@
+"""A person's own pictures as queries: one or many at once, held in memory for one browser, never written to disk."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import cv2
+import msgspec
+import viser
+from msgspec import Meta
+
+from explorer import session_state, uploads
+from explorer.browse.feeds import Feeds
+from explorer.server.picture_route import EncodedPicture
+from explorer.session_state import SessionState, StateChange
+from explorer.web.html import Html
+from explorer.web.render import call, render, run
+from lpn.analysis.analyser import OwnPicture
+from lpn.core import images
+from lpn.core.arrays import UInt8Array
+from lpn.core.errors import InputError, LPNError
+from lpn.core.files import printable
+from lpn.drawing import overlays
+
+# Pictures that one browser holds, and files that one list names.
+MOST, MOST_NAMED = 200, 300
+# A picture is held as JPEG of this quality, unless its own file is small: 200 pictures take some 150 MB.
+_QUALITY, _SMALL = 95, 1_000_000
+_THUMBNAIL = 64
+# Bytes that the pictures of all browsers of the server take together.
+_MOST_BYTES = 1_000_000_000
+
+_Name = Annotated[str, Meta(max_length=400)]
+
+
+class _Batch(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+    """Files that a page is about to send, and those that it leaves out with the reason's kind."""
+
+    files: Annotated[int, Meta(ge=0, le=MOST)]
+    refused: Annotated[list[tuple[_Name, _Name]], Meta(max_length=MOST_NAMED)]
+    unnamed: Annotated[int, Meta(ge=0, le=10**7)]
+
+
+_REASONS = {
+    "large": "has more than 30 MB; make it smaller",
+    "kind": "is not a JPEG, PNG, or WebP file",
+    "empty": "is empty",
+    "unread": "cannot be read by the browser; check that it is still there and that you may read it",
+    "many": f"is beyond the {MOST} pictures that are held; send it later",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A picture in memory: its name, its file, its thumbnail, and the camera's position in degrees."""
+
+    name: str
+    file: bytes
+    thumbnail: bytes
+    place: tuple[float, float] | None
+
+    @property
+    def size(self) -> int:
+        """Bytes in memory."""
+        return len(self.file) + len(self.thumbnail)
+
+
+class HeldBytes:
+    """The bytes of the pictures of all browsers; thread-safe.
+
+    Attributes:
+        total: the bytes that are held now.
+    """
+
+    def __init__(self) -> None:
+        self.total, self._lock = 0, threading.Lock()
+
+    def add(self, held: _Held) -> None:
+        """Count a picture.
+
+        Raises:
+            InputError: when it goes beyond the limit; it is not counted then.
+        """
+        with self._lock:
+            if self.total + held.size > _MOST_BYTES:
+                raise InputError(
+                    f"{held.name} takes {held.size / 1e6:.1f} MB, and the server holds {self.total / 1e6:,.0f} MB of its "
+                    f"visitors' pictures; up to {_MOST_BYTES / 1e6:,.0f} MB are held, so close yours, or send it later."
+                )
+            self.total += held.size
+
+    def remove(self, held: Sequence[_Held]) -> None:
+        """Count pictures no longer."""
+        with self._lock:
+            self.total -= sum(one.size for one in held)
+
+
+held_bytes = HeldBytes()
+
+
+class OwnPictures:
+    """One browser's own pictures; thread-safe.
+
+    Args:
+        change: updates the browser's state with a function.
+        notify_error: shows an error with a title and a text.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        feeds: Feeds,
+        change: Callable[[StateChange], None],
+        notify_error: Callable[[str, str], None],
+    ) -> None:
+        self._feeds, self._change, self._notify_error = feeds, change, notify_error
+        self._lock = threading.RLock()
+        self._held: list[_Held] = []
+        # The picture that was opened last, and its position among those held.
+        self._opened: tuple[OwnPicture | None, int] = None, -1
+        self._refused: list[str] = []
+        # Files of the batch in progress that were read, and all of them; the first picture of it.
+        self._read = self._files = self._first = 0
+        self._asked = 0
+        # How often the pictures were closed.
+        self._closed = 0
+        self._left = False
+        self._feed: tuple[int, str, str] = -1, "", ""
+        self._shell, self._data, self._go = Html(gui), Html(gui), Html(gui)
+
+    def handlers(self) -> Mapping[str, Callable[[Any], None]]:
+        """Return a handler for each kind of message about one's own pictures."""
+        return {
+            "own-begin": self._begin,
+            "own-skip": self._skip,
+            "own-pick": self._pick,
+            "own-close": lambda _: self.close(),
+        }
+
+    def take(self, name: str, content: bytes) -> None:
+        """Read an uploaded file; it becomes a query, or is named among those left out."""
+        with self._lock:
+            in_batch, closed = self._read < self._files, self._closed
+        try:
+            if len(self._held) >= MOST:
+                raise InputError(f"{printable(name)[:80]} {_REASONS['many']}.")
+            picture = uploads.read(name, content)
+            held = _hold(picture, content)
+            with self._lock:
+                if closed != self._closed or self._left:  # it was closed with the others while it was read
+                    return
+                held_bytes.add(held)
+                self._held.append(held)
+                if not in_batch:
+                    self._opened = picture, len(self._held) - 1
+        except LPNError as error:
+            if not in_batch:
+                self._notify_error("Upload failed", str(error))
+                return
+            with self._lock:
+                if closed != self._closed:
+                    return
+                self._refused.append(str(error))
+        else:
+            if not in_batch:
+                self._change(lambda state: own_query(state, picture))
+        if in_batch:
+            self._next()
+        self._draw()
+
+    def index_of(self, picture: OwnPicture | None) -> int | None:
+        """Return the position of a picture that is shown among those held; None if it is none of them."""
+        opened, index = self._opened
+        return index if picture is not None and picture is opened else None
+
+    def step(self, state: SessionState, by: int) -> SessionState | None:
+        """Return the state of another own picture; None unless one is shown and there are several."""
+        with self._lock:
+            index = self.index_of(state.upload)
+            if index is None or len(self._held) < 2:
+                return None
+            return own_query(state, self._open((index + by) % len(self._held)))
+
+    def show(self, state: SessionState) -> None:
+        """Mark the picture that the state shows."""
+        self._draw(self.index_of(state.upload))
+
+    def close(self) -> None:
+        """Forget all own pictures; a query of the data set is shown again."""
+        with self._lock:
+            held_bytes.remove(self._held)
+            self._held, self._refused, self._opened = [], [], (None, -1)
+            self._read = self._files = 0
+            self._closed += 1
+        self._change(lambda state: replace(session_state.upright(state), upload=None, selected=None))
+        self._draw()
+
+    def leave(self) -> None:
+        """Forget the pictures of a browser that left."""
+        with self._lock:
+            held_bytes.remove(self._held)
+            self._held, self._left = [], True
+        self._feeds.leave(self)
+
+    def _begin(self, value: Any) -> None:
+        """Ask for the first file of an untrusted batch."""
+        try:
+            batch = msgspec.convert(value, _Batch)
+        except (msgspec.ValidationError, UnicodeEncodeError):
+            return
+        with self._lock:
+            room = MOST - len(self._held)
+            self._read, self._files, self._first = 0, min(batch.files, room), len(self._held)
+            named = [f"{printable(name[:80])} {_REASONS.get(kind, _REASONS['kind'])}." for name, kind in batch.refused]
+            if batch.files > room:
+                named.append(f"{batch.files - room} pictures are left out: {MOST} are held; close them to send others.")
+            if batch.unnamed:
+                named.append(f"{batch.unnamed:,} further files are left out.")
+            self._refused = named
+            asked = self._files > 0
+        if asked:
+            self._ask()
+        else:
+            self._finish()
+        self._draw()
+
+    def _skip(self, value: Any) -> None:
+        """Go on without the file that was asked for, by an untrusted [its number, its name]: the page cannot read it."""
+        match value:
+            case [int(number), str(name)] if not isinstance(number, bool):
+                with self._lock:
+                    if not number == self._read < self._files:
+                        return
+                    self._refused.append(f"{printable(name[:80])} {_REASONS['unread']}.")
+                self._next()
+                self._draw()
+
+    def _next(self) -> None:
+        with self._lock:
+            self._read += 1
+            more = self._read < self._files
+        self._ask() if more else self._finish()
+
+    def _ask(self) -> None:
+        """Have the page send the file that comes next."""
+        self._asked += 1  # the same call would not be sent again
+        self._go.show(run(call("own.go", self._read, self._files, self._asked)))
+
+    def _finish(self) -> None:
+        with self._lock:
+            added, refused = len(self._held) - self._first, list(self._refused)
+            picture = self._open(self._first) if added else None
+        if picture is not None:
+            self._change(lambda state: own_query(state, picture))
+            self._say(added, len(refused))
+        elif refused:
+            self._notify_error(
+                "No picture was taken", f"{len(refused)} files were left out; the list is below the button."
+            )
+
+    def _say(self, added: int, refused: int) -> None:
+        """Tell how a batch ended; the first screen shows neither the list of pictures nor that of those left out."""
+        if added + refused == 1:
+            return
+        read = "1 picture of your own is read" if added == 1 else f"{added} pictures of your own are read: N and P step"
+        left_out = f" {refused} left out: Show everything lists them." if refused else ""
+        self._asked += 1
+        self._go.show(run(f"{call('say', f'{read}.{left_out}', 8)};/*{self._asked}*/"))
+
+    def _pick(self, value: Any) -> None:
+        """Show one of the pictures held, by an untrusted [anything, position]."""
+        match value:
+            case [_, int(index)] if not isinstance(index, bool):
+                with self._lock:
+                    picture = self._open(index) if 0 <= index < len(self._held) else None
+                if picture is not None:
+                    self._change(lambda state: own_query(state, picture))
+
+    def _open(self, index: int) -> OwnPicture:
+        """Decode a picture; only the last one stays decoded."""
+        opened, at = self._opened
+        if opened is not None and at == index:
+            return opened
+        held = self._held[index]
+        picture = OwnPicture(held.name, images.decode_picture(held.file, held.name), held.place)
+        self._opened = picture, index
+        return picture
+
+    def _draw(self, chosen: int | None = None) -> None:
+        with self._lock:
+            held, refused = list(self._held), list(self._refused)
+            chosen = self._opened[1] if chosen is None else chosen
+            if self._feed[0] != len(held):
+                rows = self._feeds.publish_list(
+                    self, "own", len(held), lambda start, end: [(i, held[i].name, None) for i in range(start, end)]
+                )
+                self._feed = len(held), rows, self._feeds.publish(self, "own thumbnails", _thumbnails(held))
+            _, rows, thumbnails = self._feed
+        if not held and not refused:
+            self._shell.show("")
+            self._data.show("")
+            return
+        placed = sum(one.place is not None for one in held)
+        self._shell.show(render("browse/own", count=len(held), placed=placed, refused=refused, most=MOST_NAMED))
+        data = {
+            "kind": "queries",
+            "task": "own",
+            "message": "own-pick",
+            "title": "own",
+            "address": self._feeds.address,
+            "feed": rows,
+            "pictures": f"{self._feeds.address}{thumbnails}",
+            "total": len(held),
+            "chosen": chosen,
+            "reveal": True,
+            "refused": len(refused),  # the element is another one then
+        }
+        self._data.show(run(call("list", "lpn-own-queries", data)) if held else "")
+
+
+def own_query(state: SessionState, picture: OwnPicture) -> SessionState:
+    """Return the state that shows a picture of the user's own, upright and compared with its top match."""
+    return replace(session_state.upright(state), upload=picture, selected=None)
+
+
+def _hold(picture: OwnPicture, content: bytes) -> _Held:
+    """Return a picture as it is held: as its own file if that is small and was not shrunk, else as JPEG of the size shown."""
+    own = len(content) <= _SMALL and max(picture.picture.shape[:2]) < uploads.MAX_SIDE
+    file = content if own else _jpeg(picture.picture, _QUALITY)
+    return _Held(picture.name, file, _jpeg(overlays.square(picture.picture, _THUMBNAIL), 80), picture.place)
+
+
+def _jpeg(picture: UInt8Array, quality: int) -> bytes:
+    return bytes(cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+
+
+def _thumbnails(held: Sequence[_Held]) -> Callable[[int], EncodedPicture | None]:
+    return lambda index: EncodedPicture(held[index].thumbnail, "image/jpeg") if index < len(held) else None

@@ -1,0 +1,110 @@
+"""The list of queries in the panel Query: thumbnails that scroll, drawn as they come into sight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import viser
+
+from explorer import session_state
+from explorer.browse.feeds import Feeds
+from explorer.compute.ranking_job import RankingJob
+from explorer.session_state import SessionState, StateChange
+from explorer.web.html import Html
+from explorer.web.render import call, render, run
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.core.arrays import Int64Array
+
+# An entry of the list: the query, its name, and 1 if it was found, 0 if it failed, None while that is not known.
+Entry = tuple[int, str, int | None]
+
+
+class QueryList:
+    """One browser's list of queries: those whose names contain the search text, with the chosen one in sight.
+
+    Args:
+        change: updates the browser's state with a function.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, workspace: Workspace, feeds: Feeds, change: Callable[[StateChange], None]
+    ) -> None:
+        self._workspace, self._feeds, self._change = workspace, feeds, change
+        self._key: object = None
+        self._shown, self._feed = np.zeros(0, np.int64), ""
+        self._count, self._shell = Html(gui), Html(gui, render("browse/queries"))
+        self._data = Html(gui)
+
+    def handlers(self) -> Mapping[str, Callable[[Any], None]]:
+        """Return a handler for each kind of message of the list."""
+        return {"pick": self._pick}
+
+    def show(self, analysis: StateAnalysis) -> None:
+        """Show the queries that the state's search text leaves, and mark the state's query."""
+        state, task = analysis.state, analysis.task
+        ranking = self._workspace.rankings[task.name]
+        key = task.name, state.find, ranking.result
+        if self._key != key:
+            self._key = key
+            self._shown = np.array(session_state.matching_names(task.query_names, state.find), np.int64)
+            self._feed = publish(self._feeds, self, ranking, self._shown)
+            self._count.show(render("browse/count", found=len(self._shown), total=len(task.queries)))
+        position = -1 if state.upload else position_of(state.query, self._shown)
+        data = {
+            "kind": "queries",
+            "message": "pick",
+            "task": task.name,
+            "title": f"{task.name} {state.find}",
+            "address": self._feeds.address,
+            "feed": self._feed,
+            "pictures": self._feeds.thumbnails(task, "query"),
+            "total": len(self._shown),
+            "chosen": position,
+            "reveal": True,
+        }
+        self._data.show(run(call("list", "lpn-queries", data)))
+
+    def leave(self) -> None:
+        """Serve nothing more to a browser that left."""
+        self._feeds.leave(self)
+
+    def _pick(self, value: Any) -> None:
+        """Choose an untrusted query: [task, position among its queries]."""
+        match value:
+            case [str(task), int(query)] if task in self._workspace.tasks:
+                queries = len(self._workspace.tasks[task].queries)
+
+                def choose(state: SessionState) -> SessionState:
+                    return session_state.choose_query(state, query, queries) if state.task == task else state
+
+                self._change(choose)
+
+
+def publish(feeds: Feeds, owner: object, ranking: RankingJob, queries: Int64Array) -> str:
+    """Publish a list of queries, given by their positions in the list's order; the list is that of this moment's ranking."""
+    ranked = ranking.result is not None
+    return feeds.publish_list(
+        owner, "queries", len(queries), lambda start, end: entries(ranking, queries[start:end].tolist(), ranked)
+    )
+
+
+def entries(ranking: RankingJob, queries: Sequence[int], ranked: bool = True) -> list[Entry]:
+    """Return the list's entries of some queries; without `ranked`, none of them tells an outcome."""
+    task = ranking.task
+    known, failed = task.known, ranking.failed if ranked and ranking.result is not None else None
+    return [
+        (
+            query,
+            task.query_names[query],
+            None if failed is None or (known is not None and not known[query]) else int(not failed[query]),
+        )
+        for query in queries
+    ]
+
+
+def position_of(query: int, ascending: Int64Array) -> int:
+    """Return where a query is in a list, -1 if it is not there."""
+    position = int(np.searchsorted(ascending, query))
+    return position if position < len(ascending) and ascending[position] == query else -1

@@ -1,0 +1,122 @@
+"""The first screen: one query, its answer, one sentence, and on request the reason; it lies over the rest of the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from explorer import session_state
+from explorer.panels import answer_text
+from explorer.panels.navigation import Navigation
+from explorer.session_state import SessionState, StateChange
+from explorer.stage.pictures import draw_parts
+from explorer.web.html import Html
+from explorer.web.render import call, render, run
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.core import images
+from lpn.core.views import View
+from lpn.drawing import overlays
+from lpn.retrieval import DescribedPicture
+
+# Height of the pictures in pixels, and the largest width of a panorama.
+_SIZE = 420, 1100
+
+
+class FirstScreen:
+    """One browser's first screen; it is visible while `SessionState.first_screen` is set.
+
+    Args:
+        change: updates the browser's state with a function.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, workspace: Workspace, navigation: Navigation, change: Callable[[StateChange], None]
+    ) -> None:
+        self._workspace, self._change = workspace, change
+        self._html = Html(gui)
+        self._actions: dict[str, StateChange] = {
+            "next": navigation.next,
+            "failure": navigation.failure,
+            "why": session_state.flip_why,
+            "start": session_state.to_first_screen,
+            "all": lambda state: replace(state, first_screen=False, why=False),
+            "cells": lambda state: replace(state, first_screen=False, why=True),
+            "lab": lambda state: replace(state, lab=True, why=False),
+            "map": lambda state: replace(state, map=True, why=False),
+            "apart": lambda state: replace(state, exploded=True, why=False),
+            "flight": lambda state: replace(state, flight=True, why=False),
+        }
+
+    def act(self, action: Any) -> None:
+        """Do what a control of the screen says; the name is untrusted, and an unknown one does nothing."""
+        if isinstance(action, str) and action in self._actions:
+            self._change(self._actions[action])
+
+    def show(self, analysis: StateAnalysis, stories: Sequence[str]) -> None:
+        """Show an analysis and the names of stories, or close the screen, as the state says."""
+        state = analysis.state
+        content = page(analysis, self._workspace, stories) if state.first_screen else ""
+        elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
+        self._html.show(run(call("first", content, not elsewhere)))
+
+
+def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] = ()) -> str:
+    """Return the screen's content as HTML."""
+    state, task = analysis.state, analysis.task
+    right, headline, sentence = answer_text.plain_verdict(analysis)
+    lead = answer_text.lead(analysis) if state.why else None
+    positive = analysis.positive
+    missed = right is False and positive is not None and not positive.beyond and analysis.chosen.rank == 1
+    return render(
+        "first_screen",
+        workspace=workspace,
+        task=task,
+        state=state,
+        name=analysis.name,
+        query=_picture(analysis, workspace, 0, analysis.query, task.query_view),
+        tile=_picture(analysis, workspace, 1, analysis.tile, task.gallery_view),
+        chosen=analysis.chosen,
+        true_tile=_true_tile(analysis, workspace) if missed else "",
+        right=right,
+        headline=headline,
+        sentence=sentence,
+        lead=lead,
+        full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
+        part_names=workspace.part_names,
+        part_word=workspace.parts_word.removesuffix("s"),
+        stories=stories,
+        heat=analysis.pair_evidence is not None,
+        alterations=session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view])),
+    )
+
+
+def _picture(analysis: StateAnalysis, workspace: Workspace, side: int, described: DescribedPicture, view: View) -> str:
+    """Return a picture of the pair as a data URI: as it is, or with its parts and evidence while they are explained."""
+    if not analysis.state.why:
+        across, down = workspace.layout.picture
+        width = min(round(_SIZE[0] * across / down), _SIZE[1])
+        picture = images.resize(workspace.as_partitioned(described.picture, view), round(width * down / across), width)
+        return overlays.data_uri(picture, 85)
+    pair, cells, limit = analysis.pair_evidence, None, 1.0
+    if pair is not None:
+        maps = pair.evidence.cell_maps(None)
+        cells, limit = maps[side], overlays.evidence_limit(*maps)
+    return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 85)
+
+
+def _true_tile(analysis: StateAnalysis, workspace: Workspace) -> str:
+    assert analysis.positive is not None
+    return overlays.data_uri(workspace.card(analysis.task, analysis.positive.index), 85)
+
+
+def plain_state(state: SessionState, first: Any, named: bool) -> SessionState:
+    """Return the state that a page opens with: on the first screen if the browser asks for it and its address names no state.
+
+    Args:
+        first: untrusted.
+    """
+    return replace(state, first_screen=True) if first is True and not named else state

@@ -1,0 +1,34 @@
+"""Pictures of the compared pair with parts and evidence, for HTML."""
+
+from __future__ import annotations
+
+from explorer.workspace import Workspace
+from lpn.core import images
+from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.views import View
+from lpn.drawing import overlays
+from lpn.retrieval import DescribedPicture
+
+
+def draw_parts(
+    workspace: Workspace,
+    described: DescribedPicture,
+    view: View,
+    size: tuple[int, int],
+    cells: Float64Array | None = None,
+    limit: float = 1.0,
+) -> UInt8Array:
+    """Draw a picture's parts, and its evidence where `cells` (h, w) are given: (H, W, 3) uint8.
+
+    Args:
+        size: height, and the largest width of a panorama.
+        limit: absolute value of a cell at which the colour of evidence is opaque.
+    """
+    across, down = workspace.layout.picture
+    height, max_width = size
+    drawn = images.resize(
+        workspace.as_partitioned(described.picture, view), height, min(round(height * across / down), max_width)
+    )
+    if cells is not None:
+        drawn = overlays.with_evidence(drawn, cells, limit)
+    return overlays.with_parts(drawn, workspace.areas(view, described))

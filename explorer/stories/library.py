@@ -1,0 +1,117 @@
+"""The stories of a workspace, in `stories.json` beside the data; what a user makes on the demo is kept where notes on it are."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from explorer.stories.story import Story, StoryDraft
+from lpn.core.demo import own_file, own_file_place
+from lpn.core.errors import DataError, InputError, LPNError, OutputError
+from lpn.core.files import printable
+from lpn.core.own_files import OwnFileFormat
+
+NAME = "stories.json"
+
+
+@dataclass(frozen=True)
+class Stories:
+    """The stories of a data set.
+
+    Attributes:
+        by_name: in the order of the files; a person's story replaces a shipped one of the same name.
+        errors: one sentence about each file that cannot be used.
+    """
+
+    by_name: dict[str, Story]
+    errors: tuple[str, ...] = ()
+
+
+def read_stories(file: Path) -> list[Story]:
+    """Read a file of stories; empty if it does not exist.
+
+    Raises:
+        DataError: when the file is damaged, or two stories in it have one name.
+    """
+    return _FORMAT.read(file)
+
+
+def read_all(root: Path, built_in: Sequence[Story] = ()) -> Stories:
+    """Read the stories that lie beside a data set, and those that its user made.
+
+    Args:
+        built_in: come last, unless another story has the name.
+    """
+    stories: dict[str, Story] = {}
+    errors = []
+    files = [root / NAME]
+    try:
+        files = list(dict.fromkeys([*files, own_file(root, NAME)]))
+    except OutputError as error:
+        errors.append(str(error))
+    for file in files:
+        try:
+            stories |= {story.name: story for story in read_stories(file)}
+        except LPNError as error:
+            errors.append(str(error))
+    return Stories(stories | {story.name: story for story in built_in if story.name not in stories}, tuple(errors))
+
+
+def save(root: Path, draft: StoryDraft) -> StoryDraft:
+    """Save a story beside the data, in the place of the one that was opened; one without steps is deleted.
+
+    Returns:
+        The draft as it is now saved.
+
+    Raises:
+        InputError: when the saved story has changed since it was opened, another one has the name, or the file would be too
+            large.
+        DataError: when the existing file is damaged; it is not changed.
+        OutputError: when the file cannot be written.
+    """
+    file = own_file(root, NAME)
+    story, opened = draft.story, draft.opened
+
+    def change(stories: list[Story]) -> list[Story]:
+        names = [stored.name for stored in stories]
+        at = names.index(opened.name) if opened is not None and opened.name in names else None
+        if at is not None and stories[at] != opened:
+            raise InputError(
+                f"The story {printable(names[at])!r} was changed by somebody else since you opened it; copy yours, and save "
+                "the copy."
+            )
+        if story.name in names and (at is None or story.name != names[at]):
+            raise InputError(f"There is another story named {printable(story.name)!r}; give this one another name.")
+        at = len(stories) if at is None else at
+        return [*stories[:at], *([story] if story.steps else []), *stories[at + 1 :]]
+
+    _FORMAT.change(file, change)
+    return dataclasses.replace(draft, opened=story if story.steps else None)
+
+
+def place(root: Path) -> str:
+    """Return where stories are saved, in words and without the server's folders."""
+    return own_file_place(root, NAME, "data")
+
+
+def _decode(content: bytes, file: Path) -> list[Story]:
+    try:
+        stories = msgspec.json.decode(content, type=list[Story])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise DataError(f"{file} is not a file of stories ({error}); correct it, or move it away.") from error
+    names = [story.name for story in stories]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise DataError(f"{file} has two stories named {printable(twice)!r}; give one of them another name.")
+    return stories
+
+
+def _encode(stories: list[Story]) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(stories), indent=2) + b"\n"
+
+
+_FORMAT = OwnFileFormat("stories", _decode, _encode, list[Story], "delete another story first", max_bytes=20_000_000)

@@ -1,0 +1,102 @@
+"""The tour: a story for any model and data set, whose steps point at parts of the page and leave it as it is."""
+
+from __future__ import annotations
+
+from typing import Any, get_args
+
+from explorer.layout import Layout, Point
+from explorer.stories.story import Place, Step, Story
+from explorer.workspace import Workspace
+
+NAME = "Tour"
+# The places on the page in words.
+PLACES: dict[Place, str] = {
+    "query": "the query",
+    "tile": "the compared tile",
+    "parts": "the bars of the parts",
+    "ranking": "the ranking",
+    "verdict": "the verdict",
+    "controls": "the links at the top",
+    "window": "the open window",
+}
+assert set(PLACES) | {""} == set(get_args(Place))
+
+
+def story(workspace: Workspace) -> Story:
+    """Return the tour in five steps; it does not mention what the model and the data set lack."""
+    task = next(iter(workspace.tasks.values()))
+    live, cells, mapped = workspace.model is not None, workspace.contract.has_cells, task.geometry is not None
+    rings = workspace.parts_word == "rings"
+    whole = "rings" if rings else "parts"
+    evidence = (
+        " Why this tile?, further down, shows the evidence cell by cell; it adds up to the score. Its tab Heatmaps shows the "
+        "activation of each part."
+    )
+    cards: dict[Place, tuple[str, str, str]] = {
+        "query": (
+            "A picture goes in",
+            f"This {task.query_view} picture is the query: where was it taken? The panel Query has all of them"
+            f"{', and takes one of your own' if live else ''}.",
+            f"N takes the next one{'; J and L turn it' if live else ''}",
+        ),
+        "parts": (
+            "Part by part",
+            f"Both pictures are divided into {'square rings around the centre' if rings else 'parts'}, and each part is "
+            "compared with its counterpart. A bar is the part's share of the squared distance d²: the longer, the less they "
+            "agree.",
+            "",
+        ),
+        "ranking": (
+            "The ranking",
+            "The nearest tiles, best first, with ✓ at the true place. Press one, here or on the stage, to compare it with the "
+            "query. In the panel Parts you weight the parts, and the ranking follows.",
+            "",
+        ),
+        "verdict": (
+            "Why this tile?",
+            f"This says which part decided.{evidence if live and cells else ''}",
+            "Y opens it" if live and cells else "",
+        ),
+        "controls": (
+            "Look around",
+            f"Under Look you take the {whole} apart{' and see the map' if mapped else ''}. The list at the top has every "
+            "command. Link copies an address that brings back what you see.",
+            f"X takes the {whole} apart{', M shows the map' if mapped else ''}, Ctrl K lists every command",
+        ),
+    }
+    return Story(NAME, tuple(_step(place, *texts) for place, texts in cards.items()))
+
+
+def _step(place: Place, title: str, text: str, keys: str) -> Step:
+    return Step("", "\n".join([title, text, *([f"Keys: {keys}."] if keys else [])]), points_at=place)
+
+
+def places(layout: Layout) -> dict[Place, dict[str, Any]]:
+    """Return where the page finds each place.
+
+    That is `selectors`, of which the first visible one counts, else `box`, the left, lower, right, and upper border on the stage
+    in stage units.
+    """
+    windows = ("#lpn-why", "#lpn-lab-table", "#lpn-lab-breakdown", "#lpn-lab-map", "#lpn-flight")
+    return {
+        "query": _place(box=_box(layout.query, layout.picture)),
+        "tile": _place(box=_box(layout.tile, layout.picture)),
+        "parts": _place(box=_box(*layout.gutter)),
+        "ranking": _place("#lpn-matches", box=_cards(layout)),
+        "verdict": _place("#lpn-verdict"),
+        "controls": _place("#lpn-header .tools"),
+        "window": _place(*windows),
+    }
+
+
+def _place(*selectors: str, box: tuple[float, float, float, float] | None = None) -> dict[str, Any]:
+    return {"selectors": selectors, "box": box}
+
+
+def _box(centre: Point, size: Point) -> tuple[float, float, float, float]:
+    return centre[0] - size[0] / 2, centre[1] - size[1] / 2, centre[0] + size[0] / 2, centre[1] + size[1] / 2
+
+
+def _cards(layout: Layout) -> tuple[float, float, float, float]:
+    half = layout.columns * layout.step[0] / 2
+    return -half, layout.cards_top - layout.step[1], half, layout.cards_top

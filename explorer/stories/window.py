@@ -1,0 +1,291 @@
+"""The window in which one browser records, orders, and edits a story, and the telling of stories in its page."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import msgspec
+import viser
+
+from explorer.panels import answer_text
+from explorer.reports import Reporter
+from explorer.server.message_filter import MAX_TEXT
+from explorer.session_state import SessionState
+from explorer.stage.viewport import EDGE, Viewport
+from explorer.stories import exported, library, messages, story, tour
+from explorer.stories.messages import StoryMessage
+from explorer.stories.story import Story, StoryDraft
+from explorer.stories.windows import WindowSources
+from explorer.url_state import UrlState
+from explorer.web.html import Html
+from explorer.web.messages import decode
+from explorer.web.render import call, render, run
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.core.errors import LPNError
+
+_MAX_SIZE = (560, 900)
+_LOST = "The queries or columns that you chose in the laboratory are too many for an address: the step is without them."
+# Characters of a draft that the browser keeps; it comes back in one message.
+LONGEST_DRAFT = MAX_TEXT - 1000
+
+
+class StoryWindow:
+    """One browser's stories: the row of their names, the window, and what is told.
+
+    Args:
+        row: the page's element for the names of the stories.
+        state: returns the newest state.
+        go: shows the state of a query string; returns a sentence about each value that is invalid.
+        call: calls a function of the page's script.
+        sources: what exported windows are drawn from.
+
+    Attributes:
+        tour: the built-in story, which a new visitor is told.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        workspace: Workspace,
+        url_state: UrlState,
+        row: Html,
+        state: Callable[[], SessionState],
+        go: Callable[[str], list[str]],
+        call: Callable[..., None],
+        viewport: Viewport,
+        reporter: Reporter,
+        sources: WindowSources,
+    ) -> None:
+        self._sources = sources
+        self._client, self._workspace, self._url_state, self._row = client, workspace, url_state, row
+        self._state, self._go, self._call = state, go, call
+        self._viewport, self._reporter = viewport, reporter
+        self._lock = threading.RLock()
+        self._analysis: StateAnalysis | None = None
+        self._open = False
+        self._revision = 0
+        self.tour = tour.story(workspace)
+        self._stories = self._read()
+        self._draft = self._new_draft()
+        # Why the browser does not keep the draft, empty if it does.
+        self._unkept = ""
+        gui = client.gui
+        self._panel = gui.add_panel(visible=False)
+        with self._panel.add_tab("Stories", viser.Icon.PRESENTATION):
+            self._head, self._message, self._steps = (Html(gui) for _ in range(3))
+        self._keeping = Html(gui)
+        viewport.watch(self._place)
+        self._show_row()
+
+    def handlers(self) -> dict[str, Callable[[Any], None]]:
+        """Return a handler for each kind of message of the window's HTML and of the page's script."""
+        return {kind: partial(self._receive, kind) for kind in messages.MESSAGES}
+
+    def commands(self) -> list[tuple[str, str | None, Callable[[], None]]]:
+        """Return the commands for the palette: label, hotkey, and function."""
+        told = [
+            (f"Tell the story: {name}", None, partial(self._apply, messages.PlayStory(name)))
+            for name in self._stories.by_name
+        ]
+        return [
+            ("Keep what is shown as a step of a story", "S", partial(self._apply, messages.RecordStep())),
+            ("Stories: order, edit, save", None, partial(self._apply, messages.ShowWindow())),
+            ("Tell the story that is edited", None, partial(self._apply, messages.Tell())),
+            ("Export the story as one HTML file", None, partial(self._apply, messages.ExportStory())),
+            *told,
+        ]
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the stories."""
+        return list(self._stories.by_name)
+
+    def show(self, analysis: StateAnalysis) -> None:
+        """Remember what the page shows, for the caption of the next step."""
+        self._analysis = analysis
+
+    def _receive(self, kind: str, value: Any) -> None:
+        message = decode(messages.MESSAGES, kind, value)
+        if message is not None:
+            self._apply(message)
+
+    def _apply(self, message: StoryMessage) -> None:
+        with self._lock:
+            match message:
+                case messages.ShowWindow():
+                    self._stories = self._read()
+                    self._set_open(True)
+                case messages.CloseWindow():
+                    self._set_open(False)
+                case messages.OpenStory(name) | messages.PlayStory(name):
+                    self._choose(name, tell=isinstance(message, messages.PlayStory))
+                case messages.Tell():
+                    self._tell(self._draft.story)
+                case messages.ToldStep(index, shows):
+                    self._show_step(index, shows)
+                case messages.ShowStep(index) if index < len(self._draft.story.steps):
+                    self._show_step(index, self._draft.story.steps[index].shows)
+                case messages.SaveStory():
+                    self._save()
+                case messages.ExportStory():
+                    self._export()
+                case messages.RestoreDraft(kept, opened):
+                    self._edit(StoryDraft(kept, opened and self._opened(*opened)))
+                case messages.RecordStep():
+                    self._record()
+                case messages.NewStory():
+                    self._edit(self._new_draft())
+                case messages.CopyStory():
+                    name = self._draft.story.name[: story.LONGEST_NAME - 7]
+                    self._edit(StoryDraft(story.rename(self._draft.story, f"{name} (copy)")))
+                case messages.EditCaption(index, caption):
+                    self._edit_text(story.edit(self._draft.story, index, caption=caption))
+                case messages.EditNotes(index, notes):
+                    self._edit_text(story.edit(self._draft.story, index, notes=notes))
+                case messages.Rename(name):
+                    self._edit_text(story.rename(self._draft.story, name[: story.LONGEST_NAME]))
+                case messages.PointAt(index, place):
+                    self._edit_text(story.point(self._draft.story, index, place))
+                case messages.MoveStep(index, by):
+                    self._edit(replace(self._draft, story=story.move(self._draft.story, index, by)))
+                case messages.RemoveStep(index):
+                    self._edit(replace(self._draft, story=story.remove(self._draft.story, index)))
+
+    def _read(self) -> library.Stories:
+        return library.read_all(self._workspace.root, [self.tour])
+
+    def _new_draft(self) -> StoryDraft:
+        return StoryDraft(Story(story.new_name(list(self._stories.by_name))))
+
+    def _edit(self, draft: StoryDraft, text: str = "", good: bool = True) -> None:
+        """Replace the draft and draw it; a message stands below it."""
+        self._draft = draft
+        self._revision += 1  # otherwise text that was typed would stay where the same content is drawn again
+        self._keep()
+        self._draw(f"{text} {self._unkept}".strip(), good and not self._unkept)
+
+    def _edit_text(self, edited: Story) -> None:
+        """Replace texts of the draft without drawing the boxes, which have them already."""
+        self._draft = replace(self._draft, story=edited)
+        self._keep()
+        good = not self._unkept
+        self._message.show(render("stories/message", text=self._unkept, good=good, changed=self._draft.changed))
+
+    def _keep(self) -> None:
+        """Let the browser keep the draft, so that loading the page again does not lose it, unless it is too long."""
+        told, opened, kept = self._draft.story, self._draft.opened, None
+        if self._draft.changed:
+            kept = [msgspec.to_builtins(told), opened and [opened.name, story.checksum(opened)]]
+        letters, self._unkept = len(json.dumps(kept, ensure_ascii=False)), ""
+        if letters > LONGEST_DRAFT:
+            kept = None
+            self._unkept = (
+                f"This draft has {letters:,} characters, and the browser keeps up to {LONGEST_DRAFT:,}: save the story before "
+                "the page is loaded again."
+            )
+        self._keeping.show(run(call("keepDraft", kept)))
+
+    def _opened(self, name: str, checksum: str) -> Story:
+        """Return a saved story, or one that no saved story equals if it was changed or deleted since; see `library.save`."""
+        saved = self._stories.by_name.get(name)
+        return saved if saved is not None and story.checksum(saved) == checksum else Story(name)
+
+    def _record(self) -> None:
+        state, draft, analysis = self._state(), self._draft, self._analysis
+        if state.upload is not None:
+            self._call("say", "Your own picture is in this browser only: a story shows pictures of the data set.")
+            return
+        if len(draft.story.steps) >= story.MOST_STEPS:
+            self._call("say", f"A story has {story.MOST_STEPS} steps at most: begin another one.")
+            return
+        caption = ""
+        if analysis is not None and replace(analysis.state, laboratory=state.laboratory) == state:
+            _, headline, _ = answer_text.verdict(analysis, self._workspace.part_names)
+            caption = f"{analysis.name}. {headline}."
+        address = self._url_state.write(state)
+        recorded = story.add(draft.story, story.step_of(address, caption))
+        self._edit(replace(draft, story=recorded))
+        said = f"Step {len(recorded.steps)} of {recorded.name!r} is kept. Not saved yet: open Stories."
+        kept = not state.lab or self._url_state.read(address, state)[0].laboratory == state.laboratory
+        lost = "" if kept else _LOST
+        self._call("say", " ".join(filter(None, (said, lost, self._unkept))), 12 if lost or self._unkept else 4)
+
+    def _choose(self, name: str, tell: bool) -> None:
+        self._stories = self._read()
+        chosen = self._stories.by_name.get(name)
+        if chosen is None:
+            self._draw(f"There is no story {name!r} any more.", False)
+            return
+        if tell:
+            self._tell(chosen)
+        else:
+            self._edit(StoryDraft(chosen, chosen))
+
+    def _tell(self, told: Story) -> None:
+        if not told.steps:
+            self._call("say", "The story has no step yet: S keeps what is shown.")
+            return
+        self._set_open(False)
+        self._client.gui.main_panel.expand()  # its content, by which the page sends messages, is removed while it is folded
+        self._call("tell", msgspec.to_builtins(told))
+
+    def _show_step(self, index: int, shows: str) -> None:
+        if problems := self._go(shows):
+            self._call("say", f"Not all of step {index + 1} can be shown. {' '.join(problems)}", 12)
+
+    def _save(self) -> None:
+        try:
+            saved = library.save(self._workspace.root, self._draft)
+        except LPNError as error:
+            self._draw(f"Not saved. {error}", False)
+            return
+        self._stories = self._read()
+        if not saved.story.steps:
+            self._edit(self._new_draft(), f"Deleted from {library.place(self._workspace.root)}.")
+        else:
+            self._edit(saved, f"Saved in {library.place(self._workspace.root)}.")
+
+    def _export(self) -> None:
+        told = self._draft.story
+        if not told.steps:
+            self._call("say", "The story has no step yet: S keeps what is shown.")
+            return
+        dark = self._analysis is None or self._analysis.state.dark
+        self._reporter.make(
+            lambda progress, model: exported.export(self._sources, self._url_state, told, dark, progress, model),
+            "story",
+        )
+
+    def _set_open(self, is_open: bool) -> None:
+        self._open = is_open
+        if is_open:
+            self._draw()
+            self._place()
+        self._panel.visible = is_open
+
+    def _place(self) -> None:
+        if self._open:
+            width, height = self._viewport.window(_MAX_SIZE)
+            self._panel.float(x=-EDGE, y=EDGE, width=width, height=height)
+            self._panel.expand()
+
+    def _show_row(self) -> None:
+        # The tour is at the top of the page.
+        self._row.show(render("stories/row", names=[name for name in self.names if name != tour.NAME]))
+
+    def _draw(self, text: str = "", good: bool = True) -> None:
+        self._show_row()
+        if not text and self._stories.errors:
+            text, good = " ".join(self._stories.errors), False
+        told = self._draft.story
+        opened = None if self._draft.opened is None else self._draft.opened.name
+        self._head.show(
+            render("stories/head", story=told, opened=opened, names=list(self._stories.by_name), limits=story)
+        )
+        self._steps.show(render("stories/steps", story=told, revision=self._revision, limits=story, places=tour.PLACES))
+        self._message.show(render("stories/message", text=text, good=good, changed=self._draft.changed))

@@ -1,0 +1,58 @@
+// The first screen: it lies over the rest of the page, which takes no focus meanwhile. The browser remembers which of the two it left.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.first) return;
+  const STORAGE_KEY = "lpn-screen";
+  const AT_ONCE = ["dark", "glossary", "upload"]; // these need no answer
+  let shown = ""; // "first", "all", or nothing before the first answer
+
+  lpn.screen = () => shown;
+  lpn.prefersFirst = () => {
+    try {
+      return localStorage.getItem(STORAGE_KEY) !== "all";
+    } catch {
+      return true;
+    }
+  };
+
+  const remember = (screen) => {
+    try {
+      localStorage.setItem(STORAGE_KEY, screen);
+    } catch {}
+  };
+
+  const close = () => {
+    document.getElementById("lpn-first")?.remove();
+    document.getElementById("root")?.removeAttribute("inert");
+  };
+
+  const open = (html) => {
+    const before = document.getElementById("lpn-first");
+    const page = before || document.body.appendChild(document.createElement("main"));
+    page.id = "lpn-first";
+    page.className = "lpn";
+    const focused = page.contains(document.activeElement) ? document.activeElement.dataset.act : null;
+    page.innerHTML = html;
+    page.onclick = (event) => {
+      const pressed = event.target.closest("[data-act]");
+      if (!pressed || AT_ONCE.includes(pressed.dataset.act)) return;
+      pressed.classList.add("waiting");
+      setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
+    };
+    if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
+    document.getElementById("root")?.setAttribute("inert", "");
+  };
+
+  // Until the first answer the page says that it is coming.
+  lpn.opening = () => document.getElementById("lpn-first") || open('<p class="wait"><span class="busy"></span>Looking at the first picture …</p>');
+
+  // Show the screen, or close it for an empty text; a tour comes only to the plain stage (`free`).
+  lpn.first = (html, free) => {
+    const now = html ? "first" : "all";
+    if (shown && shown !== now) remember(now);
+    shown = now;
+    if (html) return open(html);
+    close();
+    if (free && !lpn.telling()) lpn.welcome();
+  };
+})();

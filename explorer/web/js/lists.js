@@ -1,0 +1,290 @@
+// Lists that scroll: the entries in sight are fetched in pieces and drawn. Elements and pieces in memory are bounded in number.
+// The server hands over each list by `lpn.list(id, data)`; its element may come later, and may be replaced.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.list) return;
+  // Entries in a piece, pieces in memory, pieces that load at once, and milliseconds until a refused one is asked for again.
+  const CHUNK = 100, KEPT = 40, LOADING = 3, RETRY = 1000;
+  // Rows drawn beyond each end of what is in sight.
+  const MARGIN = 3;
+  // Pictures wait while more than this many heights of the list pass in a frame, and for so many milliseconds after that.
+  const FAST = 1, REST = 90;
+  // Attempts to load a picture.
+  const ATTEMPTS = 4;
+  // Browsers cut elements above some 17 million pixels: a longer list scrolls in proportion.
+  const LONGEST = 12e6;
+  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+  const feed = (address, arrived) => {
+    const pieces = new Map(); // by number, the oldest first
+    const load = async (number) => {
+      const piece = { control: new AbortController(), entries: null };
+      pieces.set(number, piece);
+      try {
+        const answer = await fetch(address + number, { signal: piece.control.signal });
+        if (answer.ok) piece.entries = await answer.json();
+        else if (answer.status === 404) return; // a newer list is on its way
+      } catch (error) {
+        if (piece.control.signal.aborted) return;
+      }
+      if (!piece.entries) setTimeout(() => (pieces.delete(number), arrived()), RETRY);
+      else arrived();
+    };
+    return {
+      entry: (index) => pieces.get(Math.floor(index / CHUNK))?.entries?.[index % CHUNK],
+      want: (first, last) => {
+        const [low, high] = [Math.floor(first / CHUNK), Math.floor((last - 1) / CHUNK)];
+        for (const [number, piece] of pieces) {
+          if (piece.entries || (number >= low && number <= high)) continue;
+          piece.control.abort();
+          pieces.delete(number);
+        }
+        let loading = [...pieces.values()].filter((piece) => !piece.entries).length;
+        for (let number = low; number <= high; number++) {
+          const known = pieces.get(number);
+          if (known?.entries) pieces.delete(number), pieces.set(number, known);
+          else if (!known && loading++ < LOADING) load(number);
+        }
+        for (const [number, piece] of pieces) {
+          if (pieces.size <= KEPT) break;
+          if (piece.entries && (number < low || number > high)) pieces.delete(number);
+        }
+      },
+      close: () => pieces.forEach((piece) => piece.control.abort()),
+    };
+  };
+
+  const show = (picture, attempt = 1) => {
+    const address = picture.dataset.src;
+    if (!address || !picture.isConnected) return;
+    picture.onload = () => picture.classList.add("there");
+    picture.onerror = () => attempt < ATTEMPTS && setTimeout(() => (picture.removeAttribute("src"), show(picture, attempt + 1)), RETRY * attempt);
+    picture.src = address;
+  };
+  const drop = (node) => {
+    // Without its address, a picture that is still loading is called off.
+    node.querySelectorAll("img[src]").forEach((picture) => (picture.onerror = null, picture.removeAttribute("src")));
+    node.remove();
+  };
+
+  // How each kind of list is laid out: entries beside one another with their pictures, or rows of a table.
+  const SIGNS = { 1: ["✓", "true", "found"], 0: ["✗", "false", "failed"] };
+  const KINDS = {
+    queries: {
+      measure: (root) => {
+        const width = root.clientWidth, columns = Math.max(2, Math.floor(width / 60));
+        return [columns, Math.floor(width / columns) + 21];
+      },
+      make: ([query, name, right], data) => {
+        const node = document.createElement("div");
+        const sign = SIGNS[right];
+        node.className = "thumb";
+        node.dataset.query = query;
+        node.title = name;
+        node.setAttribute("role", "option");
+        node.setAttribute("aria-label", name + (sign ? ", " + sign[2] : ""));
+        const picture = node.appendChild(document.createElement("img"));
+        picture.alt = "";
+        picture.dataset.src = data.pictures + query;
+        const label = node.appendChild(document.createElement("span"));
+        if (sign) {
+          const mark = label.appendChild(document.createElement("b"));
+          mark.style.color = "var(--lpn-" + sign[1] + ")";
+          mark.textContent = sign[0];
+          label.append(" ");
+        }
+        label.append(name);
+        return node;
+      },
+      blank: () => Object.assign(document.createElement("div"), { className: "thumb blank" }),
+      place: (root, nodes, first, last, [columns, height], top) => {
+        const width = Math.floor(root.clientWidth / columns);
+        const box = root.firstElementChild;
+        for (const [index, node] of nodes) {
+          const row = Math.floor(index / columns);
+          node.style.transform = "translate(" + (index % columns) * width + "px," + (row * height + top) + "px)";
+          node.style.width = width + "px";
+          node.style.height = height - 3 + "px";
+          if (!node.isConnected) box.append(node);
+        }
+      },
+      extent: (root, height) => (root.firstElementChild.style.height = height + "px"),
+      pick: (entry, data) => lpn.send(data.message, [data.task, entry[0]]),
+    },
+    table: {
+      measure: () => [1, 27],
+      make: ([row, html]) => {
+        const node = document.createElement("tr");
+        node.dataset.row = row;
+        node.setAttribute("role", "row");
+        node.innerHTML = html;
+        return node;
+      },
+      blank: (root) => {
+        const node = document.createElement("tr");
+        node.className = "blank";
+        node.innerHTML = "<td colspan=" + root.querySelectorAll("th").length + "></td>";
+        return node;
+      },
+      place: (root, nodes, first, last, [, height], top, total) => {
+        const body = root.querySelector("tbody");
+        const [above, below] = [body.firstElementChild, body.lastElementChild];
+        const wanted = [];
+        for (let index = first; index < last; index++) wanted.push(nodes.get(index));
+        above.firstElementChild.style.height = first * height + top + "px";
+        below.firstElementChild.style.height = Math.max(total - last * height - top, 0) + "px";
+        if (wanted.some((node, i) => body.children[i + 1] !== node)) body.replaceChildren(above, ...wanted, below);
+      },
+      // Columns only grow while one scrolls; otherwise they would move with what is in sight.
+      rest: (root) => {
+        const heads = [...root.querySelectorAll("th")];
+        const widths = heads.map((head) => Math.ceil(head.getBoundingClientRect().width));
+        heads.forEach((head, i) => widths[i] > (head._width || 0) && (head.style.minWidth = (head._width = widths[i]) + "px"));
+      },
+      extent: () => {},
+      pick: (entry) => lpn.send("lab-open", entry[0]),
+    },
+  };
+
+  const List = (root, kind) => {
+    const layout = KINDS[kind], nodes = new Map();
+    let data = null, source = null, cursor = -1, frame = 0, last = { top: 0, fast: 0 }, key = "";
+    const rows = (columns) => Math.ceil(data.total / columns);
+    // A list longer than a browser's longest element scrolls in proportion.
+    const heights = (columns, height) => {
+      const whole = rows(columns) * height, extent = Math.min(whole, LONGEST);
+      const room = Math.max(root.clientHeight, 1);
+      const ratio = extent > room && whole > extent ? (whole - room) / (extent - room) : 1;
+      return [whole, extent, ratio];
+    };
+    const soon = () => (frame ||= requestAnimationFrame(draw));
+    const draw = () => {
+      frame = 0;
+      if (!data || !root.isConnected || !root.clientWidth) return;
+      const [columns, height] = layout.measure(root);
+      const [, extent, ratio] = heights(columns, height);
+      if (key !== columns + "," + height) {
+        key = columns + "," + height;
+        clear();
+      }
+      layout.extent(root, extent);
+      const fast = Math.abs(root.scrollTop - last.top) * ratio > FAST * root.clientHeight;
+      last = { top: root.scrollTop, fast: fast ? performance.now() : last.fast };
+      const at = root.scrollTop * ratio, shift = root.scrollTop - at;
+      const first = clamp(Math.floor(at / height) - MARGIN, 0, rows(columns)) * columns;
+      const end = Math.min((Math.ceil((at + root.clientHeight) / height) + MARGIN) * columns, data.total);
+      source.want(first, Math.max(end, first + 1));
+      for (const [index, node] of nodes) if (index < first || index >= end) drop(node), nodes.delete(index);
+      for (let index = first; index < end; index++) {
+        const entry = source.entry(index);
+        const known = nodes.get(index);
+        if (known && (known._entry || !entry)) continue;
+        const node = entry ? layout.make(entry, data) : layout.blank(root);
+        node._entry = entry;
+        node.id = root.id + "-" + index;
+        if (known) known.remove();
+        nodes.set(index, node);
+      }
+      mark();
+      layout.place(root, nodes, first, end, [columns, height], shift, extent);
+      const wait = last.fast + REST - performance.now();
+      if (wait > 0) setTimeout(soon, wait);
+      else {
+        layout.rest?.(root);
+        nodes.forEach((node) => node.querySelectorAll("img[data-src]:not([src])").forEach((picture) => show(picture)));
+      }
+      root.dataset.drawn = [first, end];
+    };
+    const clear = () => (nodes.forEach(drop), nodes.clear());
+    const mark = () => {
+      for (const [index, node] of nodes) {
+        node.classList.toggle("chosen", index === data.chosen);
+        node.classList.toggle("cursor", index === cursor);
+        node.setAttribute("aria-selected", index === data.chosen);
+        node.setAttribute(kind === "table" ? "aria-rowindex" : "aria-posinset", index + (kind === "table" ? 2 : 1));
+        if (kind === "queries") node.setAttribute("aria-setsize", data.total);
+      }
+      if (nodes.has(cursor)) root.setAttribute("aria-activedescendant", root.id + "-" + cursor);
+      else root.removeAttribute("aria-activedescendant");
+    };
+    const reveal = (index) => {
+      if (index < 0 || !root.clientHeight) return;
+      const [columns, height] = layout.measure(root);
+      const [, , ratio] = heights(columns, height);
+      const head = root.querySelector("thead")?.offsetHeight || 0;
+      const top = Math.floor(index / columns) * height, room = root.clientHeight - head;
+      const at = root.scrollTop * ratio;
+      if (top < at) root.scrollTop = top / ratio;
+      else if (top + height > at + room) root.scrollTop = (top + height - room) / ratio;
+      soon();
+    };
+    const go = (to) => {
+      cursor = clamp(to, 0, data.total - 1);
+      reveal(cursor);
+      draw();
+    };
+    const pick = (index) => {
+      const entry = source.entry(index);
+      if (entry) (cursor = index), layout.pick(entry, data);
+    };
+    root.addEventListener("scroll", soon, { passive: true });
+    root.addEventListener("click", (event) => {
+      const node = event.target.closest(".thumb, tbody tr");
+      for (const [index, one] of nodes) if (one === node) pick(index);
+    });
+    root.addEventListener("keydown", (event) => {
+      if (!data || !data.total || event.target !== root || event.ctrlKey || event.metaKey || event.altKey) return;
+      const [columns, height] = layout.measure(root);
+      const page = Math.max(Math.floor(root.clientHeight / height) - 1, 1) * columns;
+      const steps = { ArrowUp: -columns, ArrowDown: columns, PageUp: -page, PageDown: page };
+      if (kind === "queries") Object.assign(steps, { ArrowLeft: -1, ArrowRight: 1 });
+      const from = cursor < 0 ? Math.max(data.chosen, 0) : cursor;
+      if (event.key in steps) go(cursor < 0 && data.chosen < 0 ? 0 : from + steps[event.key]);
+      else if (event.key === "Home") go(0);
+      else if (event.key === "End") go(data.total - 1);
+      else if (event.key === "Enter" || event.key === " ") pick(from);
+      else return;
+      event.preventDefault();
+      event.stopPropagation();
+    });
+    new ResizeObserver(soon).observe(root);
+    return {
+      root: root,
+      update: (next) => {
+        const other = !data || data.feed !== next.feed;
+        // A list of rows keeps its place unless another one is chosen; a list of pictures always has the chosen one in sight.
+        const turned = data ? data.chosen !== next.chosen || (other && next.reveal) : next.reveal;
+        if (other) {
+          source?.close();
+          source = feed(next.address + next.feed, soon);
+          cursor = -1;
+          clear();
+        }
+        if (data && other && data.title !== next.title) root.scrollTop = 0;
+        data = next;
+        root.setAttribute(kind === "table" ? "aria-rowcount" : "data-total", next.total + (kind === "table" ? 1 : 0));
+        if (turned) cursor = cursor < 0 ? cursor : next.chosen;
+        draw();
+        if (turned) reveal(next.chosen);
+      },
+    };
+  };
+
+  const lists = new Map(), newest = new Map();
+  lpn.list = (id, data, tries = 60) => {
+    if (tries === 60) newest.set(id, data);
+    else if (newest.get(id) !== data) return;
+    const root = document.getElementById(id);
+    if (!root || (root.dataset.shell && +root.dataset.shell !== data.shell))
+      return tries && setTimeout(() => lpn.list(id, data, tries - 1), 50);
+    if (lists.get(id)?.root !== root) lists.set(id, List(root, data.kind));
+    lists.get(id).update(data);
+  };
+  // viser may put another element in a list's place, without its script, while the page is being built.
+  setInterval(() => {
+    for (const [id, data] of newest) {
+      const root = document.getElementById(id);
+      if (root && root !== lists.get(id)?.root) lpn.list(id, data);
+    }
+  }, 500);
+})();

@@ -1,0 +1,75 @@
+// On the stage's map: a scale bar, north, and the position under the cursor, over the scene that viser draws.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.stageMap) return;
+  // Milliseconds after which the marks follow the camera.
+  const PERIOD = 150;
+  // Where the bar begins and north stands on the canvas.
+  const BAR = [52, 32], NORTH = [24, 22];
+  let place = null, following = 0, cursor = null, seen = "";
+
+  const box = document.createElement("div");
+  box.id = "lpn-stage-map";
+  box.className = "num";
+  box.innerHTML = '<div class="read"></div><canvas role="img" aria-label="Scale and north"></canvas>';
+  const [read, canvas] = box.children;
+
+  // The point of the ground under a place on the screen, in metres east and north; null above the horizon.
+  const ground = (camera, [left, top], size) => {
+    const [w, x, y, z] = window.__viserSceneTree.getState()[""].wxyz; // from the server's axes to those of the page
+    const turned = camera.quaternion.clone().set(x, y, z, w).invert();
+    const eye = camera.position.clone().setFromMatrixPosition(camera.matrixWorld).applyQuaternion(turned);
+    const at = [(2 * (left - size.left)) / size.width - 1, 1 - (2 * (top - size.top)) / size.height];
+    const far = camera.position.clone().set(...at, 0.5).unproject(camera).applyQuaternion(turned);
+    if (far.z > eye.z - 1e-9) return null;
+    const t = eye.z / (eye.z - far.z);
+    return [eye.x + t * (far.x - eye.x), eye.y + t * (far.y - eye.y)].map((value, axis) => (value - place.middle[axis]) * place.metres);
+  };
+
+  const drawMarks = (camera, size) => {
+    const [pen] = lpn.pens.canvas(canvas);
+    const { left, top } = canvas.getBoundingClientRect();
+    // To the right, the ground is as far from the camera as where the bar begins: the bar is right where it lies.
+    const [west, east] = [0, 40].map((right) => ground(camera, [left + BAR[0] + right, top + BAR[1]], size));
+    delete box.dataset.metres;
+    if (!west || !east) return;
+    box.dataset.metres = lpn.mapMarks.bar(pen, BAR, 40 / Math.hypot(east[0] - west[0], east[1] - west[1]), size.width);
+    const turn = Math.atan2(east[1] - west[1], east[0] - west[0]);
+    box.dataset.turn = turn.toFixed(3);
+    lpn.mapMarks.north(pen, NORTH, turn);
+  };
+
+  const follow = () => {
+    const size = document.querySelector("canvas[data-engine]")?.getBoundingClientRect();
+    const camera = window.__viserMutable?.camera;
+    if (!size || !camera || !window.__viserSceneTree) return;
+    if (!box.isConnected) document.body.append(box);
+    // A window over the stage covers the marks as well.
+    box.hidden = !document.elementFromPoint(size.left + 24, size.bottom - 24)?.matches("canvas[data-engine]");
+    if (box.hidden) return;
+    const now = [...camera.matrixWorld.elements, size.left, size.bottom, size.width, cursor, JSON.stringify(place)].join();
+    if (now === seen) return;
+    seen = now;
+    box.style.left = size.left + 8 + "px";
+    box.style.bottom = innerHeight - size.bottom + 8 + "px";
+    drawMarks(camera, size);
+    const at = cursor && ground(camera, cursor, size);
+    read.textContent = at ? lpn.mapMarks.degrees(place.degrees.map(([zero, step], axis) => zero + step * at[1 - axis])) : "";
+  };
+
+  const point = (event) => {
+    const onStage = event.target.matches?.("canvas[data-engine]");
+    if (onStage || event.pointerType === "mouse") cursor = onStage ? [event.clientX, event.clientY] : null;
+  };
+
+  // `given`: the middle of the ground in the stage's units, metres of a unit, and for latitude and longitude the degrees of the
+  // middle and of a metre; null without a map.
+  lpn.stageMap = (given) => {
+    place = given;
+    clearInterval(following);
+    for (const kind of ["pointermove", "pointerdown"]) window[given ? "addEventListener" : "removeEventListener"](kind, point, { capture: true, passive: true });
+    if (!given) return box.remove();
+    following = setInterval(follow, PERIOD);
+    follow();
+  };
+})();

@@ -1,0 +1,201 @@
+// Stories: the telling of one, full screen and by keys, or in cards beside what they speak of, and the draft that the browser
+// keeps while its page is loaded again.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.tell) return;
+  let told = null, at = 0, withNotes = false, wasFull = false;
+  let before = ""; // the screen that the story was begun on, see `lpn.screen`
+  let notes = null; // the presenter's window
+  let wanted = null; // a story that waits for the workbench
+  const SEEN = "lpn-tour";
+
+  // Without storage, a draft lasts as long as its page.
+  const key = () => "lpn-story " + lpn.title;
+  lpn.keepDraft = (draft) => {
+    try {
+      if (draft) sessionStorage.setItem(key(), JSON.stringify(draft));
+      else sessionStorage.removeItem(key());
+    } catch {}
+  };
+  lpn.restoreDraft = () => {
+    try {
+      const kept = sessionStorage.getItem(key());
+      if (kept) lpn.send("story-draft", JSON.parse(kept));
+    } catch {}
+  };
+
+  const make = (tag, parent, name, text = "") => {
+    const node = parent.appendChild(parent.ownerDocument.createElement(tag));
+    node.className = name;
+    node.textContent = text;
+    return node;
+  };
+
+  const button = (parent, text, label, press) => {
+    const node = make("button", parent, "", text);
+    node.setAttribute("aria-label", label);
+    node.title = label;
+    node.onclick = press;
+    return node;
+  };
+
+  // A step that points at the page as it is leaves the page to the person: any key or press elsewhere ends it.
+  const free = (step) => !!step.points_at && !step.shows;
+
+  // A button of a card has a word in place of its sign.
+  const rename = (node, word) => {
+    node._sign ||= node.textContent;
+    node.textContent = word || node._sign;
+    node.setAttribute("aria-label", word || node.title);
+  };
+
+  const build = () => {
+    const bar = make("div", document.body, "");
+    bar.id = "lpn-told";
+    bar.setAttribute("role", "region");
+    const words = make("div", bar, "words");
+    make("div", words, "caption").setAttribute("aria-live", "polite");
+    make("div", words, "notes");
+    const buttons = make("div", bar, "buttons");
+    button(buttons, "‹", "Previous step (left arrow)", () => go(at - 1));
+    make("span", buttons, "count");
+    button(buttons, "›", "Next step (right arrow)", () => (at + 1 < told.steps.length ? go(at + 1) : end())).classList.add("next");
+    button(buttons, "Notes", "Presenter's notes in a window of their own; N shows them here", openNotes);
+    button(buttons, "✕", "End (Escape)", end).classList.add("end");
+    new ResizeObserver(() => document.documentElement.style.setProperty("--lpn-told", bar.offsetHeight + "px")).observe(bar);
+    return bar;
+  };
+
+  const draw = () => {
+    const bar = document.getElementById("lpn-told") || build();
+    const step = told.steps[at], last = at === told.steps.length - 1, alone = free(step);
+    bar.className = (step.points_at ? "card" : "") + (alone ? " free" : "");
+    bar.setAttribute("aria-label", told.name);
+    document.documentElement.classList.toggle("lpn-telling", !step.points_at);
+    const caption = bar.querySelector(".caption"), lines = step.caption.split("\n");
+    caption.replaceChildren();
+    lines.forEach((line, i) => make(i || lines.length === 1 ? "p" : "b", caption, line.startsWith("Keys: ") ? "keys" : "", line));
+    bar.querySelector(".notes").textContent = step.notes;
+    bar.querySelector(".notes").hidden = !withNotes || !step.notes;
+    bar.querySelector(".count").textContent = at + 1 + " of " + told.steps.length;
+    const [previous, next, , close] = bar.querySelectorAll("button");
+    previous.disabled = at === 0;
+    next.disabled = last && !step.points_at;
+    rename(next, step.points_at && (last ? "Done" : "Next"));
+    rename(close, alone && "Skip");
+    close.hidden = alone && last;
+    lpn.point(bar, step.points_at);
+    if (step.points_at) next.focus({ preventScroll: true });
+    if (!notes || notes.closed) return;
+    const page = notes.document.body;
+    page.replaceChildren();
+    make("p", page, "", told.name + ", step " + (at + 1) + " of " + told.steps.length);
+    make("h1", page, "", step.caption);
+    make("p", page, "notes", step.notes || "No notes for this step.");
+    make("p", page, "", at + 1 < told.steps.length ? "Next: " + told.steps[at + 1].caption : "This is the last step.");
+  };
+
+  const openNotes = () => {
+    wasFull = false; // browsers leave full screen when a window opens; the next step enters it again
+    notes = window.open("", "lpn-notes", "popup,width=720,height=520");
+    if (!notes) {
+      withNotes = true; // the browser opens no windows
+      return draw();
+    }
+    notes.document.title = "Presenter's notes";
+    const style = notes.document.head.appendChild(notes.document.createElement("style"));
+    style.textContent = "body{font:20px/1.4 system-ui,sans-serif;margin:1.5em;background:#16181b;color:#eceef0}" +
+      "h1{font-size:24px}.notes{font-size:26px;white-space:pre-line}";
+    notes.onkeydown = keys;
+    draw();
+  };
+
+  const go = (to) => {
+    if (to < 0 || to >= told.steps.length) return;
+    at = to;
+    draw();
+    if (!free(told.steps[at]) && !document.fullscreenElement) document.documentElement.requestFullscreen?.().catch(() => {});
+    if (told.steps[at].shows) lpn.send("story-step", [at, told.steps[at].shows]);
+  };
+
+  const end = () => {
+    if (told.name === lpn.tour.name) remember();
+    told = null;
+    notes?.close();
+    lpn.point(null);
+    document.getElementById("lpn-told")?.remove();
+    document.documentElement.classList.remove("lpn-telling");
+    if (document.fullscreenElement) document.exitFullscreen();
+    wasFull = false;
+    if (before === "first") lpn.send("screen", "start");
+  };
+
+  const STEPS = {
+    ArrowRight: 1, ArrowDown: 1, PageDown: 1, " ": 1,
+    ArrowLeft: -1, ArrowUp: -1, PageUp: -1, Backspace: -1,
+    Home: -Infinity, End: Infinity,
+  };
+  const keys = (event) => {
+    if (told && free(told.steps[at])) {
+      const pressed = document.getElementById("lpn-told").contains(event.target) && ["Enter", " "].includes(event.key);
+      return pressed || ["Tab", "Shift", "Control", "Alt", "Meta"].includes(event.key) || end();
+    }
+    if (!told || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.('input, textarea, select, [role="slider"]')) return;
+    if (event.key === " " && event.target.matches?.('button, [role="button"], [role="tab"]')) return;
+    if (event.key in STEPS) go(Math.min(Math.max(at + STEPS[event.key], 0), told.steps.length - 1));
+    else if (event.key === "Escape") end();
+    else if (event.key === "n" || event.key === "N") {
+      withNotes = !withNotes;
+      draw();
+    } else return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+  };
+  window.addEventListener("keydown", keys, true);
+  const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && end();
+  window.addEventListener("pointerdown", pressed, true);
+  // In full screen the browser takes Escape for itself.
+  document.addEventListener("fullscreenchange", () => {
+    if (document.fullscreenElement) wasFull = true;
+    else if (told && wasFull) end();
+  });
+
+  // Mark what the style sheet changes: the stage takes the whole of the frame in which viser docks panels beside it.
+  const frame = () => {
+    let stage = document.querySelector("canvas[data-engine]");
+    while (stage.parentElement && !stage.parentElement.querySelector("#lpn-header")) stage = stage.parentElement;
+    stage.classList.add("lpn-undocked");
+    stage.parentElement?.classList.add("lpn-frame");
+  };
+
+  lpn.telling = () => told !== null;
+  lpn.tell = (story) => {
+    if (free(story.steps[0]) && lpn.screen() === "first") {
+      wanted = story;
+      return lpn.send("screen", "all");
+    }
+    if (!told) before = lpn.screen();
+    told = story;
+    frame();
+    go(0);
+  };
+
+  const remember = () => {
+    try {
+      localStorage.setItem(SEEN, "seen");
+    } catch {}
+  };
+  const seen = () => {
+    try {
+      return localStorage.getItem(SEEN) !== null;
+    } catch {
+      return true; // without storage, the tour would start at every visit
+    }
+  };
+  // Called when the workbench is shown: it tells the story that waits for it, or to a new visitor the tour.
+  lpn.welcome = () => {
+    const story = wanted || (seen() ? null : lpn.tour);
+    wanted = null;
+    if (story) setTimeout(() => !told && lpn.screen() === "all" && lpn.tell(story), 700);
+  };
+})();

@@ -1,0 +1,94 @@
+"""The command models: what ships."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lpn.models.shipped import ModelCard
+
+
+@dataclass
+class ModelsCommand:
+    """List the models that ship, by the names that --model takes, or show the card of one."""
+
+    name: Annotated[str | None, tyro.conf.Positional] = None
+    """Model whose card is shown: training, figures with intervals and their source, limits."""
+    json: Path | None = None
+    """File to write the cards to."""
+
+    def run(self) -> None:
+        import msgspec
+        from rich.console import Console
+
+        from lpn.core.files import check_writable, write_atomic
+        from lpn.models.shipped import model_card, model_cards
+
+        if self.json is not None:
+            check_writable(self.json)
+        cards = model_cards() if self.name is None else (model_card(self.name),)
+        console = Console(width=max(120, Console().width))
+        if self.name is None:
+            _list(cards, console)
+        else:
+            _show(cards[0], console)
+        if self.json is not None:
+            values = [
+                {**msgspec.to_builtins(card), "bytes": card.size, "file": str(card.file().resolve())} for card in cards
+            ]
+            write_atomic(self.json, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+
+
+def _list(cards: tuple[ModelCard, ...], console: Console) -> None:
+    from rich.table import Table
+
+    table = Table(
+        title="Models that ship: --model NAME, or lpn.load(NAME); lpn models NAME shows the card", show_lines=True
+    )
+    for column in ("name", "network", "trained on", "R@1 with its 95 % interval", "MB", "licence"):
+        table.add_column(column, justify="right" if column == "MB" else "left", no_wrap=column == "name")
+    for card in cards:
+        first = [one for one in card.figures if one.task == card.figures[0].task]
+        figures = "\n".join(f"{one.data}: {_interval(one.percent['R@1'])}" for one in first)
+        row = (card.name, card.network, card.trained_on, figures, f"{card.size / 1e6:.1f}", card.licence)
+        table.add_row(*row)
+    console.print(table)
+
+
+def _show(card: ModelCard, console: Console) -> None:
+    from rich.table import Table
+
+    console.print(f"{card.name}: {card.summary}", markup=False, highlight=False)
+    for what, lines in (
+        ("network", (card.network,)),
+        ("trained on", (card.trained_on,)),
+        ("made by", card.commands),
+        ("seeds", (", ".join(map(str, card.seeds)),)),
+        ("limits", card.limits),
+        ("licence", (card.licence,)),
+        ("file", (f"{card.file().resolve()}, {card.size / 1e6:.1f} MB",)),
+        ("to train from", (str(card.file(trained=True).resolve()),)),
+    ):
+        for number, line in enumerate(lines):
+            console.print(f"  {what if number == 0 else '':14}{line}", markup=False, highlight=False, soft_wrap=True)
+    table = Table(title="Figures in %, each with its 95 % interval")
+    for column in ("data and task", *card.figures[0].percent):
+        table.add_column(column, no_wrap=column in card.figures[0].percent)
+    for one in card.figures:
+        where = f"{one.data}, {one.task}, {one.queries:,} queries in {one.gallery:,} pictures"
+        table.add_row(where, *map(_interval, one.percent.values()))
+    console.print(table)
+    for command, commit in dict.fromkeys((one.command, one.commit) for one in card.figures):
+        console.print(f"  Measured by: {command} (commit {commit})", markup=False, highlight=False, soft_wrap=True)
+
+
+def _interval(values: tuple[float, float, float]) -> str:
+    value, low, high = values
+    return f"{value:.1f} ({low:.1f}–{high:.1f})"

@@ -1,0 +1,80 @@
+"""Small files of a person's own work beside a data set or a flight: notes, named views, stories, corrected places.
+
+They may be edited by hand, and by several programs at once, since each change is made under a lock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from lpn.core.errors import DataError, InputError, OutputError
+from lpn.core.files import check_writable, exclusive_lock, write_atomic
+from lpn.core.shutdown import uninterrupted
+
+Contents = TypeVar("Contents")
+
+
+@dataclass(frozen=True)
+class OwnFileFormat(Generic[Contents]):
+    """How such a file is read and changed.
+
+    Attributes:
+        holds: its contents in the plural, such as "notes".
+        decode: returns the contents of bytes of a file; raises DataError if they are damaged.
+        encode: the inverse.
+        empty: returns the contents of a file that does not exist.
+        smaller: what a person can do if there is too much, such as "shorten other notes first".
+        max_bytes: of the file.
+    """
+
+    holds: str
+    decode: Callable[[bytes, Path], Contents]
+    encode: Callable[[Contents], bytes]
+    empty: Callable[[], Contents]
+    smaller: str
+    max_bytes: int = 50_000_000
+
+    def read(self, file: Path) -> Contents:
+        """Return the file's contents.
+
+        Raises:
+            DataError: when it is damaged, too large, or unreadable.
+        """
+        try:
+            if not file.exists():
+                return self.empty()
+            if file.stat().st_size > self.max_bytes:
+                raise DataError(f"{file} has more than {self._limit}, too much for {self.holds}; move it away.")
+            content = file.read_bytes()
+        except OSError as error:
+            raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
+        return self.decode(content, file)
+
+    def change(self, file: Path, change: Callable[[Contents], Contents]) -> Contents:
+        """Replace the contents by a function's result, and return them; what it raises changes nothing.
+
+        Raises:
+            InputError: when the contents would be too large.
+            DataError: as `read`; the file is not changed.
+            OutputError: when the file cannot be written.
+        """
+        check_writable(file)
+        try:
+            with exclusive_lock(file.parent, wait=True), uninterrupted():
+                contents = change(self.read(file))
+                content = self.encode(contents)
+                if len(content) > self.max_bytes:  # it could not be read again
+                    raise InputError(f"{file.name} would have more than {self._limit}; {self.smaller}.")
+                write_atomic(file, content)
+        except OSError as error:
+            raise OutputError(
+                f"{file} cannot be written ({error.strerror or error}); choose another place for {self.holds}."
+            ) from error
+        return contents
+
+    @property
+    def _limit(self) -> str:
+        return f"{self.max_bytes // 1_000_000} MB"

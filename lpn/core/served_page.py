@@ -1,0 +1,72 @@
+"""A page that this process serves, for notebooks and scripts."""
+
+from __future__ import annotations
+
+import atexit
+import html
+import threading
+from collections.abc import Callable
+from typing import Self
+
+# Height of the page in a notebook's cell, in CSS pixels.
+HEIGHT = 760
+
+
+class ServedPage:
+    """A page that this process serves until it is closed, or the process ends.
+
+    A notebook shows the page in the cell whose value it is. As a context manager it closes the page at the end of the block.
+
+    Args:
+        url: the address, as a browser opens it.
+        close: ends the server.
+        framed: other pages of this machine may show it, as a notebook does; otherwise a cell has a link.
+    """
+
+    def __init__(self, url: str, close: Callable[[], None], framed: bool = True) -> None:
+        self.url, self._end, self._framed = url, close, framed
+        self._closed = threading.Event()
+        atexit.register(self.close)
+
+    @property
+    def closed(self) -> bool:
+        """The page is served no more."""
+        return self._closed.is_set()
+
+    def close(self) -> None:
+        """End the server; a second call does nothing."""
+        if not self.closed:
+            self._closed.set()
+            atexit.unregister(self.close)
+            self._end()
+
+    def wait(self) -> None:
+        """Print the address, and wait until the page is closed or Ctrl-C is pressed, which closes it: for scripts."""
+        print(f"LPN Explorer is ready: {self.url}  (stop with Ctrl-C)", flush=True)
+        try:
+            while not self._closed.wait(3600):
+                pass
+        except KeyboardInterrupt:
+            self.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<LPN Explorer {'closed' if self.closed else f'at {self.url}'}>"
+
+    def _repr_html_(self) -> str:
+        url = html.escape(self.url)
+        if self.closed:
+            return "<p>This LPN Explorer is closed.</p>"
+        link = f'<a href="{url}" target="_blank" rel="noopener">{url}</a>'
+        if not self._framed:
+            return f"<p>LPN Explorer: {link}</p>"
+        frame = f'<iframe src="{url}" title="LPN Explorer" style="width: 100%; height: {HEIGHT}px; border: 0"></iframe>'
+        return f"{frame}<p>LPN Explorer in a tab of its own: {link}</p>"
+
+    def _repr_mimebundle_(self, **_: object) -> dict[str, str]:
+        return {"text/html": self._repr_html_(), "text/plain": repr(self)}

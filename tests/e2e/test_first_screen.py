@@ -1,0 +1,78 @@
+"""Tests of the first screen in a browser that has never been here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp
+
+
+@pytest.fixture
+def fresh(browser: Browser) -> Iterator[Page]:
+    """A page of a browser profile without any storage."""
+    context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+    context.set_default_timeout(1000 * PATIENCE)
+    yield context.new_page()
+    context.close()
+
+
+@pytest.mark.slow
+def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh: Page) -> None:
+    first, button = fresh.locator("#lpn-first"), fresh.locator("#lpn-first button")
+    explorer = ExplorerPage(fresh)
+    fresh.goto(app.url)
+    expect(first.locator(".sentence")).to_contain_text("The model compared 14 satellite pictures")
+    expect(first.locator("figcaption").nth(1)).to_contain_text("The model’s answer")
+    expect(button).to_have_text("Why?")
+    before = first.locator("img").first.get_attribute("src")
+
+    # The keys work; those of the workbench unfold it.
+    fresh.keyboard.press("n")
+    expect(first.locator("figcaption").first).to_contain_text("0008")
+    assert first.locator("img").first.get_attribute("src") != before
+    button.press("Enter")
+    expect(first.locator(".reason .track")).to_have_count(4)
+    expect(fresh.locator("#lpn-why")).to_be_hidden()
+    expect(button).to_be_focused()
+    first.locator(".term").first.hover()
+    expect(fresh.locator("#lpn-term")).to_contain_text("ring: A part between two squares")
+    fresh.keyboard.press("Escape")
+    expect(fresh.locator("#lpn-term")).to_have_count(0)
+    fresh.wait_for_url(lambda url: "screen=first" in url and "why=1" in url)
+    link = fresh.url
+    first.get_by_role("button", name="Look closer, place by place").click()
+    expect(first).to_have_count(0)
+    expect(fresh.locator("#lpn-why .lpn-map")).to_have_count(2)
+
+    # A link opens what it names; the browser remembers that the rest is unfolded.
+    fresh.goto(link)
+    expect(first.locator(".reason .track")).to_have_count(4)
+    expect(first.locator("figcaption").first).to_contain_text("0008")
+    fresh.goto(app.url)
+    explorer.await_answer()
+    expect(explorer.rows).to_have_count(10)
+    expect(first).to_have_count(0)
+    fresh.keyboard.press("Escape")
+    fresh.locator("#lpn-header").get_by_role("button", name="Start", exact=True).click()
+    expect(button).to_have_text("Why?")
+    fresh.goto(app.url)
+    expect(button).to_have_text("Why?")
+    fresh.keyboard.press("b")
+    expect(first).to_have_count(0)
+    expect(fresh.locator("#lpn-lab-table tr[data-row]").first).to_be_visible()
+    fresh.wait_for_url(lambda url: "lab=1" in url)
+    fresh.go_back()
+    expect(button).to_have_text("Why?")
+
+
+@pytest.mark.slow
+def test_a_shared_link_opens_what_it_names_in_any_browser(app: RunningApp, fresh: Page) -> None:
+    fresh.goto(f"{app.url}/?query=0011&lab=1")
+    explorer = ExplorerPage(fresh)
+    explorer.await_answer()
+    explorer.expect_status("name", "0011")
+    expect(fresh.locator("#lpn-lab-table tr[data-row]").first).to_be_visible()
+    expect(fresh.locator("#lpn-first")).to_have_count(0)

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from explorer.browse.feeds import Feeds
+from explorer.failure_lab import messages, state, table
+from explorer.failure_lab.service import FailureLab, Findings
+from explorer.failure_lab.state import LabState, Selection
+from explorer.failure_lab.window import FailureLabWindow
+from explorer.stage.viewport import Viewport
+from explorer.workspace import Workspace
+from lpn.analysis.named_views import NAME, ChosenQueries, NamedView
+from lpn.analysis.notes import read_notes
+from tests.explorer.explain_window.test_window import WindowGui
+from tests.explorer.failure_lab.conftest import TASK
+
+
+@pytest.fixture
+def window(workspace: Workspace, service: FailureLab, findings: Findings) -> Iterator[FailureLabWindow]:
+    assert findings is service.findings(TASK)
+    client = SimpleNamespace(gui=WindowGui())
+    made = FailureLabWindow(
+        client,  # type: ignore[arg-type]
+        workspace,
+        service,
+        Feeds(workspace),
+        lambda _: None,
+        Viewport(),
+        SimpleNamespace(),  # type: ignore[arg-type]
+    )
+    yield made
+    made.leave()
+    for name in ("notes.csv", NAME):
+        (workspace.root / name).unlink(missing_ok=True)
+
+
+def busy(lab: LabState) -> LabState:
+    return replace(
+        lab,
+        outcome="failed",
+        filter="altitude > 0",
+        filter_typed="altitude > 0",
+        name_search="00",
+        selections=(Selection("in pca", "lasso on the PCA", np.array([1, 4, 6])),),
+        sort_column="name",
+        descending=True,
+        map="ground",
+        colour="weather",
+    )
+
+
+def test_a_view_brings_back_what_was_chosen(findings: Findings, lab: LabState) -> None:
+    before = busy(lab)
+    view = state.to_view(findings, before, " roofs ")
+    assert view.name == "roofs"
+    again = state.from_view(findings, lab, view)
+    assert state.sorted_rows(findings, again).tolist() == state.sorted_rows(findings, before).tolist()
+    assert (again.map, again.colour, again.outcome) == ("ground", "weather", "failed")
+    assert state.to_view(findings, again, "roofs") == view
+    assert again.text_revision > lab.text_revision
+
+
+def test_a_view_of_other_data_says_what_is_missing(findings: Findings, lab: LabState) -> None:
+    paths = (findings.table.paths[2], "gone/1.jpg", "gone/2.jpg")
+    view = NamedView("v", TASK, "none such", "no_column > 1", "", (ChosenQueries("k", "twins", paths),), map="moon")
+    shown = state.from_view(findings, lab, view)
+    assert (shown.outcome, shown.map, shown.filter) == ("all", "pca", "")
+    assert "There is no column" in shown.filter_error
+    assert shown.selections[0].label == "twins (2 no longer there)"
+    assert shown.selections[0].rows.tolist() == [2]
+
+
+def test_the_drawer_offers_what_can_be_done(findings: Findings, lab: LabState) -> None:
+    opened = messages.apply(messages.ToggleDrawer("tag"), lab, findings)
+    assert "Tag the 13 chosen" in table.drawer(findings, opened, 13, (), None)
+    assert table.drawer(findings, opened, 0, (), None) == ""
+    assert messages.apply(messages.ToggleDrawer("tag"), opened, findings).drawer == ""
+    views = replace(lab, drawer="views", tab="maps")
+    html = table.drawer(findings, views, 0, (NamedView("<b>", TASK),), ("what & why", False))
+    assert "&lt;b&gt;" in html
+    assert "what &amp; why" in html
+    assert table.drawer(findings, replace(views, drawer="columns"), 13, (), None) == ""
+
+
+def test_the_chosen_queries_are_tagged_and_kept_as_a_view(
+    window: FailureLabWindow, workspace: Workspace, service: FailureLab, findings: Findings
+) -> None:
+    handle = window.handlers()
+    handle["lab-find"]("0009")
+    handle["lab-tag"]("night blur")
+    tagged = read_notes(workspace.root / "notes.csv")
+    assert list(tagged) == [findings.table.paths[row] for row in findings.table.search(findings.table.rows(), "0009")]
+    assert {note.tags for note in tagged.values()} == {("night", "blur")}
+    newest = service.findings(TASK)
+    assert newest is not None
+    assert len(newest.table.filter(newest.table.rows(), "tags ~ night")) == len(tagged)
+    handle["lab-tag"]("no/word")
+    assert window._drawer_message is not None
+    assert "no/word" in window._drawer_message[0]
+    handle["lab-view-save"]("nine")
+    assert [view.name for view in service.views(TASK)] == ["nine"]
+    assert service.views("satellite-to-drone") == ()
+    handle["lab-clear"](None)
+    assert window._lab.name_search == ""
+    handle["lab-view"]("nine")
+    assert window._lab.name_search == "0009"
+    handle["lab-view-save"]("")
+    assert window._drawer_message[1] is False
+    handle["lab-view-remove"]("nine")
+    assert service.views(TASK) == ()

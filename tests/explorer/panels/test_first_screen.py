@@ -1,0 +1,142 @@
+"""Tests of the first screen's content, and of what leaves it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explorer import session_state
+from explorer.opening import open_model, open_saved
+from explorer.panels import answer_text, first_screen
+from explorer.session_state import SessionState
+from explorer.url_state import UrlState
+from explorer.web import terms
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn.analysis.analyser import OwnPicture
+from lpn.retrieval.published_results import load_saved
+from tools.fixtures import small_worlds
+from tools.fixtures.published_results import save_result
+
+TASK = "drone-to-satellite"
+
+
+@pytest.fixture(scope="module")
+def workspace(data: Path, model_file: Path) -> Workspace:
+    return open_model(data, model_file)
+
+
+def analyse(workspace: Workspace, state: SessionState) -> StateAnalysis:
+    return StateAnalyser(workspace).analyse(state, 10)
+
+
+def query(workspace: Workspace, found: bool) -> StateAnalysis:
+    """The first query that is found, or that is not."""
+    for index in range(len(workspace.tasks[TASK].queries)):
+        analysis = analyse(workspace, SessionState(TASK, 4, query=index, first_screen=True))
+        if bool(analysis.matches[0].true) == found:
+            return analysis
+    raise AssertionError(f"no query has found = {found}")
+
+
+def text(html: str) -> str:
+    return " ".join(re.sub(r"<[^>]*>", " ", html).split())
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_the_first_screen_has_two_pictures_one_sentence_and_one_button(workspace: Workspace, found: bool) -> None:
+    analysis = query(workspace, found)
+    html = first_screen.page(analysis, workspace)
+    assert html.count("<img") == (2 if found else 3)
+    assert html.count("<button") == 1
+    right, headline, sentence = answer_text.plain_verdict(analysis)
+    assert (right, headline) == (found, "Right" if found else "Wrong")
+    assert sentence in text(html)
+    assert sentence.startswith(f"The model compared {len(analysis.task.gallery)} satellite pictures")
+    if not found:
+        assert analysis.positive is not None
+        assert re.search(rf"the right one came {analysis.positive.rank}(st|nd|rd|th)\.$", sentence)
+    assert "d²" not in html, "figures are for those who ask why"
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, found: bool) -> None:
+    before = query(workspace, found)
+    analysis = analyse(workspace, replace(before.state, why=True))
+    lead = answer_text.lead(analysis)
+    assert lead is not None
+    other = before.positive if not found else next(match for match in before.matches if not match.true)
+    assert other is not None
+    assert lead.total == pytest.approx(other.distance2 - before.matches[0].distance2, abs=1e-6)
+    html = first_screen.page(analysis, workspace)
+    assert html.count('class="track"') == 4
+    assert f"{lead.total:+.3f}".replace("-", "−") in text(html)
+    assert f"ring {workspace.part_names[lead.decisive]}" in text(html).lower()
+    plain = first_screen.page(before, workspace)
+    assert re.findall(r'src="([^"]+)"', html)[:2] != re.findall(r'src="([^"]+)"', plain)[:2], "parts are not drawn"
+
+
+def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace) -> None:
+    own = OwnPicture("mine.png", small_worlds.place(3))
+    analysis = analyse(workspace, SessionState(TASK, 4, upload=own, first_screen=True, why=True))
+    html = first_screen.page(analysis, workspace)
+    assert "Your picture" in html
+    assert "not graded" in html
+    lead = answer_text.lead(analysis)
+    assert lead is not None
+    assert lead.other == "the next best picture"
+    np.testing.assert_allclose(lead.total, analysis.matches[0].gap, atol=1e-6)
+
+
+def test_without_a_network_the_button_shows_everything(data: Path, model_file: Path, tmp_path: Path) -> None:
+    save_result(tmp_path / "r.mat", data, model_file)
+    saved = open_saved(data, load_saved(tmp_path / "r.mat", 4))
+    html = first_screen.page(analyse(saved, SessionState(TASK, 4, first_screen=True)), saved)
+    assert "Why?" not in html
+    assert re.search(r"<button[^>]*>Show everything<", html)
+    assert "Your own picture" not in html
+
+
+def test_what_the_first_screen_cannot_show_leaves_it() -> None:
+    first = SessionState("t", 4, first_screen=True)
+    for field in ("lab", "flight", "exploded", "map"):
+        assert not session_state.leave_first_screen(first, replace(first, **{field: True})).first_screen
+    assert not session_state.leave_first_screen(first, replace(first, selected=3)).first_screen
+    for stays in (
+        replace(first, query=2),
+        replace(first, why=True),
+        replace(first, angle=5.0),
+        replace(first, dark=False),
+    ):
+        assert session_state.leave_first_screen(first, stays) == stays
+    compared = replace(first, selected=3)
+    assert session_state.leave_first_screen(compared, replace(compared, query=1, selected=None)).first_screen
+    everything = replace(first, first_screen=False)
+    assert session_state.leave_first_screen(everything, replace(first, map=True)).first_screen
+
+
+def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:
+    address, plain = UrlState(workspace), SessionState(TASK, 4)
+    for bare in ("", "?", "?theme=light", "?unknown=1"):
+        assert not address.names_a_state(bare)
+        assert first_screen.plain_state(plain, True, False).first_screen
+    for named in ("?query=0003", "?lab=1", "?screen=all"):
+        assert address.names_a_state(named)
+    assert not first_screen.plain_state(plain, True, True).first_screen
+    assert not first_screen.plain_state(plain, "yes", False).first_screen
+    first = replace(plain, first_screen=True, why=True)
+    assert address.read(address.write(first), plain) == (first, [])
+    assert "screen" not in address.write(plain)
+
+
+def test_terms_have_the_glossary_s_meaning() -> None:
+    assert terms.meanings()["distance"].startswith("d, with d² = 2 − 2 · score.")
+    assert not [meaning for meaning in terms.meanings().values() if re.search(r"\*\*|`|\]\(", meaning)]
+    html = terms.term("margin", "Lead <1>")
+    assert 'data-tip="margin: d² of the hardest negative' in html
+    assert html.endswith(">Lead &lt;1&gt;</span>")
+    with pytest.raises(KeyError):
+        terms.term("no such term")

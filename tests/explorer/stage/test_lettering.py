@@ -1,0 +1,140 @@
+"""Heights of the texts on the stage, measured in its pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+from explorer.layout import layout_for
+from explorer.opening import open_model
+from explorer.session_state import SessionState
+from explorer.stage.camera import FOV, HEIGHT, SIGN_CAPTION, SIGN_PICTURE, WIDTH, Viewpoint
+from explorer.stage.lettering import Lettering
+from explorer.stage.scene import Stage
+from explorer.stage.viewport import Viewport
+from explorer.workspace import StateAnalyser, Workspace
+from lpn.drawing import captions
+from lpn.drawing.theme import DARK
+from tools.fixtures import small_worlds
+
+# The stage of a phone of 390 x 844 above the sheet of panels, of a small notebook, and of a large screen.
+SIZES = [(390, 388), (424, 600), (860, 820)]
+
+# Rows of the bars in the pictures.
+_BAR = 10
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Workspace:
+    places = small_worlds.make_dataset(tmp_path_factory.mktemp("lettering") / "places", train=1, test=12)
+    return open_model(small_worlds.map_dataset(places), model_file)
+
+
+class DrawnStage:
+    """A stage whose pictures the test reads.
+
+    Attributes:
+        images: handles of the scene's images by their names.
+    """
+
+    def __init__(self, workspace: Workspace, width: int, height: int) -> None:
+        self.images: dict[str, Any] = {}
+        client: Any = MagicMock()
+        client.camera.aspect = width / height
+        client.scene.add_image.side_effect = self._add
+        self.workspace, self.viewport = workspace, Viewport()
+        self.viewport.update([width, height])
+        self.stage = Stage(client, workspace, lambda *_: None, None, self.viewport)
+
+    def _add(self, name: str, image: Any, width: float, height: float, **_: Any) -> Any:
+        self.images[name] = MagicMock(image=image, render_width=width, render_height=height)
+        return self.images[name]
+
+    def show(self, **choices: Any) -> None:
+        state = SessionState("drone-to-satellite", 4, **choices)
+        self.stage.show(StateAnalyser(self.workspace).analyse(state, 10))
+
+    def text_heights(self, name: str, unit: float, rows: slice = slice(None)) -> list[float]:
+        """The heights of a picture's lines of text in CSS pixels, without bars, given the CSS pixels of a stage unit."""
+        handle = self.images[name]
+        picture = np.asarray(handle.image, np.int64)[rows, ..., :3]
+        ink = np.abs(picture - picture[0, -1]).max(axis=2) > 70
+        edges = np.flatnonzero(np.diff(ink.any(axis=1).astype(int), prepend=0, append=0)).reshape(-1, 2)
+        scale = handle.render_height * unit / handle.image.shape[0]
+        return [float(end - start) * scale for start, end in edges if end - start > _BAR]
+
+
+def digit_height(pixels: float) -> float:
+    """The height of a digit of a text of some size."""
+    _, top, _, bottom = captions.font(200).getbbox("0")
+    return (bottom - top) / 200 * pixels
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_no_text_of_the_pair_is_smaller_than_twelve_pixels(workspace: Workspace, width: int, height: int) -> None:
+    drawn = DrawnStage(workspace, width, height)
+    drawn.show(heat=False)
+    unit = min(width / WIDTH, height / HEIGHT)
+    for name in ("/query_caption", "/tile_caption", "/gutter", "/cards0/labels", "/cards5/labels"):
+        heights = drawn.text_heights(name, unit, slice(0, 38) if "labels" in name else slice(None))
+        assert heights, name
+        assert min(heights) >= 0.94 * digit_height(12), (name, heights)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_no_text_of_the_map_is_smaller_than_twelve_pixels(workspace: Workspace, width: int, height: int) -> None:
+    drawn = DrawnStage(workspace, width, height)
+    drawn.show(map=True)
+    unit = height * Viewpoint().sign_share(width / height, FOV)
+    sign = drawn.images["/map/caption"]
+    assert sign.render_width / sign.render_height == pytest.approx(SIGN_CAPTION / SIGN_PICTURE)
+    heights = drawn.text_heights("/map/caption", unit)
+    assert len(heights) >= 4
+    assert min(heights) >= 0.94 * digit_height(12)
+    for slot in range(10):
+        tile = drawn.images[f"/map/tile{slot}"]
+        shown = tile.render_width * unit
+        patch = (np.asarray(tile.image)[7, 7:, :3] == (20, 20, 20)).all(axis=1)
+        assert patch[:6].all(), "the number's patch"
+        digits = np.asarray(tile.image)[8:, 9 : 9 + int(patch.argmin()), :3].min(axis=2) > 200
+        rows = np.flatnonzero(digits[: int(0.9 * len(digits))].any(axis=1))
+        assert (rows[-1] - rows[0] + 1) * shown / tile.image.shape[0] >= 0.9 * digit_height(12)
+
+
+def test_many_parts_and_panoramas_keep_their_texts_apart() -> None:
+    small = Viewport()
+    small.update([390, 388])
+    for size, parts in (((256, 256), 8), ((112, 616), 4), ((112, 616), 8)):
+        stage: Any = Stage.__new__(Stage)
+        stage._layout, stage._n = layout_for(size), parts
+        stage._lettering = Lettering.of(stage._layout, parts, small)
+        stage._workspace = SimpleNamespace(part_names=[f"{part + 1} strip" for part in range(parts)])
+        match: Any = SimpleNamespace(
+            distance2=1.0, shares=np.full(parts, 1 / parts, np.float32), cosines=np.full(parts, 0.5, np.float32)
+        )
+        draw = stage._gutter_row if stage._layout.stacked else stage._gutter_picture
+        picture = np.asarray(draw(match, DARK), np.int64)
+        ink = np.abs(picture - picture[0, 0]).max(axis=2) > 60
+        assert not ink[0].any(), "no letter is cut off"
+        if not stage._layout.stacked:
+            edges = np.flatnonzero(np.diff(ink.any(axis=1).astype(int), prepend=0, append=0)).reshape(-1, 2)
+            assert len(edges) >= parts, "each part has lines of its own"
+
+
+def test_texts_are_drawn_again_for_another_size_only_where_they_would_differ(workspace: Workspace) -> None:
+    drawn = DrawnStage(workspace, 860, 820)
+    drawn.show()
+    drawn.viewport.update([900, 860])
+    assert not drawn.stage.outgrown
+    drawn.viewport.update([390, 388])
+    assert drawn.stage.outgrown
+    drawn.show()
+    assert not drawn.stage.outgrown
+    drawn.show(map=True)
+    drawn.viewport.update([390, 380])
+    assert drawn.stage.outgrown

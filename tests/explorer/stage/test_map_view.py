@@ -1,0 +1,58 @@
+"""The map on the stage, drawn into a stand-in of viser's scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from explorer.opening import open_model
+from explorer.session_state import SessionState
+from explorer.stage.lettering import Lettering
+from explorer.stage.map_view import GalleryMap
+from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis.analyser import OwnPicture
+from tools.fixtures import small_worlds
+
+TASK = "drone-to-satellite"
+
+
+class Scene:
+    def add_image(self, *_: Any, **__: Any) -> SimpleNamespace:
+        return SimpleNamespace(visible=True, on_click=lambda _: None)
+
+    def add_line_segments(self, *_: Any, **__: Any) -> SimpleNamespace:
+        self.lines = SimpleNamespace(visible=True)
+        return self.lines
+
+    def add_camera_frustum(self, *_: Any, **__: Any) -> SimpleNamespace:
+        return SimpleNamespace(visible=True)
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Workspace:
+    root = tmp_path_factory.mktemp("map") / "places"
+    return open_model(small_worlds.map_dataset(small_worlds.make_dataset(root, train=1, test=6)), model_file)
+
+
+@pytest.mark.parametrize(("far", "lines"), [(0.0, 5), (1.0, 0)])
+def test_the_tag_of_one_s_own_picture_is_marked_and_joined_with_the_tile_if_it_is_near(
+    workspace: Workspace, far: float, lines: int
+) -> None:
+    task = workspace.tasks[TASK]
+    assert task.geometry is not None
+    place = task.geometry.tiles[2]
+    picture = workspace.load_picture(task.queries[0])
+    own = OwnPicture("own.jpg", picture, (place.latitude + far, place.longitude))
+    scene = Scene()
+    gallery_map = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
+    state = SessionState(TASK, 4, upload=own, map=True)
+    gallery_map.show(StateAnalyser(workspace).analyse(state, 6), Lettering(28, 36, 34, 26, 24, 100.0))
+    assert scene.lines.visible is (lines > 0)
+    if lines:
+        assert scene.lines.points.shape == (lines, 2, 3)
+        middle = scene.lines.points[:4].mean(axis=(0, 1))
+        np.testing.assert_allclose(scene.lines.points[4, 0], middle, atol=1e-5)

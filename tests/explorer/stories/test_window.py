@@ -1,0 +1,268 @@
+"""The window of stories without a browser."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock
+
+import msgspec
+import pytest
+
+from explorer.failure_lab.service import FailureLab
+from explorer.flight_window.service import FlightService
+from explorer.session_state import Chosen, LabChoices, SessionState
+from explorer.stage.viewport import Viewport
+from explorer.stories import library
+from explorer.stories.story import Step, Story, StoryDraft
+from explorer.stories.window import LONGEST_DRAFT, StoryWindow
+from explorer.stories.windows import WindowSources
+from explorer.url_state import UrlState
+from explorer.web.html import Html
+from explorer.workspace import StateAnalyser, Workspace
+from tests.explorer.stories.conftest import TASK
+
+
+class Page:
+    """A window of stories whose page and state the test plays."""
+
+    def __init__(self, workspace: Workspace) -> None:
+        self.workspace, self.url_state = workspace, UrlState(workspace)
+        self.state = SessionState(TASK, 4)
+        self.elements: list[Any] = []
+        client = MagicMock()
+        client.gui.add_html.side_effect = self._element
+        self.calls: list[tuple[object, ...]] = []
+        self.went: list[str] = []
+        self.reporter = MagicMock()
+        self.window = StoryWindow(
+            client,
+            workspace,
+            self.url_state,
+            Html(client.gui),
+            lambda: self.state,
+            self._go,
+            lambda *call: self.calls.append(call),
+            Viewport(),
+            self.reporter,
+            WindowSources(workspace, FailureLab(workspace), FlightService(workspace)),
+        )
+
+    def send(self, kind: str, value: object = None) -> None:
+        self.window.handlers()[f"story-{kind}"](value)
+
+    @property
+    def draft(self) -> Story:
+        return self.window._draft.story
+
+    @property
+    def text(self) -> str:
+        return html.unescape(" ".join(re.sub(r"\s+", " ", element.content) for element in self.elements))
+
+    @property
+    def kept(self) -> Any:
+        """The copy of the draft that the browser keeps, and sends when its page is loaded again."""
+        script = re.search(r"Function\((.*lpn\.keepDraft.*)\)\(\)", html.unescape(self.window._keeping._content))
+        assert script is not None
+        return json.loads(json.loads(script[1]).removeprefix("lpn.keepDraft(").removesuffix(")"))
+
+    def _go(self, address: str) -> list[str]:
+        self.went.append(address)
+        return ["query=x: there is no such query."] if "query=x" in address else []
+
+    def _element(self, content: str = "", **_: Any) -> Any:
+        self.elements.append(SimpleNamespace(content=content))
+        return self.elements[-1]
+
+
+@pytest.fixture
+def page(workspace: Workspace) -> Page:
+    return Page(workspace)
+
+
+def test_what_is_shown_is_recorded_with_the_verdict_as_its_caption(page: Page) -> None:
+    page.state = replace(page.state, query=2, why=True, dark=False)
+    analysis = StateAnalyser(page.workspace).analyse(page.state, 5)
+    page.window.show(analysis)
+    page.send("record")
+    (step,) = page.draft.steps
+    assert step.shows == f"task={TASK}&query={analysis.name}&why=1"
+    assert re.fullmatch(rf"{analysis.name}\. (Found|Wrong): the t.*\.", step.caption)
+    page.state = replace(page.state, angle=30.0)
+    page.send("record")
+    assert page.draft.steps[1] == Step(f"task={TASK}&query={analysis.name}&angle=30&why=1"), (
+        "the verdict on another state is no caption"
+    )
+    assert page.calls[-1][0] == "say"
+    assert not (page.workspace.root / "stories.json").exists()
+
+
+def test_a_step_keeps_what_the_laboratory_shows_or_says_what_it_loses(page: Page) -> None:
+    choices = LabChoices("maps", "failed", "rank > 3", colour="rank", chosen=(Chosen("in pca", "lasso", (0, 2, 3)),))
+    page.window.show(StateAnalyser(page.workspace).analyse(page.state, 5))
+    page.state = replace(page.state, lab=True, laboratory=choices)
+    page.send("record")
+    page.state = replace(page.state, lab=False)
+    page.send("record")
+    kept, problems = page.url_state.read(page.draft.steps[0].shows, SessionState(TASK, 4))
+    assert (kept.laboratory, problems) == (choices, [])
+    assert "without them" not in str(page.calls)
+    too_many = Chosen("in pca", "lasso", tuple(range(0, 9000, 2)))
+    page.state = replace(page.state, lab=True, laboratory=LabChoices(chosen=(too_many,)))
+    page.send("record")
+    assert "too many for an address: the step is without them" in str(page.calls[-1])
+    assert page.draft.steps[1].caption, "the laboratory is no part of the verdict"
+
+
+def test_ones_own_picture_is_not_recorded(page: Page) -> None:
+    page.state = replace(page.state, upload=MagicMock())
+    page.send("record")
+    assert not page.draft.steps
+    assert "in this browser only" in str(page.calls)
+
+
+def test_a_story_is_edited_saved_and_told(page: Page) -> None:
+    for query in (0, 3):
+        page.state = replace(page.state, query=query)
+        page.send("record")
+    page.send("caption", [1, "<b>second</b>"])
+    page.send("notes", [1, "say it"])
+    page.send("name", "Mine")
+    page.send("move", [1, -1])
+    page.send("window")
+    assert "<b>second" not in " ".join(element.content for element in page.elements)
+    assert "Not saved yet" in page.text
+    page.send("save")
+    saved = library.read_all(page.workspace.root).by_name["Mine"]
+    assert [(step.caption, step.notes) for step in saved.steps] == [("<b>second</b>", "say it"), ("", "")]
+    assert "Saved in stories.json, beside the data." in page.text
+    assert "Not saved yet" not in page.text
+    assert "Tell this story" in page.text
+
+    other = Page(page.workspace)
+    assert any(label == "Tell the story: Mine" for label, _, _ in other.window.commands())
+    other.send("play", "Mine")
+    name, told = other.calls[-1]
+    assert (name, told) == ("tell", {"name": "Mine", "steps": tuple(_plain(step) for step in saved.steps)})
+    other.send("step", [1, saved.steps[1].shows])
+    other.send("step", 1)
+    Page(page.workspace).send("step", [1, "query=1"])
+    assert other.went == [saved.steps[1].shows]
+
+
+def test_the_tour_is_a_story_that_can_be_told_copied_and_replaced(page: Page) -> None:
+    assert page.window.names == ["Tour"]
+    page.send("play", "Tour")
+    name, told = page.calls[-1]
+    assert (name, told) == ("tell", msgspec.to_builtins(page.window.tour))
+    page.send("open", "Tour")
+    page.send("point", [1, "tile"])
+    page.send("point", [0, "anywhere else"])
+    page.send("copy")
+    page.send("save")
+    saved = library.read_all(page.workspace.root).by_name["Tour (copy)"]
+    assert [step.points_at for step in saved.steps] == ["query", "tile", "ranking", "verdict", "controls"]
+    library.save(page.workspace.root, StoryDraft(Story("Tour", (Step("query=a"),))))
+    page.send("play", "Tour")
+    assert page.calls[-1][1] == {"name": "Tour", "steps": (_plain(Step("query=a")),)}
+
+
+def test_a_step_of_a_picture_that_is_gone_is_said(page: Page) -> None:
+    library.save(page.workspace.root, StoryDraft(Story("Old", (Step("query=x", "gone"),))))
+    page.send("play", "Old")
+    page.send("step", [0, "query=x"])
+    assert page.calls[-1] == ("say", "Not all of step 1 can be shown. query=x: there is no such query.", 12)
+    page.send("play", "None")
+    assert "There is no story 'None' any more." in page.text
+
+
+def test_a_damaged_file_is_said_and_does_not_hinder_a_draft(page: Page) -> None:
+    (page.workspace.root / "stories.json").write_text("[")
+    page.send("record")
+    page.send("window")
+    assert "is not a file of stories" in page.text
+    page.send("save")
+    assert "Not saved. " in page.text
+    assert len(page.draft.steps) == 1
+    page.send("tell")
+    assert page.calls[-1][0] == "tell"
+    page.send("export")
+    assert page.reporter.make.call_count == 1
+
+
+def test_an_empty_story_is_not_told(page: Page) -> None:
+    page.send("tell")
+    page.send("export")
+    assert [call[0] for call in page.calls] == ["say", "say"]
+    assert not page.reporter.make.called
+
+
+def test_the_browser_keeps_a_draft_and_brings_it_back(page: Page) -> None:
+    page.send("record")
+    assert "lpn.keepDraft" in page.text
+    again = Page(page.workspace)
+    again.send("draft", [{"name": page.draft.name, "steps": [_plain(step) for step in page.draft.steps]}, None])
+    assert again.draft == page.draft
+    again.send("remove", 0)
+    assert "lpn.keepDraft(null)" in again.text
+
+
+def test_a_changed_story_of_most_of_a_message_is_kept_once_and_still_knows_what_was_opened(page: Page) -> None:
+    step = Step("query=a", "c", "n" * 1900)
+    library.save(page.workspace.root, StoryDraft(Story("Long", (step,) * 20)))
+    page.send("open", "Long")
+    page.send("caption", [3, "changed"])
+    assert len(json.dumps(page.kept)) < 45_000
+    again = Page(page.workspace)
+    again.send("draft", page.kept)
+    assert again.window._draft == page.window._draft
+    again.send("save")
+    assert "Saved in" in again.text
+    page.send("save")
+    assert "was changed by somebody else" in page.text
+    late = Page(page.workspace)
+    late.send("draft", page.kept)
+    late.send("save")
+    assert "was changed by somebody else" in late.text
+
+
+def test_a_draft_that_is_too_long_to_be_kept_is_told(page: Page) -> None:
+    long = Story("Long", (Step("query=a", "", "n" * 2000),) * 30)
+    library.save(page.workspace.root, StoryDraft(long))
+    page.send("open", "Long")
+    assert "save the story before" not in page.text
+    page.send("caption", [3, "changed"])
+    assert page.kept is None
+    too_long = (
+        f"characters, and the browser keeps up to {LONGEST_DRAFT:,}: save the story before the page is loaded again."
+    )
+    assert too_long in page.text
+    page.send("move", [3, 1])
+    assert too_long in page.text
+    page.send("record")
+    assert too_long in str(page.calls[-1])
+    page.send("save")
+    assert "save the story before" not in page.text
+    for _ in range(3):
+        page.send("remove", 0)
+    assert page.kept is not None
+    assert "save the story before" not in page.text
+
+
+def test_a_copy_does_not_replace_what_was_opened(page: Page) -> None:
+    library.save(page.workspace.root, StoryDraft(Story("A", (Step("query=a"),))))
+    page.send("open", "A")
+    page.send("copy")
+    page.send("save")
+    assert list(library.read_all(page.workspace.root).by_name) == ["A", "A (copy)"]
+    page.send("new")
+    assert page.draft == Story("Story 1")
+
+
+def _plain(step: Step) -> dict[str, str]:
+    plain: dict[str, str] = msgspec.to_builtins(step)
+    return plain

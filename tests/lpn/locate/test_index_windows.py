@@ -1,0 +1,97 @@
+"""An index of a map's windows in place of describing them, and the indexes that are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from lpn.cli.locate import locate_files
+from lpn.core.errors import InputError, StoreError
+from lpn.index import ExactIndex, create_index
+from lpn.index.base import Kind
+from lpn.locate.index_windows import indexed_windows
+from lpn.locate.pipeline import LocateOptions
+from lpn.locate.retrieval import retrieve
+from lpn.maps import Map, NamedWindow
+from tests.lpn.locate.scenery import GridModel, land, small_flight, write_map
+
+KIND = Kind("grid", 2, 16)
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def town(tmp_path: Path) -> Map:
+    return write_map(tmp_path / "town.tif", cv2.resize(land(), (400, 400), interpolation=cv2.INTER_AREA))
+
+
+def _refused(folder: Path, town: Map, names: list[str], vectors: np.ndarray) -> str:
+    with create_index(folder, KIND) as index:
+        if names:
+            index.add(names, vectors)
+    with pytest.raises(InputError) as refusal:
+        indexed_windows(str(folder), GridModel(), town)  # type: ignore[arg-type]
+    return str(refusal.value)
+
+
+def test_windows_of_an_index_are_those_that_would_be_described(town: Map, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    flight = small_flight(tmp_path / "photos", town)
+    model = GridModel()
+    for centre in (False, True):
+        plain = retrieve(model, town, flight, [51.0], 0.6, centre)  # type: ignore[arg-type]
+        if not centre:
+            with create_index(tmp_path / "index", KIND) as index:
+                named = [one.name for one in NamedWindow.all_of(plain.windows, town.frame)]
+                index.add(named[::-1], plain.windows_described[::-1])
+        model.described = 0
+        indexed = indexed_windows(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
+        assert model.described == 4
+        assert indexed.overlap == pytest.approx(0.6, abs=0.001)
+        found = retrieve(model, town, flight, None, 0.9, centre, indexed=indexed)  # type: ignore[arg-type]
+        assert model.described == 4, "frames are in the cache, and no window is described"
+        assert found.overlap == indexed.overlap
+        order = [int(np.linalg.norm(found.places - place, axis=1).argmin()) for place in plain.places]
+        np.testing.assert_allclose(found.places[order], plain.places, atol=0.02)
+        for i in range(len(flight.frames)):
+            np.testing.assert_allclose(found.scores(i)[order], plain.scores(i), atol=1e-4)
+
+
+def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    windows = town.pyramid([60.0], 0.5)
+    names = [one.name for one in NamedWindow.all_of(windows, town.frame)]
+    side = GridModel.input_size[0]
+    model = GridModel()
+    pictures = np.stack([model.prepare(town.read(window, side)[0], "satellite") for window in windows])
+    vectors = model.descriptors(pictures, "satellite")
+    with create_index(tmp_path / "other", replace(KIND, fingerprint="another")):
+        pass
+    with pytest.raises(StoreError, match="holds descriptors of model another"):
+        indexed_windows(str(tmp_path / "other"), model, town)  # type: ignore[arg-type]
+    assert "holds no window" in _refused(tmp_path / "empty", town, [], vectors)
+    turned = f"{names[0]},30deg"
+    assert turned in _refused(tmp_path / "turned", town, [turned, *names[1:]], vectors)
+    assert "tile.png" in _refused(tmp_path / "tiles", town, ["tile.png"], vectors[:1])
+    elsewhere = write_map(tmp_path / "elsewhere.tif", cv2.resize(land(1), (400, 400), interpolation=cv2.INTER_AREA))
+    assert "it is of another map, or the map has changed" in _refused(tmp_path / "index", elsewhere, names, vectors)
+    assert len(indexed_windows(str(tmp_path / "index"), model, town).windows) == len(windows)  # type: ignore[arg-type]
+    monkeypatch.setattr(ExactIndex, "most", 3)
+    assert f"returns 3 of its {len(windows)} windows" in _refused(tmp_path / "index", town, [], vectors)
+
+
+def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
+    for model, sizes in ((None, None), (tmp_path / "lpn.onnx", (60.0,))):
+        with pytest.raises(InputError, match="give --index with --model and without --size"):
+            locate_files(
+                tmp_path, tmp_path, model, None, "auto", LocateOptions(sizes=sizes), None, True, Console(), "index"
+            )

