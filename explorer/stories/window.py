@@ -246,7 +246,9 @@ class StoryWindow:
             return
         self._stories = self._read()
         if not saved.story.steps:
-            self._edit(self._new_draft(), f"Deleted from {library.place(self._workspace.root)}.")
+            built_in = saved.story.name in self._stories.by_name  # of no file, so it cannot be deleted
+            kept = f" The story {saved.story.name!r} comes with the explorer, and stays." if built_in else ""
+            self._edit(self._new_draft(), f"Deleted from {library.place(self._workspace.root)}.{kept}")
         else:
             self._edit(saved, f"Saved in {library.place(self._workspace.root)}.")
 

@@ -39,7 +39,7 @@ from lpn.locate.registration import (
     turn_between,
 )
 from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain, retrieve
-from lpn.locate.sequence import MotionModel, SequenceResult, emissions, fitted, score_units, smooth
+from lpn.locate.sequence import MotionModel, SequenceResult, emissions, fitted, fitted_frames, score_units, smooth
 from lpn.locate.tracks import State, TrackPoint
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -632,8 +632,10 @@ def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], 
         x, y = (float(value) for value in track.positions[i])
         heading = None if math.isnan(track.headings[i]) else float(track.headings[i])
         located.stages["sequence"] = StageRecord(state, sentence, x, y, radius=radius, heading=heading)
-    read = np.array([i not in found.broken for i in range(len(frames))])
-    if motion.along or (np.isfinite(np.diff(flight.times)) & read[1:] & read[:-1]).sum() < _LEAST_STEPS:
+    start, stop = fitted_frames(len(frames))
+    read = np.array([i not in found.broken for i in range(start, stop)])
+    steps = np.isfinite(np.diff(flight.times[start:stop])) & read[1:] & read[:-1]
+    if motion.along or steps.sum() < _LEAST_STEPS:
         return []
     return [
         "The scores are more probable where the drone moves in any direction than where it flies along its headings: it flew "

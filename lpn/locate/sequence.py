@@ -307,6 +307,12 @@ def smooth(
     )
 
 
+def fitted_frames(count: int) -> tuple[int, int]:
+    """Return the first of the frames that a flight's motion is fitted to, and the one after the last."""
+    start = max(count - _FITTED, 0) // 2
+    return start, min(start + _FITTED, count)
+
+
 def fitted(
     scores: OfFrame,
     headings: Sequence[Float64Array],
@@ -326,8 +332,7 @@ def fitted(
         spacing: of the motion model in metres.
         speed: metres a second where it is known.
     """
-    start = max(len(headings) - _FITTED, 0) // 2
-    stop = min(start + _FITTED, len(headings))
+    start, stop = fitted_frames(len(headings))
     chosen = [scores(t) for t in range(start, stop)]
     seconds = np.asarray(times, np.float64)[start:stop]
 

@@ -42,11 +42,13 @@
   // A step that points at the page as it is leaves the page to the person: any key or press elsewhere ends it.
   const free = (step) => !!step.points_at && !step.shows;
 
-  // A button of a card has a word in place of its sign.
-  const rename = (node, word) => {
+  // A button of a card has a word in place of its sign, and names its key only while that key does not end the story.
+  const rename = (node, word, alone) => {
     node._sign ||= node.textContent;
+    node._label ||= node.title;
     node.textContent = word || node._sign;
-    node.setAttribute("aria-label", word || node.title);
+    node.title = alone ? "" : node._label;
+    node.setAttribute("aria-label", word || (alone ? node._label.replace(/ \(.*/, "") : node._label));
   };
 
   const build = () => {
@@ -81,8 +83,9 @@
     const [previous, next, , close] = bar.querySelectorAll("button");
     previous.disabled = at === 0;
     next.disabled = last && !step.points_at;
-    rename(next, step.points_at && (last ? "Done" : "Next"));
-    rename(close, alone && "Skip");
+    rename(previous, "", alone);
+    rename(next, step.points_at && (last ? "Done" : "Next"), alone);
+    rename(close, alone && "Skip", alone);
     close.hidden = alone && last;
     lpn.point(bar, step.points_at);
     if (step.points_at) next.focus({ preventScroll: true });

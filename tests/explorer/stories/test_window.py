@@ -118,6 +118,22 @@ def test_a_step_keeps_what_the_laboratory_shows_or_says_what_it_loses(page: Page
     assert page.draft.steps[1].caption, "the laboratory is no part of the verdict"
 
 
+def test_a_story_without_steps_is_deleted_but_the_tour_stays(page: Page) -> None:
+    page.send("record")
+    page.send("name", "Mine")
+    page.send("save")
+    page.send("remove", 0)
+    page.send("save")
+    assert "Deleted from " in page.text
+    assert "stays" not in page.text
+    page.send("open", "Tour")
+    for _ in page.draft.steps:
+        page.send("remove", 0)
+    page.send("save")
+    assert "The story 'Tour' comes with the explorer, and stays." in page.text
+    assert "Tour" in page.window.names
+
+
 def test_ones_own_picture_is_not_recorded(page: Page) -> None:
     page.state = replace(page.state, upload=MagicMock())
     page.send("record")
