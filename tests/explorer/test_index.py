@@ -284,7 +284,7 @@ def test_mistakes_get_one_sentence(
     options: list[str], said: str, index: Path, data: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = {"INDEX": index, "MODEL": model_file, "DATA": data}
-    assert main(["explore", *(str(places.get(option, option)) for option in options)]) == 2
+    assert main(["explore", "--port", "0", *(str(places.get(option, option)) for option in options)]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.strip().count("\n") == 0
