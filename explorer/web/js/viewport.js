@@ -59,6 +59,23 @@
   mended.observe(document.head, { childList: true, subtree: true, characterData: true });
   mended.observe(document.body, { childList: true, subtree: true });
 
+  // viser opens a websocket every second while the connection is lost, in place of the one before. After some thirty failures
+  // Chromium opens each up to 5 s later, so none would open any more. A try therefore waits for an answer to a request, and for its end.
+  const post = Worker.prototype.postMessage;
+  const PATIENCE = 6000;
+  let trying = false;
+  Worker.prototype.postMessage = function (message, ...rest) {
+    if (message?.type !== "retry") return post.call(this, message, ...rest);
+    if (trying) return;
+    trying = true;
+    const asked = fetch("pictures/", { cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
+    const answered = asked.then((answer) => answer.status < 500, () => false);
+    answered.then((up) => {
+      if (up) post.call(this, message, ...rest);
+      setTimeout(() => (trying = false), up ? PATIENCE : 0);
+    });
+  };
+
   // viser shades the panels while the connection is lost, and reconnects by itself.
   let lost = false;
   setInterval(() => {
