@@ -19,6 +19,8 @@ from lpn.index.task import IndexTask
 _MAX_LENGTH = 20_000
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
+# Parameters of the query that is shown.
+_OF_QUERY = ("with", "angle", "shift", "down", "zoom", "region")
 # Characters of the laboratory's filter, and of its other texts; of its columns, and of the queries chosen there by hand.
 _LONGEST_FILTER, _LONGEST_TEXT = 1000, 200
 _LONGEST_COLUMNS, _LONGEST_CHOICE = 1000, 3000
@@ -113,6 +115,8 @@ class UrlState:
                 state = parameter.read(state, value)
             except UnusableError as problem:
                 problems.append(f"{parameter.key}={printable(value[:60])}: {problem}")
+                if parameter.key == "query":  # what was done to that picture suits no other one
+                    given = {key: text for key, text in given.items() if key not in _OF_QUERY}
         return state, problems
 
     def names_a_state(self, text: str) -> bool:
@@ -172,7 +176,9 @@ class UrlState:
         task = self._workspace.tasks[state.task]
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
-            raise UnusableError("a picture of somebody's own is in their browser only; ask them for the file.")
+            raise UnusableError(
+                "a picture of one's own is in its page only, until that is closed or loaded again; open the file again."
+            )
         if query is None:
             raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")
         return replace(state, query=query)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from explorer.compute.ranking_job import TaskRanking
 from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
 from lpn.drawing import verdicts
@@ -22,10 +23,12 @@ class Lead:
     Attributes:
         shares: d² of the other tile minus d² of the answer, each part's share, (n,).
         other: the other tile in words.
+        index: the other tile's position in the gallery.
     """
 
     shares: FloatingArray
     other: str
+    index: int
 
     @property
     def total(self) -> float:
@@ -87,7 +90,15 @@ def lead(analysis: StateAnalysis) -> Lead | None:
         rival, name = next((match for match in others if not match.true), None), "the best wrong picture"
     else:
         rival, name = analysis.positive, "the right picture"
-    return None if rival is None else Lead(rival.shares - first.shares, name)
+    return None if rival is None else Lead(rival.shares - first.shares, name, rival.index)
+
+
+def overall(ranking: TaskRanking | None) -> str:
+    """Return how often the top match is right over all queries of a task, in words; empty while it is not known."""
+    if ranking is None or not (graded := int(ranking.results["queries"])):
+        return ""
+    share = ranking.results["recall@1"]
+    return f"Over all {graded:,} pictures its first answer is right {share / 100 * graded:,.0f} times ({share:.0f} %)."
 
 
 def _error_m(analysis: StateAnalysis) -> float | None:

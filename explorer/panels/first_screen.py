@@ -17,8 +17,11 @@ from explorer.stage.pictures import draw_parts
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis, Workspace
+from lpn import explain
 from lpn.core import images
+from lpn.core.arrays import Float64Array
 from lpn.core.views import View
+from lpn.datasets.rendered import is_rendered
 from lpn.drawing import overlays
 from lpn.retrieval import DescribedPicture
 
@@ -39,7 +42,7 @@ class FirstScreen:
         self._workspace, self._change = workspace, change
         self._html = Html(gui)
         self._actions: dict[str, StateChange] = {
-            "next": navigation.next,
+            "next": navigation.random,
             "failure": navigation.failure,
             "why": session_state.flip_why,
             "start": session_state.to_first_screen,
@@ -69,6 +72,7 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
     state, task = analysis.state, analysis.task
     right, headline, sentence = answer_text.plain_verdict(analysis)
     lead = answer_text.lead(analysis) if state.why else None
+    cells = None if lead is None else _lead_cells(analysis, lead)
     positive = analysis.positive
     missed = right is False and positive is not None and not positive.beyond and analysis.chosen.rank == 1
     return render(
@@ -77,8 +81,8 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         task=task,
         state=state,
         name=analysis.name,
-        query=_picture(analysis, workspace, 0, analysis.query, task.query_view),
-        tile=_picture(analysis, workspace, 1, analysis.tile, task.gallery_view),
+        query=_picture(analysis, workspace, analysis.query, task.query_view, cells),
+        tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
         true_tile=_true_tile(analysis, workspace) if missed else "",
         right=right,
@@ -89,23 +93,39 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
-        heat=analysis.pair_evidence is not None,
+        heat=cells is not None,
+        overall=answer_text.overall(workspace.rankings[task.name].result),
+        rendered=is_rendered(workspace.root),
         alterations=session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view])),
     )
 
 
-def _picture(analysis: StateAnalysis, workspace: Workspace, side: int, described: DescribedPicture, view: View) -> str:
-    """Return a picture of the pair as a data URI: as it is, or with its parts and evidence while they are explained."""
-    if not analysis.state.why:
-        across, down = workspace.layout.picture
-        width = min(round(_SIZE[0] * across / down), _SIZE[1])
-        picture = images.resize(workspace.as_partitioned(described.picture, view), round(width * down / across), width)
-        return overlays.data_uri(picture, 85)
-    pair, cells, limit = analysis.pair_evidence, None, 1.0
-    if pair is not None:
-        maps = pair.evidence.cell_maps(None)
-        cells, limit = maps[side], overlays.evidence_limit(*maps)
-    return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 85)
+def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:
+    """Return each cell's share of the lead on the query's side, (h, w), so that cells and bars tell the same; None without a network."""
+    if analysis.query.trace is None or analysis.tile.trace is None or analysis.chosen.rank != 1:
+        return None
+    answer, other = analysis.tile.trace.embedding, analysis.task.stored_descriptor(lead.index)
+    ahead, behind = (
+        explain.side_evidence(analysis.query.trace, tile).score_map(analysis.ranking.weights) for tile in (answer, other)
+    )
+    return 2 * (ahead - behind)
+
+
+def _picture(
+    analysis: StateAnalysis,
+    workspace: Workspace,
+    described: DescribedPicture,
+    view: View,
+    cells: Float64Array | None = None,
+) -> str:
+    """Return a picture of the pair as a data URI: as it is, or with its parts and what `cells` say while they are explained."""
+    if analysis.state.why:
+        limit = 1.0 if cells is None else overlays.evidence_limit(cells)
+        return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 85)
+    across, down = workspace.layout.picture
+    width = min(round(_SIZE[0] * across / down), _SIZE[1])
+    picture = images.resize(workspace.as_partitioned(described.picture, view), round(width * down / across), width)
+    return overlays.data_uri(picture, 85)
 
 
 def _true_tile(analysis: StateAnalysis, workspace: Workspace) -> str:

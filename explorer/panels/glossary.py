@@ -33,6 +33,6 @@ class Glossary:
 
 
 def text() -> str:
-    """Return the glossary as Markdown without its title and without links, which lead to files of the project."""
-    page = GLOSSARY.read_text("utf-8").partition("\n")[2]
-    return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", page)
+    """Return the tables of the glossary as Markdown, without links, which lead to files of the project."""
+    _, heading, tables = GLOSSARY.read_text("utf-8").partition("## ")
+    return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading + tables)

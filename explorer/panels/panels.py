@@ -12,6 +12,7 @@ from explorer.panels.answer_panel import AnswerPanel
 from explorer.panels.controls import Controls
 from explorer.panels.navigation import Navigation
 from explorer.panels.query_panel import QueryPanel
+from explorer.panels.upload_control import UploadControl
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import StateAnalysis, Workspace
 
@@ -44,6 +45,8 @@ class Panels:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_RIGHT)
         self.answer = AnswerPanel(gui, workspace, change)
+        if self.query.own is not None:  # in the panel that is there on every screen: the left one may be folded
+            UploadControl(gui, self.query.own.take, self.notify_error)
 
     def write(self, state: SessionState) -> None:
         """Write a state into the controls."""

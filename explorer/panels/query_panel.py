@@ -15,8 +15,8 @@ from explorer.browse.query_list import QueryList
 from explorer.panels import pages
 from explorer.panels.controls import Controls
 from explorer.panels.navigation import Navigation
-from explorer.panels.upload_control import UploadControl
 from explorer.session_state import MAX_ZOOM, SessionState, StateChange
+from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 
 _HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
@@ -32,6 +32,7 @@ class QueryPanel:
 
     Attributes:
         compare_models: called to compare with the second model.
+        own: one's own pictures; None without a network to describe them.
     """
 
     def __init__(
@@ -70,12 +71,11 @@ class QueryPanel:
             controls.slider("Shift down", "down", -(height // 2), height // 2, 1, whole=True)
             controls.slider("Zoom", "zoom", 1 / MAX_ZOOM, MAX_ZOOM, 0.05)
             gui.add_html(pages.note(pages.SHIFT_NOTE))
-        # viser shows an upload button even if `visible` is false.
-        self._own: OwnPictures | None = None
+        self.own: OwnPictures | None = None
         if has_model:
-            UploadControl(gui, lambda name, content: own.take(name, content), notify_error)
-            own = self._own = OwnPictures(gui, feeds, change, notify_error)
-            navigation.step_own = own.step
+            gui.add_html(render("browse/own"))
+            self.own = OwnPictures(gui, feeds, change, notify_error)
+            navigation.step_own = self.own.step
         with gui.add_folder("Pictures"):
             self.find_box = gui.add_text("Find name", "")
             self.list = QueryList(gui, workspace, feeds, change)
@@ -109,19 +109,19 @@ class QueryPanel:
     def show(self, analysis: StateAnalysis) -> None:
         """Show the list of pictures around the state's query, and one's own."""
         self.list.show(analysis)
-        if self._own is not None:
-            self._own.show(analysis.state)
+        if self.own is not None:
+            self.own.show(analysis.state)
 
     def handlers(self) -> dict[str, Callable[[Any], None]]:
         """Return a handler for each kind of message of the panel's HTML."""
-        own = {} if self._own is None else self._own.handlers()
+        own = {} if self.own is None else self.own.handlers()
         return {**self.list.handlers(), **own}
 
     def leave(self) -> None:
         """Serve nothing more to a browser that left, and forget its pictures."""
         self.list.leave()
-        if self._own is not None:
-            self._own.leave()
+        if self.own is not None:
+            self.own.leave()
 
     def _search(self, state: SessionState, value: Any) -> SessionState:
         """Filter the pictures by name; if exactly one name matches, choose that query."""

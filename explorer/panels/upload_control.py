@@ -1,4 +1,4 @@
-"""The button for pictures of the user's own."""
+"""The upload of pictures of the user's own."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Any
 
 import viser
 
-from explorer.server.viser_compat import forget_upload
+from explorer.server.viser_compat import forget_upload, uuid_of
 from explorer.web.render import render
 
 
 class UploadControl:
-    """One browser's upload button; it reads one picture at a time.
+    """One browser's upload button, hidden: the page's script presses it. It reads one picture at a time.
 
     Args:
         take: takes the name and the content of each file.
@@ -27,10 +27,10 @@ class UploadControl:
         # One picture, and the next of a batch, which may arrive before the thread of the one before has ended.
         self._reading = threading.BoundedSemaphore(2)
         self._button = gui.add_upload_button(
-            "Use my own picture", mime_type="image/jpeg,image/png,image/webp", icon=viser.Icon.UPLOAD
+            "Use my own picture", mime_type="image/jpeg,image/png,image/webp"
         )
         self._button.on_upload(self._on_upload)
-        gui.add_html(render("browse/several"))
+        gui.add_html(render("panels/hidden_buttons", ids=[uuid_of(self._button)]))  # viser shows it even if `visible` is false
 
     def _on_upload(self, _: Any) -> None:
         if not self._reading.acquire(blocking=False):

@@ -279,6 +279,12 @@ class ExplorerPage:
         self.settle()
         self.field(label).set_checked(on)
 
+    def upload(self, *files: Path) -> None:
+        """Choose files of one's own."""
+        with self.page.expect_file_chooser(timeout=1000 * PATIENCE) as chooser:
+            self.page.get_by_role("button", name="Use my own picture").click()
+        chooser.value.set_files(list(files))
+
     def key(self, key: str) -> None:
         """Press a key while no control has the focus."""
         self.settle()

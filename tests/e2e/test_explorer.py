@@ -185,13 +185,13 @@ def test_cards_are_seen_from_a_side_too(explorer: ExplorerPage) -> None:
 def test_a_picture_of_ones_own(explorer: ExplorerPage, tmp_path: Path) -> None:
     own = tmp_path / "<b>mine.png"
     small_worlds.write(own, small_worlds.place(77))
-    explorer.page.locator("input[type=file]").set_input_files(str(own))
+    explorer.upload(own)
     explorer.expect_status("name", own.name)
     expect(explorer.verdict).to_contain_text("Your picture")
     expect(explorer.rows.first).to_contain_text("?")
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"not a picture")
-    explorer.page.locator("input[type=file]").set_input_files(str(broken))
+    explorer.upload(broken)
     expect(explorer.page.get_by_text("broken.png is not a picture that can be read")).to_be_visible()
     explorer.expect_status("name", own.name)
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp
+from tools.fixtures import small_worlds
 
 
 @pytest.fixture
@@ -66,6 +68,20 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
     fresh.wait_for_url(lambda url: "lab=1" in url)
     fresh.go_back()
     expect(button).to_have_text("Why?")
+
+
+@pytest.mark.slow
+def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fresh: Page, tmp_path: Path) -> None:
+    fresh.set_viewport_size({"width": 1024, "height": 600})  # the left panel is folded
+    fresh.goto(app.url)
+    first = fresh.locator("#lpn-first")
+    expect(first.locator(".sentence")).to_contain_text("The model compared")
+    small_worlds.write(tmp_path / "mine.png", small_worlds.place(5))
+    with fresh.expect_file_chooser() as chooser:
+        first.get_by_text("Your own picture").click()
+    chooser.value.set_files(tmp_path / "mine.png")
+    expect(first.locator("figcaption").first).to_contain_text("Your picture mine.png")
+    expect(first.locator(".sentence")).to_contain_text("not graded")
 
 
 @pytest.mark.slow

@@ -118,14 +118,14 @@ def test_ones_own_picture_is_said_not_to_be_in_the_link(
 ) -> None:
     file = tmp_path / "mine.png"
     small_worlds.write(file, small_worlds.place(77))
-    explorer.page.locator("input[type=file]").set_input_files(str(file))
+    explorer.upload(file)
     explorer.expect_status("name", "mine.png")
     wait_address(explorer, "query", "own")
     explorer.page.get_by_text("Link", exact=True).click()
     expect(explorer.page.locator("#lpn-notice")).to_contain_text("not in it")
     other = ExplorerPage(contexts().new_page())
     other.page.goto(explorer.page.url)
-    expect(other.page.locator(".mantine-Notification-root", has_text="ask them for the file")).to_be_visible()
+    expect(other.page.locator(".mantine-Notification-root", has_text="open the file again")).to_be_visible()
 
 
 @pytest.mark.slow
@@ -248,7 +248,7 @@ def test_everything_can_be_reached_by_keyboard_and_read_aloud(explorer: Explorer
     )
     assert min(sizes)[0] >= 12, min(sizes)
     (tmp_path / "empty.png").write_bytes(b"")
-    page.locator("input[type=file]").set_input_files(str(tmp_path / "empty.png"))
+    explorer.upload(tmp_path / "empty.png")
     expect(page.get_by_text("empty.png is empty, or has more than 30 MB")).to_be_visible()
     expect(page.get_by_text("Sent; it is being read.")).to_be_visible()
     assert page.get_by_text("uploaded successfully").count() == 0

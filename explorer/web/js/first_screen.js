@@ -3,7 +3,7 @@
   const lpn = window.lpn;
   if (lpn.first) return;
   const STORAGE_KEY = "lpn-screen";
-  const AT_ONCE = ["dark", "glossary", "upload"]; // these need no answer
+  const AT_ONCE = ["copy", "dark", "glossary", "upload"]; // these need no answer
   let shown = ""; // "first", "all", or nothing before the first answer
 
   lpn.screen = () => shown;

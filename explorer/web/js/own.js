@@ -9,13 +9,13 @@
   const LARGEST = 30e6, MOST = 200, NAMED = 300, NAME = 80, LETTERS = 50000;
   // Entries of a dropped folder that are looked at.
   const LOOKED = 5000;
-  let queue = [], passing = false;
+  let queue = [];
   const box = () => document.querySelector('input[type="file"]');
 
   // The end of a name, without halves of letters, which the server does not take.
   const short = (name) => [...name].slice(-NAME).join("").replace(/\p{Surrogate}/gu, "\ufffd");
   const begin = (files, beyond = 0) => {
-    if (!box()) return lpn.say("A picture of your own needs the network: open the data set with a model.");
+    if (!box()) return lpn.say(lpn.field(lpn.bridge) ? "A picture of your own needs the network: open the data set with a model." : "Unfold the panel on the right first.");
     const refused = [], taken = [];
     for (const file of files) {
       const kind = file.unread ? "unread" : file.size > LARGEST ? "large" : !file.size ? "empty" : PICTURE.test(file.name) || TYPES.test(file.type) ? "" : "kind";
@@ -33,10 +33,8 @@
     const input = box(), one = new DataTransfer();
     if (!input) return;
     one.items.add(file);
-    passing = true;
     input.files = one.files;
     input.dispatchEvent(new Event("change", { bubbles: true }));
-    passing = false;
   };
   // A file is read whole before viser announces it: viser says nothing of a file that fails.
   const whole = async (file) => {
@@ -60,25 +58,15 @@
     else lpn.send("own-skip", [number, short(file.name)]);
   };
 
-  // viser's button takes one file; several go one after the other.
-  document.addEventListener(
-    "change",
-    (event) => {
-      const input = event.target;
-      if (passing || input !== box() || !input.files.length) return;
-      event.stopImmediatePropagation();
-      const files = [...input.files];
-      input.value = "";
-      files.length === 1 ? one(files[0]) : begin(files);
-    },
-    true,
-  );
-  setInterval(() => box() && (box().multiple = true), 1000);
-  const folder = () => {
-    const chooser = Object.assign(document.createElement("input"), { type: "file", webkitdirectory: true });
-    chooser.addEventListener("change", () => begin([...chooser.files]));
+  const take = (files, beyond = 0) => (files.length === 1 && !files[0].unread && box() ? one(files[0]) : begin(files, beyond));
+  // viser's own chooser may lie in a part of the page that takes no input.
+  const choose = (options) => {
+    const chooser = Object.assign(document.createElement("input"), { type: "file", ...options });
+    chooser.addEventListener("change", () => take([...chooser.files]));
     chooser.click();
   };
+  lpn.upload = () => choose({ multiple: true, accept: "image/jpeg,image/png,image/webp" });
+  const folder = () => choose({ webkitdirectory: true });
 
   // All files of what was dropped, folders included.
   const walk = async (entries) => {
@@ -124,7 +112,7 @@
     const entries = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
     const loose = [...event.dataTransfer.files];
     const [files, beyond] = entries.length ? await walk(entries) : [loose, 0];
-    files.length === 1 && !files[0].unread && PICTURE.test(files[0].name) && box() ? one(files[0]) : begin(files, beyond);
+    take(files, beyond);
   });
   lpn.own = { go: go, folder: folder, begin: begin };
 })();

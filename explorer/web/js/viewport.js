@@ -86,7 +86,6 @@
     if (shade) lost = now;
   }, 1000);
 
-  lpn.upload = () => document.querySelector('input[type="file"]')?.click();
 
   // The closing command palette restores the focus; set it afterwards.
   lpn.focus = (uuid) =>

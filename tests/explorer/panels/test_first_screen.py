@@ -16,6 +16,7 @@ from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn import explain
 from lpn.analysis.analyser import OwnPicture
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
@@ -75,8 +76,37 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert html.count('class="track"') == 4
     assert f"{lead.total:+.3f}".replace("-", "−") in text(html)
     assert f"ring {workspace.part_names[lead.decisive]}" in text(html).lower()
+    # The places of the picture and the constants of both tiles make the same lead.
+    cells = first_screen._lead_cells(analysis, lead)
+    assert cells is not None
+    assert analysis.query.trace is not None
+    weights = analysis.ranking.weights
+    sides = [
+        explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index))
+        for index in (before.matches[0].index, lead.index)
+    ]
+    ahead, behind = (float((side.constants * weights).sum()) for side in sides)
+    assert cells.sum() + 2 * (ahead - behind) == pytest.approx(lead.total, abs=1e-5)
     plain = first_screen.page(before, workspace)
+    assert "speak for this answer" in html
+    assert "speak for this answer" not in plain
     assert re.findall(r'src="([^"]+)"', html)[:2] != re.findall(r'src="([^"]+)"', plain)[:2], "parts are not drawn"
+
+
+def test_it_says_how_often_the_model_is_right(workspace: Workspace) -> None:
+    result = workspace.rankings[TASK].result
+    assert result is not None
+    right = sum(analyse(workspace, SessionState(TASK, 4, query=i)).matches[0].true is True for i in range(14))
+    assert f"Over all 14 pictures its first answer is right {right} times" in answer_text.overall(result)
+    assert answer_text.overall(result) in text(first_screen.page(query(workspace, True), workspace))
+    assert answer_text.overall(None) == ""
+
+
+def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = query(workspace, True)
+    assert "rendered city" not in first_screen.page(analysis, workspace)
+    monkeypatch.setattr(first_screen, "is_rendered", lambda _: True)
+    assert "pictures of a rendered city" in first_screen.page(analysis, workspace)
 
 
 def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace) -> None:
@@ -133,10 +163,10 @@ def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:
 
 
 def test_terms_have_the_glossary_s_meaning() -> None:
-    assert terms.meanings()["distance"].startswith("d, with d² = 2 − 2 · score.")
+    assert terms.meanings()["distance"].startswith("How far two descriptors lie apart: d, with d² = 2 − 2 · score")
     assert not [meaning for meaning in terms.meanings().values() if re.search(r"\*\*|`|\]\(", meaning)]
     html = terms.term("margin", "Lead <1>")
-    assert 'data-tip="margin: d² of the hardest negative' in html
+    assert 'data-tip="margin: By how much a query is found' in html
     assert html.endswith(">Lead &lt;1&gt;</span>")
     with pytest.raises(KeyError):
         terms.term("no such term")

@@ -7,4 +7,4 @@ def test_the_glossary_has_the_terms_of_the_page_and_no_links() -> None:
     text = glossary.text()
     assert all(f"| **{term}** |" in text for term in ("positive", "margin", "evidence", "workspace", "shard"))
     assert "](" not in text
-    assert not text.startswith("#")
+    assert text.startswith("## ")
