@@ -145,6 +145,7 @@ class ClientSession:
                 self._panels.answer.stories,
                 lambda: self._state,
                 self._show_address,
+                self._show_state,
                 lambda function, *arguments: self._bridge.call(function, *arguments),
                 viewport,
                 self._reporter,
@@ -206,6 +207,8 @@ class ClientSession:
                 self._bridge.call("reveal", "#lpn-why")
             if state.flight and not self._state.flight:
                 self._bridge.call("reveal", "#lpn-flight")
+            if state.lab and not self._state.lab:
+                self._bridge.call("reveal", "#lpn-lab-table")
             only_lab = state == replace(self._state, laboratory=state.laboratory)
             self._state = state
             if only_lab:  # nothing to analyse
@@ -271,9 +274,12 @@ class ClientSession:
         state, problems = self._url_state.read(search, replace(self._plain, **kept))
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=session_state.choices_for_any_task(before.laboratory))
+        self._show_state(state)
+        return problems
+
+    def _show_state(self, state: SessionState) -> None:
         self._lab.restore(state)
         self.change(lambda _: state)
-        return problems
 
     def _on_greeting(self, value: Any) -> None:
         """Read the page's address and size; the page sends them until it gets an answer."""

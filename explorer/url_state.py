@@ -115,7 +115,7 @@ class UrlState:
                 state = parameter.read(state, value)
             except UnusableError as problem:
                 problems.append(f"{parameter.key}={printable(value[:60])}: {problem}")
-                if parameter.key == "query":  # what was done to that picture suits no other one
+                if (parameter.key, value) == ("query", OWN):  # what was done to that picture suits no other one
                     given = {key: text for key, text in given.items() if key not in _OF_QUERY}
         return state, problems
 

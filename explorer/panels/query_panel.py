@@ -73,7 +73,7 @@ class QueryPanel:
             gui.add_html(pages.note(pages.SHIFT_NOTE))
         self.own: OwnPictures | None = None
         if has_model:
-            gui.add_html(render("browse/own"))
+            gui.add_html(render("browse/choose"))
             self.own = OwnPictures(gui, feeds, change, notify_error)
             navigation.step_own = self.own.step
         with gui.add_folder("Pictures"):

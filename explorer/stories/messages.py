@@ -105,6 +105,16 @@ class ToldStep(StoryMessage):
     shows: Shows
 
 
+class EndStory(StoryMessage):
+    """The story that is told has ended.
+
+    Attributes:
+        stay: go on with what the story shows, in place of what was shown before it.
+    """
+
+    stay: bool
+
+
 class SaveStory(StoryMessage):
     """Save the edited story."""
 
@@ -141,6 +151,7 @@ MESSAGES: dict[str, type[StoryMessage]] = {
     "story-play": PlayStory,
     "story-tell": Tell,
     "story-step": ToldStep,
+    "story-end": EndStory,
     "story-save": SaveStory,
     "story-export": ExportStory,
     "story-draft": RestoreDraft,

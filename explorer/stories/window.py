@@ -41,6 +41,7 @@ class StoryWindow:
         row: the page's element for the names of the stories.
         state: returns the newest state.
         go: shows the state of a query string; returns a sentence about each value that is invalid.
+        restore: shows a former state.
         call: calls a function of the page's script.
         sources: what exported windows are drawn from.
 
@@ -56,6 +57,7 @@ class StoryWindow:
         row: Html,
         state: Callable[[], SessionState],
         go: Callable[[str], list[str]],
+        restore: Callable[[SessionState], None],
         call: Callable[..., None],
         viewport: Viewport,
         reporter: Reporter,
@@ -63,7 +65,9 @@ class StoryWindow:
     ) -> None:
         self._sources = sources
         self._client, self._workspace, self._url_state, self._row = client, workspace, url_state, row
-        self._state, self._go, self._call = state, go, call
+        self._state, self._go, self._restore, self._call = state, go, restore, call
+        # What was shown before the first step of the story that is told; None while none is.
+        self._before: SessionState | None = None
         self._viewport, self._reporter = viewport, reporter
         self._lock = threading.RLock()
         self._analysis: StateAnalysis | None = None
@@ -127,7 +131,12 @@ class StoryWindow:
                 case messages.Tell():
                     self._tell(self._draft.story)
                 case messages.ToldStep(index, shows):
+                    self._before = self._before or self._state()
                     self._show_step(index, shows)
+                case messages.EndStory(stay):
+                    before, self._before = self._before, None
+                    if before is not None and not stay:
+                        self._restore(replace(before, dark=self._state().dark))
                 case messages.ShowStep(index) if index < len(self._draft.story.steps):
                     self._show_step(index, self._draft.story.steps[index].shows)
                 case messages.SaveStory():

@@ -106,8 +106,14 @@ def test_two_steps_are_recorded_told_saved_and_exported(
     page.keyboard.press("Escape")
     expect(told(page)).to_have_count(0)
     expect(page.locator("#lpn-verdict")).to_be_visible()
+    explorer.expect_status("angle", "40")  # what was shown before the story
+    page.locator("#lpn-story-names a", has_text="Two & more").click()
+    explorer.expect_status("angle", "0")
+    told(page).locator("button", has_text="Stay here").click()
+    expect(told(page)).to_have_count(0)
+    explorer.expect_status("name", str(first))
     explorer.key("n")
-    explorer.expect_status("name", "0012")
+    explorer.expect_status("name", "0008")
 
     context = browser.new_context(offline=True)
     exported, requests, problems = context.new_page(), [], []
@@ -171,7 +177,7 @@ def test_a_story_begun_on_the_first_screen_ends_there_and_no_tour_covers_it(
     explorer.expect_status("name", "0012")
     page.keyboard.press("Escape")
     expect(told(page)).to_have_count(0)
-    expect(first.locator("figcaption").first).to_contain_text("0012")
+    expect(first.locator("figcaption").first).to_contain_text("0007")  # what was shown before
     context.close()
 
 

@@ -159,7 +159,7 @@ def test_a_wrong_value_is_dropped_alone_and_said(workspace: Workspace, links: Ur
     assert wrong.split("=")[0] in said[0]
     expected = replace(start(workspace), angle=30.0, rings=False)
     # What is done to a picture suits no other one.
-    assert read == (replace(expected, angle=0.0) if wrong.startswith(("angle", "query")) else expected)
+    assert read == (replace(expected, angle=0.0) if wrong.startswith(("angle", "query=own")) else expected)
 
 
 def test_a_closed_laboratory_is_not_in_the_link_and_an_open_one_is_shown_as_it_is_at_first(

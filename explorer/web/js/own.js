@@ -114,5 +114,5 @@
     const [files, beyond] = entries.length ? await walk(entries) : [loose, 0];
     take(files, beyond);
   });
-  lpn.own = { go: go, folder: folder, begin: begin };
+  lpn.own = { go: go, folder: folder, take: take };
 })();

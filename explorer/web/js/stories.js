@@ -42,6 +42,9 @@
   // A step that points at the page as it is leaves the page to the person: any key or press elsewhere ends it.
   const free = (step) => !!step.points_at && !step.shows;
 
+  // On a phone a window of its own would lie over the story.
+  const phone = matchMedia("(max-width: 36em), (pointer: coarse)");
+
   // A button of a card has a word in place of its sign, and names its key only while that key does not end the story.
   const rename = (node, word, alone) => {
     node._sign ||= node.textContent;
@@ -63,7 +66,8 @@
     make("span", buttons, "count");
     button(buttons, "›", "Next step (right arrow)", () => (at + 1 < told.steps.length ? go(at + 1) : end())).classList.add("next");
     button(buttons, "Notes", "Presenter's notes in a window of their own; N shows them here", openNotes);
-    button(buttons, "✕", "End (Escape)", end).classList.add("end");
+    button(buttons, "Stay here", "End the story, and go on from what it shows", () => end(true)).classList.add("stay");
+    button(buttons, "✕", "End (Escape): back to what was shown before", () => end()).classList.add("end");
     new ResizeObserver(() => document.documentElement.style.setProperty("--lpn-told", bar.offsetHeight + "px")).observe(bar);
     return bar;
   };
@@ -80,11 +84,12 @@
     bar.querySelector(".notes").textContent = step.notes;
     bar.querySelector(".notes").hidden = !withNotes || !step.notes;
     bar.querySelector(".count").textContent = at + 1 + " of " + told.steps.length;
-    const [previous, next, , close] = bar.querySelectorAll("button");
+    const [previous, next, ofNotes, stay, close] = bar.querySelectorAll("button");
     previous.disabled = at === 0;
-    next.disabled = last && !step.points_at;
+    ofNotes.disabled = !told.steps.some((one) => one.notes);
+    stay.hidden = !!step.points_at;
     rename(previous, "", alone);
-    rename(next, step.points_at && (last ? "Done" : "Next"), alone);
+    rename(next, last ? "Done" : step.points_at && "Next", alone);
     rename(close, alone && "Skip", alone);
     close.hidden = alone && last;
     lpn.point(bar, step.points_at);
@@ -98,7 +103,13 @@
     make("p", page, "", at + 1 < told.steps.length ? "Next: " + told.steps[at + 1].caption : "This is the last step.");
   };
 
+  const showNotes = () => {
+    withNotes = !withNotes;
+    draw();
+  };
+
   const openNotes = () => {
+    if (phone.matches) return showNotes();
     wasFull = false; // browsers leave full screen when a window opens; the next step enters it again
     notes = window.open("", "lpn-notes", "popup,width=720,height=520");
     if (!notes) {
@@ -121,7 +132,9 @@
     if (told.steps[at].shows) lpn.send("story-step", [at, told.steps[at].shows]);
   };
 
-  const end = () => {
+  // What was shown before comes back, unless the person stays.
+  const end = (stay = false) => {
+    const moved = told.steps.some((step) => step.shows);
     if (told.name === lpn.tour.name) remember();
     told = null;
     notes?.close();
@@ -130,7 +143,8 @@
     document.documentElement.classList.remove("lpn-telling");
     if (document.fullscreenElement) document.exitFullscreen();
     wasFull = false;
-    if (before === "first") lpn.send("screen", "start");
+    if (moved) lpn.send("story-end", stay);
+    else if (before === "first") lpn.send("screen", "start");
   };
 
   const STEPS = {
@@ -141,21 +155,20 @@
   const keys = (event) => {
     if (told && free(told.steps[at])) {
       const pressed = document.getElementById("lpn-told").contains(event.target) && ["Enter", " "].includes(event.key);
-      return pressed || ["Tab", "Shift", "Control", "Alt", "Meta"].includes(event.key) || end();
+      return pressed || ["Tab", "Shift", "Control", "Alt", "Meta"].includes(event.key) || end(true);
     }
     if (!told || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.('input, textarea, select, [role="slider"]')) return;
     if (event.key === " " && event.target.matches?.('button, [role="button"], [role="tab"]')) return;
     if (event.key in STEPS) go(Math.min(Math.max(at + STEPS[event.key], 0), told.steps.length - 1));
     else if (event.key === "Escape") end();
     else if (event.key === "n" || event.key === "N") {
-      withNotes = !withNotes;
-      draw();
+      showNotes();
     } else return;
     event.preventDefault();
     event.stopImmediatePropagation();
   };
   window.addEventListener("keydown", keys, true);
-  const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && end();
+  const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && end(true);
   window.addEventListener("pointerdown", pressed, true);
   // In full screen the browser takes Escape for itself.
   document.addEventListener("fullscreenchange", () => {

@@ -97,6 +97,14 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
                 assert text in step.caption
     parts_off = [step.shows.partition("off=")[2] for told in stories for step in told.steps if "off=" in step.shows]
     assert parts_off == ["2", "1,2", "1,3,4", "1,3"]
+    task = next(iter(workspace.tasks.values()))
+    ranking = workspace.rankings[task.name]
+    assert ranking.result is not None
+    of_place = [i for i, entry in enumerate(task.queries) if entry.name.startswith("0449/")]
+    answers = [task.gallery[int(ranking.result.ranking.best[i])].name for i in of_place]
+    assert len(answers) == sum(name != "0449" for name in answers) == 8
+    assert answers.count("0450") == 6
+    assert "All eight pictures of this place fail, six of them with this twin" in stories[2].steps[0].notes
     overlap = stories[2].steps[-1]
     state, _ = url_state.read(overlap.shows, SessionState(next(iter(workspace.tasks)), 4))
     shown = analyser.analyse(state, SHOWN)

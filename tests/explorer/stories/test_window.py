@@ -38,6 +38,7 @@ class Page:
         client.gui.add_html.side_effect = self._element
         self.calls: list[tuple[object, ...]] = []
         self.went: list[str] = []
+        self.restored: list[SessionState] = []
         self.reporter = MagicMock()
         self.window = StoryWindow(
             client,
@@ -46,6 +47,7 @@ class Page:
             Html(client.gui),
             lambda: self.state,
             self._go,
+            self.restored.append,
             lambda *call: self.calls.append(call),
             Viewport(),
             self.reporter,
@@ -116,6 +118,21 @@ def test_a_step_keeps_what_the_laboratory_shows_or_says_what_it_loses(page: Page
     page.send("record")
     assert "too many for an address: the step is without them" in str(page.calls[-1])
     assert page.draft.steps[1].caption, "the laboratory is no part of the verdict"
+
+
+def test_the_end_of_a_story_brings_back_what_was_shown_before(page: Page) -> None:
+    before = page.state = replace(page.state, query=3, upload=MagicMock(), first_screen=True)
+    page.send("end", False)
+    assert not page.restored, "no story was told"
+    page.send("step", [0, f"task={TASK}&off=1"])
+    page.state = SessionState(TASK, 4, query=1, dark=False)
+    page.send("step", [1, f"task={TASK}&off=2"])
+    page.send("end", False)
+    assert page.restored == [replace(before, dark=False)]
+    page.send("step", [0, f"task={TASK}&off=1"])
+    page.send("end", True)
+    page.send("end", False)
+    assert len(page.restored) == 1, "the person stays"
 
 
 def test_a_story_without_steps_is_deleted_but_the_tour_stays(page: Page) -> None:
