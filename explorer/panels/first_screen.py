@@ -101,12 +101,13 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:
-    """Return each cell's share of the lead on the query's side, (h, w), so that cells and bars tell the same; None without a network."""
+    """Return each cell's share of the lead on the query's side, (h, w), so that cells and bars agree; None without a network."""
     if analysis.query.trace is None or analysis.tile.trace is None or analysis.chosen.rank != 1:
         return None
     answer, other = analysis.tile.trace.embedding, analysis.task.stored_descriptor(lead.index)
     ahead, behind = (
-        explain.side_evidence(analysis.query.trace, tile).score_map(analysis.ranking.weights) for tile in (answer, other)
+        explain.side_evidence(analysis.query.trace, tile).score_map(analysis.ranking.weights)
+        for tile in (answer, other)
     )
     return 2 * (ahead - behind)
 

@@ -26,11 +26,11 @@ class UploadControl:
         self._take, self._notify_error, self._taking = take, notify_error, threading.Lock()
         # One picture, and the next of a batch, which may arrive before the thread of the one before has ended.
         self._reading = threading.BoundedSemaphore(2)
-        self._button = gui.add_upload_button(
-            "Use my own picture", mime_type="image/jpeg,image/png,image/webp"
-        )
+        self._button = gui.add_upload_button("Use my own picture", mime_type="image/jpeg,image/png,image/webp")
         self._button.on_upload(self._on_upload)
-        gui.add_html(render("panels/hidden_buttons", ids=[uuid_of(self._button)]))  # viser shows it even if `visible` is false
+        gui.add_html(
+            render("panels/hidden_buttons", ids=[uuid_of(self._button)])
+        )  # viser shows it even if `visible` is false
 
     def _on_upload(self, _: Any) -> None:
         if not self._reading.acquire(blocking=False):

@@ -90,7 +90,7 @@ class _Override:
         return getattr(self._module, name)
 
 
-def uuid_of(handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle) -> str:
+def uuid_of(handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle | viser.GuiUploadButtonHandle) -> str:
     """Return the id that a control's element or label has in the page."""
     return str(handle._impl.uuid)
 
