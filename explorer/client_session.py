@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -111,6 +112,7 @@ class ClientSession:
         self._show_other, self._search = show_other, search
         self._lock = threading.RLock()
         self._greeted = self._small = False
+        self._waiting = True  # for the page's address
         self._sequence = 0
         task = next(iter(workspace.tasks))
         state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query)
@@ -189,7 +191,8 @@ class ClientSession:
             self._worker = Worker(self._work, self._on_error)
             viewport.watch(lambda: self._worker.wake() if self._stage.outgrown else None)
             self._ranking_progress = RankingProgress(self._panels.answer.show_results, self._worker.wake)
-            self._greeting_timeout = DelayedCall(_ADDRESS_TIMEOUT, self._worker.wake)
+            self._greeting_timeout = DelayedCall(_ADDRESS_TIMEOUT, self._stop_waiting)
+            self._worker.wake()  # most pages open with this state: it is analysed while the browser draws the controls
 
     def change(self, change: StateChange) -> None:
         """Replace the state by a pure function's result; if it differs, update the controls and wake the worker."""
@@ -281,13 +284,17 @@ class ClientSession:
         self._lab.restore(state)
         self.change(lambda _: state)
 
+    def _stop_waiting(self) -> None:
+        self._waiting = False
+        self._worker.wake()
+
     def _on_greeting(self, value: Any) -> None:
         """Read the page's address and size; the page sends them until it gets an answer."""
         search = value.get("search") if isinstance(value, dict) else None
         with self._lock:
             if self._greeted or not isinstance(search, str):
                 return
-            self._greeted = True
+            self._greeted, self._waiting = True, False
             self._greeting_timeout.cancel()
             self._fit(value.get("small"))
             search = search if self._search is None else self._search
@@ -328,6 +335,10 @@ class ClientSession:
 
     def _work(self) -> float | None:
         """Analyse and draw the newest state; returns the seconds after which to try again when the server is overloaded."""
+        if self._waiting:
+            with contextlib.suppress(LPNError):  # it is said when this state is to be drawn
+                self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
+            return None
         slow = DelayedCall(_SLOW, self._panels.answer.show_busy)
         try:
             analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
