@@ -199,7 +199,7 @@ def test_the_notice_about_software_webgl_is_seen_once_and_does_not_end_the_tour(
         pytest.skip("this browser draws by a graphics card")
     expect(card).to_contain_text("1 of 5")
     place = box(notice)
-    explorer.page.mouse.click(place[0] + 20, place[1] + 20)
+    explorer.page.mouse.click(place["x"] + 20, place["y"] + 20)
     expect(card).to_contain_text("1 of 5")
     expect(notice).to_have_count(0)  # it goes by itself
     explorer.page.reload()
