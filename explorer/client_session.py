@@ -122,7 +122,7 @@ class ClientSession:
         with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
             self._set_theme(self._state)
             self._panels = Panels(client, workspace, services.feeds, self._state, self.change)
-            viewport = Viewport()
+            self._viewport = viewport = Viewport()
             self._reporter = Reporter(client, self._requests.queued(workspace.model, background=True))
             self._explain_window = ExplainWindow(
                 client,
@@ -167,6 +167,7 @@ class ClientSession:
                 "undo": lambda kind: self.change(lambda state: session_state.undo(state, kind)),
                 "glossary": lambda _: glossary.show(),
                 "show": self._on_other,
+                "map-close": lambda _: self.change(lambda state: replace(state, map=False)),
                 "screen": self._first_screen.act,
             }
             handlers |= self._explain_window.handlers() | self._lab.handlers() | self._flight.handlers()
@@ -255,7 +256,7 @@ class ClientSession:
 
     def _on_other(self, key: Any) -> None:
         if isinstance(key, str) and key in self._workspace.choices and key != self._workspace.key:
-            self._show_other(self, key, "?theme=dark" if self._state.dark else "?theme=light")
+            self._show_other(self, key, f"?show={key}&theme={'dark' if self._state.dark else 'light'}")
 
     def _on_select(self, shown: SessionState, index: int) -> None:
         self.change(lambda state: session_state.compare(state, shown, index))
@@ -296,6 +297,7 @@ class ClientSession:
                 return
             self._greeted, self._waiting = True, False
             self._greeting_timeout.cancel()
+            self._viewport.update(value.get("viewport"))
             self._fit(value.get("small"))
             search = search if self._search is None else self._search
             if (other := self._url_state.other_workspace(search)) is not None:
@@ -304,6 +306,8 @@ class ClientSession:
             before = self._state
         state, problems = self._url_state.read(search, before)
         state = plain_state(state, value.get("first"), self._url_state.names_a_state(search))
+        if self._url_state.names_only_a_workspace(search):
+            state = replace(state, flight=True)  # of a workspace without a flight, `change` drops this
         with self._lock:
             self._lab.restore(state)
             self.change(lambda _: state)

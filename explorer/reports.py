@@ -91,11 +91,12 @@ class Reporter:
         self._client, self._model, self._left = client, model, False
         self._job: BackgroundJob[None] | None = None
 
-    def make(self, work: MakeReport, noun: str = "report") -> None:
+    def make(self, work: MakeReport, noun: str = "report", control: str = "Report") -> None:
         """Start a report, or cancel what is in progress.
 
         Args:
             noun: what is made, for the notification.
+            control: the label of what starts and cancels it.
         """
         if self._left:
             return
@@ -103,7 +104,7 @@ class Reporter:
         if job is not None and not job.wait(0):
             job.leave(self)
             return
-        self._job = BackgroundJob(lambda progress: self._run(work, noun, progress), self)
+        self._job = BackgroundJob(lambda progress: self._run(work, noun, control, progress), self)
 
     def leave(self) -> None:
         """Cancel the report in progress; the browser has disconnected."""
@@ -111,14 +112,13 @@ class Reporter:
         if self._job is not None:
             self._job.leave(self)
 
-    def _run(self, work: MakeReport, noun: str, progress: ReportProgress) -> None:
-        notification = self._client.add_notification(
-            f"Making a {noun}", "Repeat the command to cancel.", loading=True, auto_close_seconds=None
-        )
+    def _run(self, work: MakeReport, noun: str, control: str, progress: ReportProgress) -> None:
+        cancel = f"Press “{control}” again to cancel."
+        notification = self._client.add_notification(f"Making a {noun}", cancel, loading=True, auto_close_seconds=None)
 
         def on_progress(done: int, total: int) -> None:
             progress(done, total)
-            notification.body = f"{done} of {total} done; repeat the command to cancel."
+            notification.body = f"{done} of {total} done. {cancel}"
 
         try:
             name, contents = work(on_progress, self._model)

@@ -301,6 +301,13 @@ def to_first_screen(state: SessionState) -> SessionState:
     return replace(closed, first_screen=True)
 
 
+def leave_stage_view(state: SessionState) -> SessionState:
+    """Close the map, or else put the pulled rings together; under a window, which lies over them, both stay."""
+    if state.why or state.lab or state.flight:
+        return state
+    return replace(state, map=False) if state.map else replace(state, exploded=False)
+
+
 def flip_why(state: SessionState) -> SessionState:
     """Open or close the explain window."""
     return replace(state, why=not state.why)

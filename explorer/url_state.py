@@ -125,10 +125,22 @@ class UrlState:
         Args:
             text: untrusted.
         """
+        return bool(self._named(text))
+
+    def names_only_a_workspace(self, text: str) -> bool:
+        """Return True if a query string names a workspace, and nothing to show in it besides a theme.
+
+        Args:
+            text: untrusted.
+        """
+        return self._named(text) == {"show"}
+
+    def _named(self, text: str) -> set[str]:
+        """Return the keys of what a query string names besides a theme; none if it has too many parameters."""
         try:
-            return bool(_given(text).keys() & (set(self.keys) - {"theme"}))
+            return _given(text).keys() & (set(self.keys) - {"theme"})
         except ValueError:
-            return False
+            return set()
 
     def workspace_key(self, text: str) -> str:
         """Return the key of the workspace that a query string names; the first workspace needs no name.

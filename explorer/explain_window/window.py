@@ -375,7 +375,8 @@ class ExplainWindow:
         content = self._content
         if content is not None:
             self._reporter.make(
-                lambda progress, model: reports.of_analysis(self._workspace, content.analysis, progress, model)
+                lambda progress, model: reports.of_analysis(self._workspace, content.analysis, progress, model),
+                control="Save as a report (HTML)",
             )
 
     def _choose_part(self, value: Any) -> None:

@@ -15,8 +15,6 @@ from lpn.analysis.breakdown import Rate
 from lpn.core.tables import Column
 
 _MAX_PAIRS, _MAX_VALUES = 10, 10
-# Rates among fewer queries do not stretch the scale.
-_MIN_QUERIES = 10
 
 
 class _Line(NamedTuple):
@@ -57,11 +55,8 @@ def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card
     columns = [(column, state.failure_rates(findings, lab, column)) for column in state.charted_columns(findings)]
     # A column says nothing if all queries share its value, or if each query has its own.
     columns = [(c, rates) for c, rates in columns if 1 < len(rates) <= max(len(findings.table) // 2, 2)]
-    full = max(
-        (rate.interval[1] for _, rates in columns for rate in rates if rate.queries >= _MIN_QUERIES), default=1.0
-    )
     drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace)]
-    return drawn + [_rate_card(findings, lab, column, rates, full) for column, rates in columns]
+    return drawn + [_rate_card(findings, lab, column, rates) for column, rates in columns]
 
 
 def _part_card(findings: Findings, lab: LabState) -> _Card:
@@ -105,7 +100,7 @@ def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card
     return _Card("pair", f"Places taken for others{listed}", lines)
 
 
-def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Rate], full: float) -> _Card:
+def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Rate]) -> _Card:
     outcomes = findings.outcomes
     overall = int(outcomes.failed.sum()) / max(int(outcomes.known.sum()), 1)
     chosen = _label(lab, state.selection_kind(column))
@@ -114,7 +109,7 @@ def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Ra
         low, high = (f"{100 * end:.0f}" for end in rate.interval)
         hint = f"{rate.name}: {rate.failures} of {rate.queries} queries failed; 95 % interval {low} to {high} %"
         value = [column.name, index, rate.name]
-        content = (rate.name, _rate_bar(rate, full, overall), rate.share)
+        content = (rate.name, _rate_bar(rate, overall), rate.share)
         lines.append(_Line("lab-bin", value, f"{column.name} {rate.name}" == chosen, hint, content))
     listed = f"; {_MAX_VALUES} of {len(rates)} values" if len(rates) > _MAX_VALUES else ""
     count = sum(rate.queries for rate in rates)
@@ -122,11 +117,9 @@ def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Ra
     return _Card("rate", f"Failures by {column.name}, of {queries}{listed}", lines)
 
 
-def _rate_bar(rate: Rate, full: float, overall: float) -> _RateBar:
-    """Scale a rate and its interval so that `full` fills the bar."""
-    values = (rate.share, overall, *rate.interval)
-    share, mean, low, high = (100 * min(value / full, 1.0) for value in values)
-    return _RateBar(share, mean, low, max(high - low, 0.5))
+def _rate_bar(rate: Rate, overall: float) -> _RateBar:
+    low, high = rate.interval
+    return _RateBar(100 * rate.share, 100 * overall, 100 * low, max(100 * (high - low), 0.5))
 
 
 def _label(lab: LabState, kind: str) -> str | None:

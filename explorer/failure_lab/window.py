@@ -31,8 +31,8 @@ from lpn.analysis.named_views import NamedView
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
 
-# Share of the stage, from its top, that the compared pair takes.
-_PAIR_SHARE = 0.49
+# Share of the stage, from its top, that the compared pair takes, unless that leaves less than so many pixels to the window.
+_PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
 _ROW_HEIGHT = 27  # pixels
 # Height of the window without the table, in pixels.
 _FRAME_HEIGHT = 172
@@ -76,6 +76,7 @@ class FailureLabWindow:
         self._drawer_message: tuple[str, bool] | None = None
         self._sorted: tuple[object, Int64Array] = ((), np.zeros(0, np.int64))
         self._full_height_shown: bool | None = None
+        self._resized = False
         self._size = (760, 400)
         self._tips = 0
         self._left = False
@@ -362,18 +363,26 @@ class FailureLabWindow:
 
     def _place(self, full_height: bool | None) -> None:
         """Cover the whole stage or its lower half; None hides the window."""
-        if full_height == self._full_height_shown:
+        with self._lock:
+            resized, self._resized = self._resized, False
+        if full_height == self._full_height_shown and not resized:
             return
         if full_height is not None:
-            width, height = self._size = self._viewport.window(share=1.0 if full_height else 1 - _PAIR_SHARE)
+            width, height = self._size = self._viewport.window(share=1.0 if full_height else self._share)
             self._panel.float(x=EDGE, y=-EDGE, width=width, height=height)
             self._panel.expand()
         self._panel.visible = full_height is not None
         self._full_height_shown = full_height
 
+    @property
+    def _share(self) -> float:
+        """Share of the stage's height that the window takes below the compared pair."""
+        return min(max(1 - _PAIR_SHARE, _LEAST_HEIGHT / self._viewport.height), 1.0)
+
     def _resize(self) -> None:
         """Place the window again, because the viewport changed."""
-        self._full_height_shown = None if self._full_height_shown is None else not self._full_height_shown
+        with self._lock:
+            self._resized = True
         self._worker.wake()
 
     def _open(self, row: int) -> None:

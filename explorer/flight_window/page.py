@@ -121,8 +121,12 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     return found
 
 
-def card(view: FlightView, frame: int, address: str) -> str:
-    """Return the query, the answer, and the verdict for the chosen frame."""
+def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = False) -> str:
+    """Return the query, the answer, and the verdict for the chosen frame.
+
+    Args:
+        retrieval_failed: the page's other panels call the answer of retrieval wrong.
+    """
     located = view.flight.frames[frame]
     verdict = view.beliefs[frame]
     stage = verdict.stage
@@ -143,6 +147,7 @@ def card(view: FlightView, frame: int, address: str) -> str:
         ground=ground_window(located, stage),
         height=located.frame.flying_height,
         corrected=_correction(view, frame, place),
+        later_stage=stage if retrieval_failed and stage in ("sequence", "registration") else None,
     )
 
 
@@ -161,17 +166,20 @@ def _verdict_colour(sign: bool | None) -> str:
     return theme.css(COLOURS["registration"] if sign else theme.FOR if sign is None else theme.AGAINST)
 
 
-def chosen(view: FlightView, frame: int, address: str, saves: int = 0) -> dict[str, Any]:
+def chosen(
+    view: FlightView, frame: int, address: str, saves: int = 0, retrieval_failed: bool = False
+) -> dict[str, Any]:
     """Return what the script draws of the chosen frame.
 
     Args:
         saves: how many corrections of the page are saved; the page keeps its tie points until the number changes.
+        retrieval_failed: see `card`.
     """
     located = view.flight.frames[frame]
     laid = view.homography(frame)
     return {
         "frame": frame,
-        "card": card(view, frame, address),
+        "card": card(view, frame, address, retrieval_failed),
         "homography": None if laid is None else laid.ravel().tolist(),
         "corrected": view.corrected(frame) is not None,
         "size": [located.frame.width, located.frame.height],

@@ -205,6 +205,7 @@ class FlightWindow:
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height))
         shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
+        failed = analysis.matches[0].true is False
         message = self._message_of(shown)
         self._progress.show(
             page.calls({"status": (message and message.text) or page.progress(job, len(view.flight.frames))})
@@ -212,7 +213,9 @@ class FlightWindow:
         self._chosen.show(
             page.calls(
                 {
-                    "follow": None if shown is None else page.chosen(view, shown, self._pictures.address, saves),
+                    "follow": None
+                    if shown is None
+                    else page.chosen(view, shown, self._pictures.address, saves, failed),
                     "answer": page.answer_window(view, analysis),
                 }
             )

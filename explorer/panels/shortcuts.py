@@ -59,6 +59,7 @@ def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None
         ("Compare the true tile", "T", lambda state: replace(state, selected=POSITIVE)),
         (f"Take the {workspace.parts_word} apart", "X", lambda state: replace(state, exploded=not state.exploded)),
         ("Map on or off", "M", lambda state: _flip_map(workspace, state)),
+        (f"Close the map, or put the {workspace.parts_word} together", "escape", session_state.leave_stage_view),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
         ("Failure laboratory: all queries", "B", session_state.flip_lab),
         *([("Flight over its map", "W", session_state.flip_flight)] if workspace.has_flight else []),

@@ -270,6 +270,7 @@ class StoryWindow:
         self._reporter.make(
             lambda progress, model: exported.export(self._sources, self._url_state, told, dark, progress, model),
             "story",
+            "Export as one HTML file",
         )
 
     def _set_open(self, is_open: bool) -> None:

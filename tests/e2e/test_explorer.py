@@ -300,7 +300,17 @@ def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_c
     expect(marks).to_be_hidden()
     explorer.key("b")
     expect(marks).to_be_visible()
+    marks.get_by_role("button", name="Close the map").click()
+    expect(marks).to_have_count(0)
     explorer.key("m")
+    expect(marks).to_be_visible()
+    explorer.page.keyboard.press("Control+k")
+    search = explorer.page.get_by_placeholder("Search commands")
+    expect(search).to_be_visible()
+    explorer.page.keyboard.press("Escape")  # the palette takes it
+    expect(search).to_have_count(0)
+    expect(marks).to_be_visible()
+    explorer.key("Escape")
     expect(marks).to_have_count(0)
 
 

@@ -9,12 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import Locator, Page, Route, expect
+from playwright.sync_api import BrowserContext, Locator, Page, Route, expect
 
 import lpn
 from explorer.app import App
 from explorer.compute.ranking_job import RankingJob
-from explorer.workspace import Workspace
+from explorer.opening import open_model
+from explorer.workspace import LazyWorkspace, Workspace
 from lpn.flights import Flight, Frame
 from lpn.locate.audit import TagAudit
 from lpn.locate.corrections import read_corrections
@@ -38,9 +39,10 @@ RED = (200, 30, 40)
 
 @dataclass(frozen=True)
 class RunningFlight:
-    """A running app, the flight's folder, and the origin of the map's frame in degrees."""
+    """A running app, its workspace, the flight's folder, and the origin of the map's frame in degrees."""
 
     url: str
+    workspace: Workspace
     folder: Path
     origin: tuple[float, float]
 
@@ -77,7 +79,7 @@ def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> It
         workspace.flight = located
         app = App(workspace, "127.0.0.1", free_port())
         origin = town.frame.latitude, town.frame.longitude
-        yield RunningFlight(f"http://127.0.0.1:{app.server.get_port()}", folder, origin)
+        yield RunningFlight(f"http://127.0.0.1:{app.server.get_port()}", workspace, folder, origin)
         app.close()
 
 
@@ -293,3 +295,29 @@ def test_a_spot_lists_the_frames_that_show_it(window: FlightPage) -> None:
     expect(listed).to_contain_text("3 of 6 frames show")
     expect(listed.locator(".entry")).to_have_count(3)
     assert [one.get_attribute("data-frame") for one in listed.locator(".entry").all()] == ["3", "4", "5"]
+
+
+@pytest.mark.slow
+def test_the_chip_of_a_flight_opens_its_window_as_large_as_the_stage(
+    flight_app: RunningFlight, data: Path, model_file: Path, contexts: Callable[..., BrowserContext]
+) -> None:
+    workspace = flight_app.workspace
+    before = workspace.key, workspace.choices
+    others = {"flight": LazyWorkspace("a flight over its map", lambda _: workspace)}
+    app = App(open_model(data, model_file), "127.0.0.1", free_port(), None, "pairs", others)
+    explorer = ExplorerPage(contexts(viewport={"width": 1024, "height": 600}).new_page())
+    try:
+        explorer.open(f"http://127.0.0.1:{app.server.get_port()}")
+        explorer.page.locator("#lpn-workspaces a", has_text="a flight over its map").click()
+        flight = explorer.page.locator("#lpn-flight")
+        expect(flight).to_be_visible()
+
+        def inside() -> None:
+            window, stage = box(flight), box(explorer.canvas)
+            assert window["x"] + window["width"] <= stage["x"] + stage["width"]
+            assert window["y"] + window["height"] <= stage["y"] + stage["height"]
+
+        explorer.eventually(inside)
+    finally:
+        app.close()
+        workspace.key, workspace.choices = before

@@ -187,6 +187,28 @@ def test_the_tour_is_shown_once_and_covers_nothing_it_speaks_of(app: RunningApp,
 
 
 @pytest.mark.slow
+def test_the_notice_about_software_webgl_is_seen_once_and_does_not_end_the_tour(
+    app: RunningApp, browser: Browser
+) -> None:
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    context.add_init_script("localStorage.setItem('lpn-screen', 'all')")
+    explorer = ExplorerPage(context.new_page())
+    explorer.open(app.url)
+    notice, card = explorer.page.locator("#webgl-software-rendering"), explorer.page.locator("#lpn-told.card")
+    if not notice.count():
+        pytest.skip("this browser draws by a graphics card")
+    expect(card).to_contain_text("1 of 5")
+    place = box(notice)
+    explorer.page.mouse.click(place["x"] + 20, place["y"] + 20)
+    expect(card).to_contain_text("1 of 5")
+    expect(notice).to_have_count(0)  # it goes by itself
+    explorer.page.reload()
+    explorer.await_answer()
+    expect(notice).to_have_count(0)
+    context.close()
+
+
+@pytest.mark.slow
 def test_the_tour_s_frame_follows_the_stage_on_a_low_screen(app: RunningApp, browser: Browser) -> None:
     context = browser.new_context(viewport={"width": 1440, "height": 900})
     context.add_init_script("localStorage.setItem('lpn-screen', 'all')")

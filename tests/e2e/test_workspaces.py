@@ -19,6 +19,7 @@ from explorer.app import App
 from explorer.client_session import ClientSession, WorkspaceServices
 from explorer.compute.background_jobs import ReportProgress
 from explorer.opening import open_model
+from explorer.stage.viewport import EDGE
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
 from tests.e2e.conftest import PATIENCE, ExplorerPage
@@ -85,6 +86,19 @@ def test_a_page_changes_its_workspace_and_back(
     expect(notice).to_have_count(0)
     explorer.expect_status("angle", "0")
     expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
+    explorer.key("b")  # its windows know the size of the stage
+    lab = explorer.page.locator(".mantine-Paper-root", has=explorer.page.locator("#lpn-lab-table")).last
+    expect(lab).to_be_visible()
+
+    def fits() -> None:
+        window, stage = lab.bounding_box(), explorer.canvas.bounding_box()
+        assert window is not None
+        assert stage is not None
+        assert window["width"] == pytest.approx(stage["width"] - 2 * EDGE, abs=2)
+
+    explorer.eventually(fits)
+    explorer.key("b")
+    expect(lab).to_have_count(0)
     explorer.key("n")  # its controls, keys, and messages work
     explorer.expect_status("query", "1")
     name = explorer.status.get_attribute("data-name")

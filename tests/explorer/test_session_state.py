@@ -149,3 +149,13 @@ def test_next_and_previous_go_through_an_order() -> None:
     assert session_state.step_in_order(session, -1, order, 13).query == 3
     assert [session_state.step_in_order(replace(session, query=0), by, order, 13).query for by in (1, -1)] == [3, 5]
     assert session_state.step_in_order(session, 1, order[:0], 13) is session
+
+
+def test_escape_closes_the_map_then_puts_the_rings_together_and_nothing_under_a_window(state: SessionState) -> None:
+    both = replace(state, map=True, exploded=True)
+    apart = session_state.leave_stage_view(both)
+    assert (apart.map, apart.exploded) == (False, True)
+    assert session_state.leave_stage_view(apart) == state
+    for window in ("why", "lab", "flight"):
+        covered = session_state.with_field(both, window, True)
+        assert session_state.leave_stage_view(covered) == covered

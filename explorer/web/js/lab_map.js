@@ -8,10 +8,23 @@
   const REACH = 9, REST = 120;
   // Corners of a lasso that the server takes, and pixels between them.
   const CORNERS = 300, APART = 5;
+  // A drag is straight if it leaves the line between its ends by at most this share of their distance; it spans a box, each side of
+  // which has some pixels.
+  const STRAIGHT = 0.12, LEAST_SIDE = 6;
   // Selected queries beyond which marks are small and have hard edges.
   const MANY = 15000;
   const GREY = "#8a8a8a", PALE = "#515357", TILE = "#9aa1a8";
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+  // The corners of what a drag encloses: its own, or those of the box that a straight one spans; null if it encloses nothing.
+  const enclosed = (drag) => {
+    if (drag.length < 2) return null;
+    const [[x0, y0], [x1, y1]] = [drag[0], drag[drag.length - 1]], [right, down] = [x1 - x0, y1 - y0];
+    const far = Math.hypot(right, down), off = ([x, y]) => Math.abs((x - x0) * down - (y - y0) * right) / far;
+    const along = ([x, y]) => ((x - x0) * right + (y - y0) * down) / far;
+    const slack = STRAIGHT * far;
+    if (!far || drag.some((at) => !(off(at) <= slack && along(at) >= -slack && along(at) <= far + slack))) return drag.length > 2 ? drag : null;
+    return Math.min(Math.abs(right), Math.abs(down)) < LEAST_SIDE ? null : [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
+  };
   const views = new Map(); // middle and pixels per unit of each map that was looked at
   let mode = "move", data = null, root = null, current = null;
 
@@ -280,7 +293,7 @@
       if (hovered >= 0) ring(pen, hovered, data.ground ? 13 : 8, "#56b4e9", 2);
       if (lasso && lasso.length > 1) {
         pen.beginPath();
-        lasso.forEach((at, i) => pen[i ? "lineTo" : "moveTo"](...at));
+        (enclosed(lasso) || lasso).forEach((at, i) => pen[i ? "lineTo" : "moveTo"](...at));
         pen.closePath();
         pen.fillStyle = "rgba(86,180,233,.18)";
         pen.fill("evenodd");
@@ -365,8 +378,11 @@
         } else if (lasso) {
           const [left, top] = lasso[lasso.length - 1];
           if (Math.hypot(now[0] - left, now[1] - top) > APART) lasso.push(now);
-          if (lasso.length > 2 && !asked)
-            asked = requestAnimationFrame(() => ((asked = 0), lasso && tell(inLasso(lasso.map(toPlane)))));
+          asked ||= requestAnimationFrame(() => {
+            asked = 0;
+            const corners = lasso && enclosed(lasso);
+            tell(corners ? inLasso(corners.map(toPlane)) : data.selected);
+          });
           soon();
         } else if (dragged > 4) pan(now[0] - last[0], now[1] - last[1]);
         last = now;
@@ -387,9 +403,10 @@
       lasso = null;
       soon();
       if (event.type !== "pointerup") return tell(data.selected);
-      if (drawn && drawn.length > 2 && dragged > 12) {
-        const step = Math.ceil(drawn.length / CORNERS);
-        const corners = drawn.filter((_, i) => i % step === 0).map(toPlane);
+      const chosen = drawn && dragged > 12 ? enclosed(drawn) : null;
+      if (chosen) {
+        const step = Math.ceil(chosen.length / CORNERS);
+        const corners = chosen.filter((_, i) => i % step === 0).map(toPlane);
         lpn.send("lab-lasso", [data.map, corners.map((corner) => corner.map((value) => +value.toFixed(6)))]);
       } else if (dragged <= 4 && !fingers.size) {
         const found = near(at(event));
@@ -425,8 +442,10 @@
       all: () => fit(null),
       chosen: () => fit((i) => flags[i] & SELECTED, 0.8),
     };
-    const pressed = () =>
+    const pressed = () => {
+      box.querySelector(".hint").hidden = mode !== "lasso";
       box.querySelectorAll("button").forEach((one) => ["move", "lasso"].includes(one.dataset.act) && one.setAttribute("aria-pressed", one.dataset.act === mode));
+    };
     box.querySelectorAll("button").forEach((one) => one.addEventListener("click", () => (ready() && acts[one.dataset.act](), pressed())));
     overlay.addEventListener("keydown", (event) => {
       if (!ready() || event.ctrlKey || event.metaKey || event.altKey) return;

@@ -11,8 +11,10 @@
   const box = document.createElement("div");
   box.id = "lpn-stage-map";
   box.className = "num";
-  box.innerHTML = '<div class="read"></div><canvas role="img" aria-label="Scale and north"></canvas>';
-  const [read, canvas] = box.children;
+  box.innerHTML =
+    '<div class="read"></div><button type="button" title="Back to the pair (M or Escape)">✕ Close the map (M)</button><canvas role="img" aria-label="Scale and north"></canvas>';
+  const [read, close, canvas] = box.children;
+  close.onclick = () => lpn.send("map-close");
 
   // The point of the ground under a place on the screen, in metres east and north; null above the horizon.
   const ground = (camera, [left, top], size) => {

@@ -155,7 +155,9 @@
   const keys = (event) => {
     if (told && free(told.steps[at])) {
       const pressed = document.getElementById("lpn-told").contains(event.target) && ["Enter", " "].includes(event.key);
-      return pressed || ["Tab", "Shift", "Control", "Alt", "Meta"].includes(event.key) || end(true);
+      if (pressed || ["Tab", "Shift", "Control", "Alt", "Meta"].includes(event.key)) return;
+      if (event.key === "Escape") event.stopImmediatePropagation(); // it closes nothing else
+      return end(true);
     }
     if (!told || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.('input, textarea, select, [role="slider"]')) return;
     if (event.key === " " && event.target.matches?.('button, [role="button"], [role="tab"]')) return;
@@ -168,7 +170,13 @@
     event.stopImmediatePropagation();
   };
   window.addEventListener("keydown", keys, true);
-  const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && end(true);
+  // A notice may be pressed meanwhile; all but its button lets presses through.
+  const inNotice = ({ clientX, clientY }) =>
+    [...document.querySelectorAll(".mantine-Notification-root")].some((notice) => {
+      const { left, right, top, bottom } = notice.getBoundingClientRect();
+      return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
+    });
+  const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
   window.addEventListener("pointerdown", pressed, true);
   // In full screen the browser takes Escape for itself.
   document.addEventListener("fullscreenchange", () => {

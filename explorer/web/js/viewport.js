@@ -55,7 +55,28 @@
     if (lpn.title && document.title !== lpn.title) document.title = lpn.title;
     for (const text of document.querySelectorAll(".mantine-Notification-description"))
       if (text.textContent === "File uploaded successfully.") text.textContent = "Sent; it is being read.";
+    if (softwareNotice()) seeOnce();
   });
+
+  // viser's notice about software WebGL would stay over the page, and return whenever it is loaded. viser may draw it twice.
+  const NOTICE_SEEN = "lpn-software-webgl", NOTICE_SHOWN = 12000;
+  const softwareNotice = () => document.getElementById("webgl-software-rendering");
+  let noticeSeen = false, noticeLeaves = 0;
+  try {
+    noticeSeen = sessionStorage.getItem(NOTICE_SEEN) !== null;
+  } catch {}
+  const seeOnce = () => {
+    if (noticeSeen) softwareNotice().style.display = "none";
+    if (noticeLeaves) return;
+    try {
+      sessionStorage.setItem(NOTICE_SEEN, "seen");
+    } catch {}
+    const leave = () => {
+      softwareNotice()?.querySelector("button")?.click();
+      noticeLeaves = 0;
+    };
+    noticeLeaves = setTimeout(leave, noticeSeen ? 0 : NOTICE_SHOWN);
+  };
   mended.observe(document.head, { childList: true, subtree: true, characterData: true });
   mended.observe(document.body, { childList: true, subtree: true });
 
@@ -122,17 +143,23 @@
     const height = entry.target.getBoundingClientRect().height;
     document.documentElement.style.setProperty("--lpn-sheet", height + "px");
   });
-  const stage = new ResizeObserver(([entry]) => {
-    const { width, height } = entry.contentRect;
+  const findCanvas = () => document.querySelector("canvas[data-engine]");
+  // Width and height of the stage in pixels; null while there is none.
+  lpn.stageSize = () => {
+    const canvas = findCanvas();
+    return canvas?.clientWidth && canvas.clientHeight ? [canvas.clientWidth, canvas.clientHeight] : null;
+  };
+  const stage = new ResizeObserver(() => {
     clearTimeout(stage.sending);
     stage.sending = setTimeout(() => {
-      lpn.send("viewport", [Math.round(width), Math.round(height)]);
+      const size = lpn.stageSize();
+      if (size) lpn.send("viewport", size);
       // On a resize viser may report the camera with the size of before, and the stage would be framed for that.
       window.__viserMutable?.sendCamera?.();
     }, 250);
   });
   lpn.watch = () => {
-    const canvas = document.querySelector("canvas[data-engine]");
+    const canvas = findCanvas();
     if (canvas) stage.observe(canvas);
     canvas?.setAttribute("role", "img");
     canvas?.setAttribute("aria-label", "Stage: the query, the compared tile, and the ranked tiles");

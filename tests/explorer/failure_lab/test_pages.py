@@ -34,7 +34,8 @@ def test_what_is_offered_and_shown_fits_the_number_of_queries_and_the_filter(fin
     for count in (0, 201):
         html = table.bar(findings, lab, count)
         assert "lab-report" not in html
-        assert f"A report holds 1 to 200 queries; {count} are chosen" in html
+        assert f"A report holds up to 200 queries; {count} are chosen" in html
+        assert ">Report: up to 200 queries<" in html
     rows = findings.table.rows()
     for before, shown in (("", "without a filter"), ("rank > 1", "of the last filter that could be read, rank &gt; 1")):
         wrong = state.set_filter(replace(lab, filter=before), "rank > 5 and", findings.table)
@@ -74,3 +75,12 @@ def test_a_chart_says_which_queries_it_counts(workspace: Workspace, findings: Fi
     assert "Failures by weather, of all 13 queries" in breakdown_page.page(
         findings, replace(lab, filter="rank > 1"), workspace
     )
+
+
+def test_a_bar_is_as_long_as_its_share(workspace: Workspace, findings: Findings, lab: LabState) -> None:
+    cards = [card for card in breakdown_page.cards(findings, lab, workspace) if card.style == "rate"]
+    contents = [line.content for card in cards for line in card.lines]
+    assert contents
+    for _, bar, share in contents:  # type: ignore[misc]
+        assert bar.share == 100 * share
+        assert bar.low + bar.width <= 100.5

@@ -21,7 +21,14 @@ from tests.explorer.failure_lab.conftest import TASK
 
 
 @pytest.fixture
-def window(workspace: Workspace, service: FailureLab, findings: Findings) -> Iterator[FailureLabWindow]:
+def viewport() -> Viewport:
+    return Viewport()
+
+
+@pytest.fixture
+def window(
+    workspace: Workspace, service: FailureLab, findings: Findings, viewport: Viewport
+) -> Iterator[FailureLabWindow]:
     assert findings is service.findings(TASK)
     client = SimpleNamespace(gui=WindowGui())
     made = FailureLabWindow(
@@ -30,7 +37,7 @@ def window(workspace: Workspace, service: FailureLab, findings: Findings) -> Ite
         service,
         Feeds(workspace),
         lambda _: None,
-        Viewport(),
+        viewport,
         SimpleNamespace(),  # type: ignore[arg-type]
     )
     yield made
@@ -113,3 +120,21 @@ def test_the_chosen_queries_are_tagged_and_kept_as_a_view(
     assert window._drawer_message[1] is False
     handle["lab-view-remove"]("nine")
     assert service.views(TASK) == ()
+
+
+def test_the_window_follows_a_resize_while_it_is_placed_and_keeps_room_for_its_table(
+    window: FailureLabWindow, viewport: Viewport
+) -> None:
+    placed: list[dict[str, int]] = []
+
+    def resize_once() -> None:
+        if len(placed) == 1:
+            viewport.update([650, 600])
+
+    window._worker.stop()
+    window._panel.float = lambda **place: placed.append(place)  # type: ignore[method-assign]
+    window._panel.expand = resize_once  # type: ignore[method-assign]
+    viewport.update([900, 1000])
+    for _ in range(3):
+        window._place(False)
+    assert [(place["width"], place["height"]) for place in placed] == [(888, 498), (638, 368)]

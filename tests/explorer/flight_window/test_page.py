@@ -78,6 +78,9 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     assert "pictures/x/pair/0" in first
     assert "pictures/x/ground/0" in first
     assert "by its neighbours" in third
+    assert "retrieval alone" not in first
+    assert "this is the answer of the registration." in page.card(view, 0, "pictures/x/", retrieval_failed=True)
+    assert "this is the answer of the sequence." in page.card(view, 2, "pictures/x/", retrieval_failed=True)
     assert "<b>photo2" not in third
     assert "<i>4" not in third
     assert "Only &lt;i&gt;4&lt;/i&gt; matches agree." in third

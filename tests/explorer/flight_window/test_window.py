@@ -51,7 +51,8 @@ class WindowOf:
     def show(self, frame: int) -> None:
         """Choose a frame, as the stage does."""
         state = SessionState("drone-to-satellite", 2, query=frame, flight=True)
-        self.window.show(SimpleNamespace(state=state, chosen=SimpleNamespace(index=0)))  # type: ignore[arg-type]
+        chosen = SimpleNamespace(index=0, true=False)
+        self.window.show(SimpleNamespace(state=state, chosen=chosen, matches=[chosen]))  # type: ignore[arg-type]
         self.work()
 
     def send(self, kind: str, value: Any) -> None:
@@ -143,3 +144,7 @@ def test_a_resize_while_the_window_is_placed_is_followed(make: Callable[[], Wind
     count = panel.float.call_count
     page.work()
     assert panel.float.call_count == count
+
+
+def test_a_wrong_answer_of_retrieval_is_told_apart_from_that_of_the_registration(make: Callable[[], WindowOf]) -> None:
+    assert "is the answer of retrieval alone; this is the answer of the registration." in make().text

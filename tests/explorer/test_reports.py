@@ -1,0 +1,30 @@
+"""The progress of files that are made in the background."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+from explorer.compute.background_jobs import ReportProgress
+from explorer.reports import Reporter
+
+
+def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
+    shown: list[Any] = []
+    told, sent = [], threading.Event()
+
+    def add_notification(title: str, body: str, **_: Any) -> Any:
+        shown.append(SimpleNamespace(title=title, body=body, remove=lambda: None))
+        return shown[-1]
+
+    def work(progress: ReportProgress, _: object) -> tuple[str, bytes]:
+        told.append(shown[0].body)
+        progress(1, 2)
+        told.append(shown[0].body)
+        return "story.html", b""
+
+    client = SimpleNamespace(add_notification=add_notification, send_file_download=lambda *_, **__: sent.set())
+    Reporter(client, None).make(work, "story", "Export")  # type: ignore[arg-type]
+    assert sent.wait(10)
+    assert told == ["Press “Export” again to cancel.", "1 of 2 done. Press “Export” again to cancel."]
