@@ -256,7 +256,8 @@ class ClientSession:
 
     def _on_other(self, key: Any) -> None:
         if isinstance(key, str) and key in self._workspace.choices and key != self._workspace.key:
-            self._show_other(self, key, f"?show={key}&theme={'dark' if self._state.dark else 'light'}")
+            screen = "&screen=first" if self._state.first_screen else ""
+            self._show_other(self, key, f"?show={key}&theme={'dark' if self._state.dark else 'light'}{screen}")
 
     def _on_select(self, shown: SessionState, index: int) -> None:
         self.change(lambda state: session_state.compare(state, shown, index))
@@ -306,8 +307,8 @@ class ClientSession:
             before = self._state
         state, problems = self._url_state.read(search, before)
         state = plain_state(state, value.get("first"), self._url_state.names_a_state(search))
-        if self._url_state.names_only_a_workspace(search):
-            state = replace(state, flight=True)  # of a workspace without a flight, `change` drops this
+        if self._workspace.has_flight and self._url_state.names_only_a_workspace(search):
+            state = replace(state, flight=True, first_screen=False)
         with self._lock:
             self._lab.restore(state)
             self.change(lambda _: state)

@@ -128,12 +128,12 @@ class UrlState:
         return bool(self._named(text))
 
     def names_only_a_workspace(self, text: str) -> bool:
-        """Return True if a query string names a workspace, and nothing to show in it besides a theme.
+        """Return True if a query string names a workspace, and nothing to show in it besides a theme and a screen.
 
         Args:
             text: untrusted.
         """
-        return self._named(text) == {"show"}
+        return self._named(text) - {"screen"} == {"show"}
 
     def _named(self, text: str) -> set[str]:
         """Return the keys of what a query string names besides a theme; none if it has too many parameters."""

@@ -73,8 +73,9 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
     right, headline, sentence = answer_text.plain_verdict(analysis)
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
-    positive = analysis.positive
-    missed = right is False and positive is not None and not positive.beyond and analysis.chosen.rank == 1
+    positive, third = analysis.positive, None if lead is None else lead.index
+    if third is None and right is False and positive is not None and not positive.beyond:
+        third = positive.index
     return render(
         "first_screen",
         workspace=workspace,
@@ -84,7 +85,7 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
-        true_tile=_true_tile(analysis, workspace) if missed else "",
+        third=_third_tile(analysis, workspace, third) if third is not None and analysis.chosen.rank == 1 else None,
         right=right,
         headline=headline,
         sentence=sentence,
@@ -94,7 +95,7 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         heat=cells is not None,
-        overall=answer_text.overall(workspace.rankings[task.name].result),
+        overall="" if state.upload else answer_text.overall(workspace.rankings[task.name].result),
         rendered=is_rendered(workspace.root),
         alterations=session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view])),
     )
@@ -129,9 +130,20 @@ def _picture(
     return overlays.data_uri(picture, 85)
 
 
-def _true_tile(analysis: StateAnalysis, workspace: Workspace) -> str:
-    assert analysis.positive is not None
-    return overlays.data_uri(workspace.card(analysis.task, analysis.positive.index), 85)
+def _third_tile(analysis: StateAnalysis, workspace: Workspace, index: int) -> tuple[str, str, bool | None]:
+    """Return the tile beside the answer: its picture as a data URI, its caption, and whether it is true.
+
+    Parts that differ from picture to picture are not drawn, as they would take a forward pass.
+    """
+    task, lead = analysis.task, answer_text.lead(analysis)
+    known = analysis.ranking.relevant is not None
+    right = analysis.positive is not None and analysis.positive.index == index
+    caption = "The right one" if right or lead is None else lead.other.capitalize()
+    if not analysis.state.why:
+        return overlays.data_uri(workspace.card(task, index), 85), caption, right
+    described = DescribedPicture(task.gallery[index].load_cropped(), task.stored_descriptor(index), None, None)
+    drawn = draw_parts(workspace, described, task.gallery_view, _SIZE)
+    return overlays.data_uri(drawn, 85), caption, right if known else None
 
 
 def plain_state(state: SessionState, first: Any, named: bool) -> SessionState:

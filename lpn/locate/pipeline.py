@@ -73,6 +73,8 @@ _OVERLAP = 0.75
 _CONFIDENCE = 0.98
 # Steps of known time between frames that can be read, from which a flight's motion is told.
 _LEAST_STEPS = 10
+# Standard deviation of a step, as a share of the distance between windows, below which it tells no direction.
+_LEAST_STEP = 0.3
 # Windows of a frame are kept whose centres lie so far apart, as a share of their side: overlapping ones show one place.
 _APART = 0.5
 # Seconds from one answer of a registration that goes on to the next.
@@ -634,8 +636,9 @@ def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], 
         located.stages["sequence"] = StageRecord(state, sentence, x, y, radius=radius, heading=heading)
     start, stop = fitted_frames(len(frames))
     read = np.array([i not in found.broken for i in range(start, stop)])
-    steps = np.isfinite(np.diff(flight.times[start:stop])) & read[1:] & read[:-1]
-    if motion.along or steps.sum() < _LEAST_STEPS:
+    seconds = np.diff(flight.times[start:stop])
+    seconds = seconds[np.isfinite(seconds) & read[1:] & read[:-1]]
+    if motion.along or len(seconds) < _LEAST_STEPS or motion.speed * np.median(seconds) < _LEAST_STEP * spacing:
         return []
     return [
         "The scores are more probable where the drone moves in any direction than where it flies along its headings: it flew "

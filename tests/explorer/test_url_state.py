@@ -227,6 +227,7 @@ def test_an_address_names_its_workspace_where_there_are_several(data: Path, mode
         assert links.other_workspace("?" + "&".join("show=flight" for _ in range(300))) is None
     assert "nothing else to show than pairs, flight" in links.read("show=rubbish", state)[1][0]
     assert links.names_only_a_workspace("?show=flight&theme=dark")
+    assert links.names_only_a_workspace("?show=pairs&screen=first")
     for text in ("", "theme=dark", "show=flight&query=0001", "&".join("show=flight" for _ in range(300))):
         assert not links.names_only_a_workspace(text)
 

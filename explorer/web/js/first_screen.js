@@ -31,6 +31,7 @@
     const page = before || document.body.appendChild(document.createElement("main"));
     page.id = "lpn-first";
     page.className = "lpn";
+    const explained = page.querySelector(".reason");
     const focused = page.contains(document.activeElement) ? document.activeElement.dataset.act : null;
     page.innerHTML = html;
     page.onclick = (event) => {
@@ -39,6 +40,7 @@
       pressed.classList.add("waiting");
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
+    if (!explained) page.querySelector(".reason")?.scrollIntoView({ block: "nearest" });
     if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
     document.getElementById("root")?.setAttribute("inert", "");
   };

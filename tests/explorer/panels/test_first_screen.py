@@ -87,6 +87,8 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     ]
     ahead, behind = (float((side.constants * weights).sum()) for side in sides)
     assert cells.sum() + 2 * (ahead - behind) == pytest.approx(lead.total, abs=1e-5)
+    assert html.count("<img") == 3, "the other tile stands beside the answer"
+    assert ("The best wrong picture" if found else "The right one") in html
     plain = first_screen.page(before, workspace)
     assert "speak for this answer" in html
     assert "speak for this answer" not in plain
@@ -115,6 +117,7 @@ def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace) -> None:
     html = first_screen.page(analysis, workspace)
     assert "Your picture" in html
     assert "not graded" in html
+    assert "Over all" not in html, "nobody knows how often the model is right on such pictures"
     lead = answer_text.lead(analysis)
     assert lead is not None
     assert lead.other == "the next best picture"

@@ -534,12 +534,15 @@ def _ranked(
     return frames
 
 
-@pytest.mark.parametrize(("turned", "told"), [(0, False), (90, True)])
-def test_steps_that_do_not_follow_the_headings_are_told(flight: Flight, turned: int, told: bool) -> None:
+@pytest.mark.parametrize(("turned", "seconds", "told"), [(0, 4.0, False), (90, 4.0, True), (90, 0.1, False)])
+def test_steps_that_do_not_follow_the_headings_are_told(
+    flight: Flight, turned: int, seconds: float, told: bool
+) -> None:
+    """A step of a tenth of a second is much shorter than the windows' spacing, at every speed that is tried."""
     columns = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
     east = [True] * 5 + [False] * 4 + [True] * 3
     frames = tuple(
-        replace(flight.frames[0], time=4.0 * i, heading=float((90 if along else 270) + turned) % 360)
+        replace(flight.frames[0], time=seconds * i, heading=float((90 if along else 270) + turned) % 360)
         for i, along in enumerate(east)
     )
     notes: list[str] = []
