@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -147,7 +148,7 @@ class ClientSession:
                 self._panels.answer.stories,
                 lambda: self._state,
                 self._show_address,
-                self._show_state,
+                partial(self._show_state, whole=True),
                 lambda function, *arguments: self._bridge.call(function, *arguments),
                 viewport,
                 self._reporter,
@@ -282,8 +283,8 @@ class ClientSession:
         self._show_state(state)
         return problems
 
-    def _show_state(self, state: SessionState) -> None:
-        self._lab.restore(state)
+    def _show_state(self, state: SessionState, whole: bool = False) -> None:
+        self._lab.restore(state, whole)
         self.change(lambda _: state)
 
     def _stop_waiting(self) -> None:

@@ -108,11 +108,15 @@ class FailureLabWindow:
             self._view = _View(shown.task, query, shown.lab)
         self._worker.wake()
 
-    def restore(self, session: SessionState) -> None:
-        """Show what an address says of the laboratory, as soon as there is a table."""
+    def restore(self, session: SessionState, whole: bool = False) -> None:
+        """Show what a state says of the laboratory, as soon as there is a table.
+
+        Args:
+            whole: it says something of a closed laboratory, too, unlike an address.
+        """
         with self._lock:
             self._lab = state.for_task(self._lab, session.task)
-            if session.lab:
+            if session.lab or whole:
                 self._wanted = session.task, session.laboratory
         self._worker.wake()
 

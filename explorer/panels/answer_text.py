@@ -98,7 +98,8 @@ def overall(ranking: TaskRanking | None) -> str:
     if ranking is None or not (graded := int(ranking.results["queries"])):
         return ""
     share = ranking.results["recall@1"]
-    return f"Over all {graded:,} pictures its first answer is right {share / 100 * graded:,.0f} times ({share:.0f} %)."
+    right = f"{share / 100 * graded:,.0f} times ({math.floor(share)} %)"  # never rounded up to all
+    return f"Over all {graded:,} pictures its first answer is right {right}."
 
 
 def _error_m(analysis: StateAnalysis) -> float | None:

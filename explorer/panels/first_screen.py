@@ -20,6 +20,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn import explain
 from lpn.core import images
 from lpn.core.arrays import Float64Array
+from lpn.core.errors import PictureError
 from lpn.core.views import View
 from lpn.datasets.rendered import is_rendered
 from lpn.drawing import overlays
@@ -102,8 +103,16 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:
-    """Return each cell's share of the lead on the query's side, (h, w), so that cells and bars agree; None without a network."""
-    if analysis.query.trace is None or analysis.tile.trace is None or analysis.chosen.rank != 1:
+    """Return each cell's share of the lead on the query's side, (h, w), so that cells and bars agree.
+
+    None without a network, and while only some cells of the query are searched by.
+    """
+    if (
+        analysis.state.region
+        or analysis.query.trace is None
+        or analysis.tile.trace is None
+        or analysis.chosen.rank != 1
+    ):
         return None
     answer, other = analysis.tile.trace.embedding, analysis.task.stored_descriptor(lead.index)
     ahead, behind = (
@@ -141,8 +150,11 @@ def _third_tile(analysis: StateAnalysis, workspace: Workspace, index: int) -> tu
     caption = "The right one" if right or lead is None else lead.other.capitalize()
     if not analysis.state.why:
         return overlays.data_uri(workspace.card(task, index), 85), caption, right
-    described = DescribedPicture(task.gallery[index].load_cropped(), task.stored_descriptor(index), None, None)
-    drawn = draw_parts(workspace, described, task.gallery_view, _SIZE)
+    try:
+        picture = task.gallery[index].load_cropped()
+    except PictureError:
+        picture = workspace.card(task, index)  # grey
+    drawn = draw_parts(workspace, replace(analysis.tile, picture=picture, trace=None), task.gallery_view, _SIZE)
     return overlays.data_uri(drawn, 85), caption, right if known else None
 
 

@@ -66,7 +66,7 @@ class StoryWindow:
         self._sources = sources
         self._client, self._workspace, self._url_state, self._row = client, workspace, url_state, row
         self._state, self._go, self._restore, self._call = state, go, restore, call
-        # What was shown before the first step of the story that is told; None while none is.
+        # The state before the first step of the story that is told; None while none is.
         self._before: SessionState | None = None
         self._viewport, self._reporter = viewport, reporter
         self._lock = threading.RLock()

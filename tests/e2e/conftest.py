@@ -72,6 +72,7 @@ def started(
     beside: Path | None = None,
     options: Sequence[str] = (),
     program: Sequence[str] = ("-m", "lpn"),
+    port: int = 0,
 ) -> Iterator[RunningApp]:
     """Run `lpn explore` as a process.
 
@@ -80,11 +81,12 @@ def started(
         saved: a published result to open in place of the model.
         beside: a second model.
         program: what Python runs.
+        port: any that is free by default.
     """
     source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
     source += [] if beside is None else ["--beside", beside]
     inputs = [] if default else ["--data", data, *source]
-    command = [sys.executable, *program, "explore", *inputs, "--port", str(free_port()), *options]
+    command = [sys.executable, *program, "explore", *inputs, "--port", str(port or free_port()), *options]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None

@@ -415,6 +415,25 @@ def test_a_server_that_is_gone_is_said_to_be(app: RunningApp, contexts: Callable
     expect(explorer.page.locator("#lpn-notice.shown")).to_contain_text("Start it again")
 
 
+# Opens websockets to a server that is gone, so many that Chromium delays each further one by up to 5 s.
+FAIL_OFTEN = """async () => {
+  for (let i = 0; i < 36; i++)
+    await new Promise(done => { new WebSocket(location.origin.replace("http", "ws")).onclose = done; });
+}"""
+
+
+@pytest.mark.slow
+def test_a_page_finds_its_server_after_a_long_outage(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
+    explorer, port = ExplorerPage(contexts().new_page()), free_port()
+    with started(app.data, app.model, app.model.parent / "cache", port=port) as running:
+        explorer.open(running.url)
+    explorer.page.evaluate(FAIL_OFTEN)
+    with started(app.data, app.model, app.model.parent / "cache", port=port):
+        expect(explorer.page.locator("#lpn-notice.shown")).to_contain_text("The server answers again")
+        explorer.fill("Rotate", "10")
+        explorer.expect_status("angle", "10")
+
+
 def test_the_glossary_opens_over_the_page_and_closes(explorer: ExplorerPage) -> None:
     term = explorer.page.get_by_role("cell", name="hardest negative is the negative of the highest score", exact=False)
     for close in (

@@ -158,7 +158,7 @@ def test_a_wrong_value_is_dropped_alone_and_said(workspace: Workspace, links: Ur
     assert says in said[0]
     assert wrong.split("=")[0] in said[0]
     expected = replace(start(workspace), angle=30.0, rings=False)
-    # What is done to a picture suits no other one.
+    # A turn of one picture suits no other one.
     assert read == (replace(expected, angle=0.0) if wrong.startswith(("angle", "query=own")) else expected)
 
 

@@ -380,7 +380,8 @@
           if (Math.hypot(now[0] - left, now[1] - top) > APART) lasso.push(now);
           asked ||= requestAnimationFrame(() => {
             asked = 0;
-            const corners = lasso && enclosed(lasso);
+            if (!lasso) return; // it was sent meanwhile
+            const corners = enclosed(lasso);
             tell(corners ? inLasso(corners.map(toPlane)) : data.selected);
           });
           soon();

@@ -42,7 +42,7 @@
     return read && new File([read], file.name, { type: file.type });
   };
   const one = async (file) => {
-    const read = file.size > LARGEST ? file : await whole(file); // the server names one that is too large
+    const read = await whole(file);
     if (read) put(read);
     else lpn.say(short(file.name) + " cannot be read by the browser; check that it is still there and that you may read it.", 8);
   };
@@ -58,7 +58,7 @@
     else lpn.send("own-skip", [number, short(file.name)]);
   };
 
-  const take = (files, beyond = 0) => (files.length === 1 && !files[0].unread && box() ? one(files[0]) : begin(files, beyond));
+  const take = (files, beyond = 0) => (files.length === 1 && !files[0].unread && files[0].size <= LARGEST && box() ? one(files[0]) : begin(files, beyond));
   // viser's own chooser may lie in a part of the page that takes no input.
   const choose = (options) => {
     const chooser = Object.assign(document.createElement("input"), { type: "file", ...options });

@@ -5,6 +5,7 @@
   if (lpn.tell) return;
   let told = null, at = 0, withNotes = false, wasFull = false;
   let before = ""; // the screen that the story was begun on, see `lpn.screen`
+  let moved = false; // a step has changed the state
   let notes = null; // the presenter's window
   let wanted = null; // a story that waits for the workbench
   const SEEN = "lpn-tour";
@@ -129,12 +130,13 @@
     at = to;
     draw();
     if (!free(told.steps[at]) && !document.fullscreenElement) document.documentElement.requestFullscreen?.().catch(() => {});
-    if (told.steps[at].shows) lpn.send("story-step", [at, told.steps[at].shows]);
+    if (!told.steps[at].shows) return;
+    moved = true;
+    lpn.send("story-step", [at, told.steps[at].shows]);
   };
 
-  // What was shown before comes back, unless the person stays.
+  // The page goes back to the state before the story, unless the person stays.
   const end = (stay = false) => {
-    const moved = told.steps.some((step) => step.shows);
     if (told.name === lpn.tour.name) remember();
     told = null;
     notes?.close();
@@ -198,7 +200,7 @@
       wanted = story;
       return lpn.send("screen", "all");
     }
-    if (!told) before = lpn.screen();
+    if (!told) [before, moved] = [lpn.screen(), false];
     told = story;
     frame();
     go(0);

@@ -88,8 +88,8 @@
   Worker.prototype.postMessage = function (message, ...rest) {
     if (message?.type !== "retry") return post.call(this, message, ...rest);
     if (trying) return;
-    trying = true;
     const asked = fetch("pictures/", { cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
+    trying = true;
     const answered = asked.then((answer) => answer.status < 500, () => false);
     answered.then((up) => {
       if (up) post.call(this, message, ...rest);
@@ -106,7 +106,6 @@
     if (lost && shade && !now) lpn.say("The server answers again.");
     if (shade) lost = now;
   }, 1000);
-
 
   // The closing command palette restores the focus; set it afterwards.
   lpn.focus = (uuid) =>

@@ -37,7 +37,7 @@ from explorer.server.message_filter import MessageFilter
 from explorer.server.viser_compat import SendBuffer
 from explorer.session_state import SessionState
 from explorer.stage.scene import Stage
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import retrieval
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
@@ -258,6 +258,25 @@ def test_the_first_answer_of_a_browser_may_be_refused_too(
         gate.open.set()
         monkeypatch.setattr(workspace.inference, "_max_queued", 1)
         browser.wait(lambda: browser.status("seq") == "1")
+
+
+def test_nothing_is_drawn_before_a_page_sends_its_address(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    analysed = threading.Event()
+    analyse = StateAnalyser.analyse
+
+    def observed(analyser: StateAnalyser, state: SessionState, k: int) -> StateAnalysis:
+        analysis = analyse(analyser, state, k)
+        analysed.set()
+        return analysis
+
+    monkeypatch.setattr(StateAnalyser, "analyse", observed)
+    with Browser(url(app)) as browser:
+        browser.camera()
+        browser.wait(lambda: browser.find("page") is not None)
+        assert analysed.wait(TIMEOUT), "the state that most pages open with is analysed meanwhile"
+        browser.tell("hello", {"search": "?angle=30", "small": False})
+        browser.wait(lambda: browser.status("angle") == "30")
+        assert {angle for _, angle in browser.shown} == {30.0}
 
 
 def test_a_page_that_loads_slowly_keeps_the_state_of_its_address(app: App, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from explorer.failure_lab import messages, state, table
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState, Selection
 from explorer.failure_lab.window import FailureLabWindow
+from explorer.session_state import LabChoices, SessionState
 from explorer.stage.viewport import Viewport
 from explorer.workspace import Workspace
 from lpn.analysis.named_views import NAME, ChosenQueries, NamedView
@@ -70,6 +71,16 @@ def test_a_view_brings_back_what_was_chosen(findings: Findings, lab: LabState) -
     assert (again.map, again.colour, again.outcome) == ("ground", "weather", "failed")
     assert state.to_view(findings, again, "roofs") == view
     assert again.text_revision > lab.text_revision
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_former_state_brings_back_the_choices_of_a_closed_laboratory_too(
+    window: FailureLabWindow, whole: bool
+) -> None:
+    session = SessionState(TASK, 4, laboratory=LabChoices(outcome="failed", filter="rank > 3"))
+    window.restore(session, whole)
+    window._draw()
+    assert (window._lab.outcome, window._lab.filter) == (("failed", "rank > 3") if whole else ("all", ""))
 
 
 def test_a_view_of_other_data_says_what_is_missing(findings: Findings, lab: LabState) -> None:
