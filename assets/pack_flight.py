@@ -1,8 +1,8 @@
 """Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
 
 FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos in a row as WebP with their EXIF and XMP,
-because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; and `truth.csv` with the
-rows of these photos.
+because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; `truth.csv` with the
+rows of these photos; and `flight_world.json`, which says that all of it is rendered.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from PIL import Image
 
 from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.files import write_atomic
-from lpn.datasets.rendered import UNFINISHED
+from lpn.datasets.rendered import FLIGHT_PLAN, UNFINISHED
 from lpn.world.flight import MAP, TRUTH
 from lpn.world.flight_files import compressed_map
 
@@ -61,6 +61,7 @@ def pack(flight: Path, out: Path) -> None:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([header, *chosen])
     write_atomic(out / TRUTH, text.getvalue().encode())
+    write_atomic(out / FLIGHT_PLAN, (flight / FLIGHT_PLAN).read_bytes())
     write_atomic(out / packed_map, compressed_map(flight / MAP, QUALITY["map"]))
 
 

@@ -26,6 +26,7 @@ from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.datasets.city_model import city_model
 from lpn.datasets.geo import Positions, on_plane
+from lpn.datasets.rendered import is_rendered_flight
 from lpn.doctor import environment_check
 from lpn.flights import open_flight
 from lpn.flights.sources import make_flight
@@ -160,6 +161,7 @@ def test_the_demo_s_flight_lies_on_its_map_and_near_the_truth() -> None:
     pytest.importorskip("rasterio")
     town, flight = open_map(DEMO_FLIGHT[0]), open_flight(DEMO_FLIGHT[1])
     assert len(flight.frames) == pack_flight.COUNT
+    assert is_rendered_flight(DEMO_FLIGHT[1])
     for frame in flight.frames:
         assert None not in (frame.heading, frame.pitch, frame.roll, frame.fov, frame.height_above_takeoff, frame.time)
     west, south, east, north = town.bounds
@@ -192,6 +194,7 @@ def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(
     monkeypatch.setattr(pack_flight, "COUNT", 3)
     monkeypatch.setattr(sys, "argv", ["pack_flight.py", str(made), str(packed)])
     pack_flight.main()
+    assert (packed / "flight_world.json").read_bytes() == (made / "flight_world.json").read_bytes()
     before = {frame.name: frame for frame in make_flight([made / "photos", made / "truth.csv"], tmp_path / "a").frames}
     after = make_flight([packed / DEMO_FLIGHT[1].name, packed / "truth.csv"], tmp_path / "b").frames
     assert [frame.name for frame in after] == [f"LPN_{number:04d}.webp" for number in (6, 7, 8)]

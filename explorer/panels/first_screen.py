@@ -22,7 +22,7 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import PictureError
 from lpn.core.views import View
-from lpn.datasets.rendered import is_rendered
+from lpn.datasets.rendered import is_rendered, is_rendered_flight
 from lpn.drawing import overlays
 from lpn.retrieval import DescribedPicture
 
@@ -97,7 +97,7 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         stories=stories,
         heat=cells is not None,
         overall="" if state.upload else answer_text.overall(workspace.rankings[task.name].result),
-        rendered=is_rendered(workspace.root),
+        rendered=is_rendered(workspace.root) or is_rendered_flight(workspace.root),
         alterations=session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view])),
     )
 

@@ -8,6 +8,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 
 PLAN = "world.json"
+FLIGHT_PLAN = "flight_world.json"
 # Present in a world's folder until its last picture is rendered.
 UNFINISHED = "unfinished.txt"
 
@@ -22,3 +23,8 @@ def is_rendered(root: Path) -> bool:
             "where it was stopped."
         )
     return True
+
+
+def is_rendered_flight(photos: Path) -> bool:
+    """Return whether `lpn world --flight` made the photos of a folder."""
+    return (photos.parent / FLIGHT_PLAN).is_file()

@@ -24,7 +24,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import is_newer, newer_version
-from lpn.datasets.rendered import PLAN, UNFINISHED
+from lpn.datasets.rendered import FLIGHT_PLAN, PLAN, UNFINISHED
 from lpn.world import flight_files, photo
 from lpn.world.atlas import EDITION
 from lpn.world.cameras import SatelliteImage, Site
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from lpn.world.render import BlenderScene
 
 FORMAT = "lpn-world-flight/1"
-NAME = "flight_world.json"
 TRUTH = Path("truth.csv")
 MAP = Path("map/map.tif")
 _VIDEO = "video/LPN_FREE"
@@ -93,9 +92,9 @@ def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> Fligh
     import_module("rasterio")  # before an hour of rendering
     _check(settings)
     _check_out(settings, out)
-    if not (out / NAME).is_file() or (out / UNFINISHED).is_file():
+    if not (out / FLIGHT_PLAN).is_file() or (out / UNFINISHED).is_file():
         import_module("lpn.world.render")  # asks for bpy before anything is planned
-    check_writable(out / NAME)
+    check_writable(out / FLIGHT_PLAN)
     city, site = plan_city(settings.seed, settings.buildings), Site()
     plan = plan_flight(city, site, settings.frames)
     video = [out / f"{_VIDEO}{suffix}" for suffix in (".SRT", ".MP4")]
@@ -103,7 +102,7 @@ def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> Fligh
     tally = FlightTally(video=not all(file.is_file() for file in video), map=not (out / MAP).is_file())
     if missing or tally.video or tally.map:
         write_atomic(out / UNFINISHED, b"Files are missing here; lpn world --flight with the same settings goes on.\n")
-    write_atomic(out / NAME, _settings_json(settings, plan, site))
+    write_atomic(out / FLIGHT_PLAN, _settings_json(settings, plan, site))
     write_atomic(out / TRUTH, plan.truth_csv(city, site))
     if missing or tally.map:
         _render(settings, city, site, plan, missing, out, threads, tally)
@@ -188,7 +187,7 @@ def _check(settings: FlightSettings) -> None:
 def _check_out(settings: FlightSettings, out: Path) -> None:
     if (out / PLAN).is_file():
         raise OutputError(f"{out} holds a world; choose another folder for the flight.")
-    file = out / NAME
+    file = out / FLIGHT_PLAN
     if not file.is_file():
         return
     try:

@@ -107,8 +107,10 @@ def test_it_says_how_often_the_model_is_right(workspace: Workspace) -> None:
 def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = query(workspace, True)
     assert "rendered city" not in first_screen.page(analysis, workspace)
-    monkeypatch.setattr(first_screen, "is_rendered", lambda _: True)
-    assert "pictures of a rendered city" in first_screen.page(analysis, workspace)
+    for kind in ("is_rendered", "is_rendered_flight"):
+        with monkeypatch.context() as patch:
+            patch.setattr(first_screen, kind, lambda _: True)
+            assert "pictures of a rendered city" in first_screen.page(analysis, workspace)
 
 
 def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace) -> None:

@@ -16,13 +16,14 @@ from PIL import ExifTags, Image
 from lpn.cli import main
 from lpn.core.errors import InputError, OutputError
 from lpn.core.images import load_picture
+from lpn.datasets.rendered import FLIGHT_PLAN
 from lpn.flights import Frame, cameras, footprint
 from lpn.flights.photos import photo_of
 from lpn.flights.sources import FlightOptions, make_flight
 from lpn.flights.subtitles import blocks_of, parse_subtitles
 from lpn.world.cameras import Pose, SatelliteImage, Site
 from lpn.world.city import City
-from lpn.world.flight import MAP, NAME, FlightSettings, build_flight
+from lpn.world.flight import MAP, FlightSettings, build_flight
 from lpn.world.flight_files import MapGrid, photo_bytes, subtitles_bytes
 from lpn.world.flight_plan import (
     FOV,
@@ -297,16 +298,16 @@ def test_another_flight_or_a_world_in_the_folder_is_left_alone(tmp_path: Path) -
         build_flight(SETTINGS, tmp_path / "world")
     held = tmp_path / "held"
     held.mkdir()
-    (held / NAME).write_text(json.dumps({"format": "lpn-world-flight/1", "edition": 2, "settings": {"seed": 1}}))
+    (held / FLIGHT_PLAN).write_text(json.dumps({"format": "lpn-world-flight/1", "edition": 2, "settings": {"seed": 1}}))
     with pytest.raises(OutputError, match="other settings"):
         build_flight(SETTINGS, held)
-    (held / NAME).write_text(json.dumps({"format": "lpn-world-flight/2"}))
+    (held / FLIGHT_PLAN).write_text(json.dumps({"format": "lpn-world-flight/2"}))
     with pytest.raises(OutputError, match="later version of lpn"):
         build_flight(SETTINGS, held)
-    (held / NAME).write_text("[")
+    (held / FLIGHT_PLAN).write_text("[")
     with pytest.raises(OutputError, match="is not a rendered flight's"):
         build_flight(SETTINGS, held)
-    assert [file.name for file in held.iterdir()] == [NAME]
+    assert [file.name for file in held.iterdir()] == [FLIGHT_PLAN]
 
 
 @pytest.mark.parametrize(
