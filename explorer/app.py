@@ -132,6 +132,7 @@ class App:
         session.fit_camera()  # the window may have been resized before the session was listed
         if client.client_id not in self.server.get_clients():  # it left while its session was being built
             self._disconnected(client)
+            session.leave()  # it may not have been listed
         return session
 
     def _fit_camera(self, client_id: int) -> None:

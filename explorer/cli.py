@@ -179,9 +179,12 @@ class Explore:
 
         if self.model is None:
             raise InputError("An index is searched with the model that described its tiles; give it as --model.")
-        for name, value in (("--saved", self.saved), ("--n-parts", self.n_parts), ("--beside", self.beside)):
-            if value is not None:
-                raise InputError(f"An index holds descriptors of one model; leave {name} out.")
+        others = {"--saved": self.saved, "--n-parts": self.n_parts, "--beside": self.beside}
+        others |= {"--gallery": self.gallery, "--paths": self.paths}
+        if other := next((name for name, value in others.items() if value is not None), None):
+            raise InputError(f"An index holds descriptors of one model; leave {other} out.")
+        if self.order != "parts-first":
+            raise InputError("An order belongs to plain arrays; leave --order out.")
         if not self.register:
             raise InputError("No photo is registered on an index; leave --no-register out.")
         folder = Path(self.query) if self.query is not None and Path(self.query).is_dir() else None

@@ -210,6 +210,8 @@ class ClientSession:
             if state.why and not state.first_screen and (not self._state.why or self._state.first_screen):
                 self._explain_window.announce()
                 self._bridge.call("reveal", "#lpn-why")
+            if self._state.why and not state.why:
+                self._explain_window.close()  # an analysis that fails would not close it
             if state.flight and not self._state.flight:
                 self._bridge.call("reveal", "#lpn-flight")
             if state.lab and not self._state.lab:
@@ -389,3 +391,4 @@ class ClientSession:
         )
         self._panels.answer.show_idle()
         self._panels.notify_error("No answer", text)
+        self._explain_window.fail(text)

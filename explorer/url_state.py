@@ -17,6 +17,7 @@ from lpn.index.task import IndexTask
 
 # Characters of a query string; the region of a large feature map fits.
 _MAX_LENGTH = 20_000
+_MOST_PARAMETERS = 200
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
 # Parameters of the query that is shown.
@@ -106,7 +107,7 @@ class UrlState:
         try:
             given = _given(text)
         except ValueError:
-            return state, ["It is too long."]
+            return state, [f"It has more than {_MOST_PARAMETERS} parameters or {_MAX_LENGTH:,} characters."]
         problems = []
         for parameter in self._parameters:  # in this order: the query depends on the task
             if (value := given.get(parameter.key)) is None:
@@ -251,8 +252,10 @@ class UrlState:
 
 
 def _given(text: str) -> dict[str, str]:
-    """Return the parameters of a query string; ValueError if there are too many."""
-    return dict(parse_qsl(text[:_MAX_LENGTH].removeprefix("?"), True, max_num_fields=200))
+    """Return the parameters of a query string; ValueError if there are too many, or it is too long."""
+    if len(text) > _MAX_LENGTH:
+        raise ValueError
+    return dict(parse_qsl(text.removeprefix("?"), True, max_num_fields=_MOST_PARAMETERS))
 
 
 def ranges(numbers: Sequence[int]) -> str:

@@ -186,7 +186,8 @@ class OwnPictures:
 
     def show(self, state: SessionState) -> None:
         """Mark the picture that the state shows."""
-        self._draw(self.index_of(state.upload))
+        index = self.index_of(state.upload)
+        self._draw(-1 if index is None else index)
 
     def close(self) -> None:
         """Forget all own pictures; a query of the data set is shown again."""

@@ -7,6 +7,7 @@ import multiprocessing
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -174,4 +175,7 @@ def _send_result(connection: Connection, function: Callable[..., Any], arguments
         outcome: tuple[LPNError | None, Any] = (None, function(*arguments))
     except LPNError as error:
         outcome = (error, None)
+    except Exception as error:
+        traceback.print_exc()
+        outcome = (LPNError(f"{type(error).__name__}: the server's log has the details."), None)
     connection.send(outcome)

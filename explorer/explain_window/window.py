@@ -83,6 +83,11 @@ class _Tab:
         with self._lock:
             self._html.show(render("explain/waiting"))
 
+    def fail(self, text: str) -> None:
+        """Say why there is no content."""
+        with self._lock:
+            self._html.show(render("explain/failed", text=text))
+
     def draw(self) -> None:
         with self._lock:
             html = self._content()
@@ -217,6 +222,19 @@ class ExplainWindow:
                 tab.wait()
             self._place()
             self._panel.visible = True
+
+    def fail(self, text: str) -> None:
+        """Say in the open window why the pair could not be analysed."""
+        if self._open:
+            for tab in self._tabs[:5]:
+                tab.fail(text)
+
+    def close(self) -> None:
+        """Close the window at once."""
+        if self._open:
+            self._open = False
+            self._place()
+            self._panel.visible = False
 
     def show(self, analysis: StateAnalysis) -> None:
         """Open or close the window as the state says, and draw the analysis if it is open."""

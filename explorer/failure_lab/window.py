@@ -400,14 +400,21 @@ class FailureLabWindow:
     def _download(self) -> None:
         findings = self._service.findings(self._lab.task)
         if findings is None:
+            self._say_no_table()
             return
         rows = self._rows(findings, self._lab)
         name = re.sub(r"[^\w-]+", "-", f"{self._workspace.data_name}-{findings.task.name}-{len(rows)}-queries")
         self._client.send_file_download(f"{name}.csv", findings.table.to_csv(rows), save_immediately=True)
 
+    def _say_no_table(self) -> None:
+        self._client.add_notification(
+            "No table yet", "Its rows are computed while the failure laboratory is open; open it with B first."
+        )
+
     def _report(self) -> None:
         lab, findings = self._lab, self._service.findings(self._lab.task)
         if findings is None:
+            self._say_no_table()
             return
         rows, task = [int(row) for row in self._rows(findings, lab)], findings.task
         description = f"{state.describe(findings, lab)} (failure laboratory)"

@@ -48,7 +48,11 @@ def note(text: str, element_id: str = "") -> str:
 def keys(workspace: Workspace) -> str:
     """Return the list of keyboard shortcuts."""
     return render(
-        "panels/keys", flight=workspace.has_flight, parts=workspace.parts_word, cells=not workspace.without_cells
+        "panels/keys",
+        flight=workspace.has_flight,
+        parts=workspace.parts_word,
+        network=workspace.model is not None,
+        cells=not workspace.without_cells,
     )
 
 

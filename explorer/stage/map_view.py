@@ -201,7 +201,7 @@ class GalleryMap:
                 chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
-                picture = overlays.square(self._workspace.load_picture(analysis.task.gallery[match.index]), 96)
+                picture = overlays.square(self._workspace.card(analysis.task, match.index), 96)
                 framed = overlays.framed(picture, colour, 5)
             side = self._tile_side(places, match.index)
             if side * pixels > 1.3 * LEAST:  # otherwise the number would not fit

@@ -21,6 +21,10 @@ from lpn.models.adapters import Kind
 from lpn.retrieval.published_results import check_n_parts
 
 log = logging.getLogger(__name__)
+# Options that change how a data set's pictures are described or ranked.
+_NOT_OF_FLIGHTS = (
+    "rotate", "shift", "scale", "parts", "branch", "average_queries", "whole", "compile", "n_parts", "query", "gallery", "paths",
+)  # fmt: skip
 
 
 @dataclass
@@ -138,6 +142,9 @@ class EvaluateCommand:
             raise InputError("A flight is evaluated on its map; give both --flight and --map.")
         if self.data is not None or self.saved is not None or self.task is not None:
             raise InputError("A flight has neither data set nor task; leave --data, --saved, and --task out.")
+        given = [name for name in _NOT_OF_FLIGHTS if getattr(self, name) != getattr(type(self), name)]
+        if given:
+            raise InputError(f"A flight is evaluated as it is; leave --{given[0].replace('_', '-')} out.")
         console = Console(width=max(120, Console().width))
         options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error)
         located = locate_files(

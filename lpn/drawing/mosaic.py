@@ -8,6 +8,7 @@ import numpy as np
 
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import UInt8Array
+from lpn.core.errors import PictureError
 from lpn.datasets import Picture
 from lpn.drawing import overlays, theme
 from lpn.maps import Map, Window
@@ -30,7 +31,10 @@ def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
     side = max(round(geometry.width * scale), 1)
     places = geometry.places
     for index in places[:: max(1, len(places) // MOST_TILES)]:
-        tile = overlays.square(gallery[index].load(), side)
+        try:
+            tile = overlays.square(gallery[index].load(), side)
+        except PictureError:
+            continue  # the ground shows where a picture is damaged
         x, y = geometry.ground[index]
         _paste(canvas, tile, round((x - west) * scale - side / 2), round((north - y) * scale - side / 2))
     return canvas

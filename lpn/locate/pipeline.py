@@ -617,6 +617,9 @@ def _sequenced(found: MapRetrieval, flight: Flight, frames: list[LocatedFrame], 
         radius = float(np.hypot(track.radii[i], spacing / 2))
         state: State = "accepted"
         sentence = track.sentence(i)
+        off = float(np.linalg.norm(found.places[track.path[i]] - track.positions[i]))
+        if off > _OVERLAP * side:
+            sentence += f" The most probable path of the whole flight passes {off:.0f} m from here."
         if i in found.broken:
             state, sentence = "refused", "The frame cannot be read; the position is a guess of its neighbours."
         elif radius > side:

@@ -119,7 +119,7 @@ class SequenceResult:
         probabilities: that posterior, (T,) float64.
         headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
         nearby: posterior of all windows near the position, (T,) float64.
-        path: windows of Viterbi's path, (T,) int64.
+        path: windows of Viterbi's path, the most probable one of the whole flight, (T,) int64.
         path_headings: headings of that path in degrees, (T,) float64.
         own: window of each frame's best score, (T,) int64.
         moved: metres from that window to `positions`, (T,) float64.

@@ -275,6 +275,8 @@ def test_windows_without_their_map_are_placeholders(
         (["--index", "INDEX", "--model", "MODEL"], "tiles and no queries"),
         (["--index", "INDEX", "--model", "MODEL", "--flight", "x"], "give --map beside --flight"),
         (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--beside", "MODEL"], "leave --beside out"),
+        (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--paths", "x.csv"], "leave --paths out"),
+        (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--order", "parts-last"], "leave --order out"),
         (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--depth", "3"], "depth is 3"),
         (["--index", "DATA", "--model", "MODEL", "--data", "DATA"], "not an index"),
         (["--data", "DATA", "--model", "MODEL", "--depth", "50"], "with --index only"),

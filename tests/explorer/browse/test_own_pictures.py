@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from explorer import uploads
+from explorer import session_state, uploads
 from explorer.browse import own_pictures
 from explorer.browse.feeds import Feeds
 from explorer.browse.own_pictures import MOST, OwnPictures
@@ -86,6 +86,9 @@ def test_one_picture_is_a_query_at_once(page: Page) -> None:
     assert page.state.upload.name == "a.jpg"
     assert page.own.index_of(page.state.upload) == 0
     assert "1 of your own" in page.shell
+    assert "chosen&#34;: 0" in page.contents[1].content.replace("\\", "")
+    page.change(lambda state: session_state.choose_query(state, 2, 14))
+    assert "chosen&#34;: -1" in page.contents[1].content.replace("\\", ""), "a query of the data set is shown"
     page.own.take("b.txt", b"no picture")
     assert page.errors == [
         ("Upload failed", "b.txt is not a picture that can be read; expected a JPEG, PNG, or WebP file.")

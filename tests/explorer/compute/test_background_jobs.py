@@ -125,6 +125,8 @@ def test_another_process_returns_its_result_or_error_or_is_killed() -> None:
     assert signal.SIGINT in run_in_process(lambda *_: None, signal.pthread_sigmask, signal.SIG_BLOCK, [])
     with pytest.raises(InputError, match="no/word"):
         run_in_process(lambda *_: None, notes.parse_tags, "no/word")
+    with pytest.raises(LPNError, match=r"ValueError: the server's log has the details\."):
+        run_in_process(lambda *_: None, math.sqrt, -1)
     with pytest.raises(LPNError, match="memory"):
         run_in_process(lambda *_: None, os._exit, 3)
 

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from random import Random
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ import pytest
 import viser
 from viser import GuiApi, SceneApi
 
+import explorer.app
 import lpn
 from explorer import client_session, session_state, uploads
 from explorer.app import App
@@ -547,3 +549,13 @@ def test_a_page_built_after_its_browser_left_is_removed(app: App, monkeypatch: p
         go.set()
         until(lambda: not (held() - before), lambda: held() - before)
     assert not app._sessions
+
+
+def test_a_session_that_is_built_for_a_browser_that_has_left_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    built = Mock()
+    monkeypatch.setattr(explorer.app, "ClientSession", lambda *_: built)
+    # The page was changing its workspace: the session to replace is no longer listed.
+    app = Mock(_lock=threading.Lock(), _sessions={}, server=Mock(get_clients=dict))
+    assert App._begin(app, Mock(client_id=3), Mock(), "", Mock()) is built
+    built.leave.assert_called()
+    assert app._sessions == {}

@@ -312,6 +312,23 @@ def wait_until(holds: Callable[[], bool]) -> None:
         time.sleep(0.01)
 
 
+def test_a_failed_analysis_is_said_in_the_open_window_which_can_be_closed(
+    workspace: Workspace, window: tuple[ExplainWindow, WindowGui]
+) -> None:
+    explain_window, gui = window
+    explain_window.fail("nobody looks")
+    assert not gui.shown("lpn-why")
+    explain_window.announce()
+    assert "Computing" in gui.shown("lpn-why")
+    explain_window.fail("The picture of <b> is damaged.")
+    assert "No answer: The picture of &lt;b&gt; is damaged." in gui.shown("lpn-why")
+    explain_window.close()
+    assert not explain_window._panel.visible
+    explain_window.show(analysed(workspace))
+    assert explain_window._panel.visible
+    assert "No answer" not in gui.shown("lpn-why")
+
+
 def test_an_effect_of_the_previous_pair_is_never_shown_under_the_next(
     workspace: Workspace, window: tuple[ExplainWindow, WindowGui], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,6 +82,9 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     save_result(tmp_path / "r.mat", data, model_file)
     saved = tour_captions(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
     assert len(saved) == 5
+    keys = pages.keys(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
+    assert "Ctrl K" in keys
+    assert not any(word in keys for word in ("turn 5°", "upright", "why", "my own picture"))
     assert not any(word in caption for caption in saved for word in ("evidence", "turn it", "your own"))
 
 

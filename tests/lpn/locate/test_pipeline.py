@@ -666,6 +666,9 @@ def test_the_commands_write_a_track_and_measures(
     assert "give both --flight and --map" in capsys.readouterr().err
     assert main(["evaluate", *where, "--map-error", "-1"]) == 2
     assert "map's error is -1" in " ".join(capsys.readouterr().err.split())
+    for ignored in (["--rotate", "90"], ["--parts", "1,2"], ["--average-queries"]):
+        assert main(["evaluate", *where, *ignored]) == 2
+        assert f"leave {ignored[0]} out" in " ".join(capsys.readouterr().err.split())
     for alone in (["--no-register"], ["--map-error", "2"]):
         assert main(["evaluate", *alone]) == 2
         assert "Priors, errors of a map, registration, and corrections belong" in capsys.readouterr().err
