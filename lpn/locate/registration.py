@@ -105,7 +105,7 @@ class Registration:
         matcher: the name of the matcher.
         model: "similarity" or "homography".
         matches, inliers: guided matches, and those that agree with the model.
-        support, runner_up: support of this place and of the best other place.
+        support: of this place, see `MIN_SUPPORT`.
         homography: from pixels of the photo (x, y, 1) to metres east and north, (3, 3) float64.
         centre: of the picture on the ground, metres east and north, (2,) float64.
         heading: of the picture's top, degrees clockwise from north, 0 .. 360.
@@ -122,7 +122,6 @@ class Registration:
     matches: int = 0
     inliers: int = 0
     support: float = 0.0
-    runner_up: float = 0.0
     homography: Float64Array | None = None
     centre: Float64Array | None = None
     heading: float | None = None
@@ -276,7 +275,7 @@ def contested(
     )
     if not (reason := _rivalled(support, max(found))):
         return answer
-    return replace(answer, accepted=False, reason=reason, support=support, runner_up=max(found))
+    return replace(answer, accepted=False, reason=reason, support=support)
 
 
 def _support_at(place: Similarity, matcher: Matcher, photo: UInt8Array, ground: Ground) -> float:
@@ -489,7 +488,6 @@ def _concluded(
         len(best.u),
         int(inliers.sum()),
         best.support,
-        runner_up,
         full,
         centre,
         heading,

@@ -3,7 +3,7 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.labMap) return;
-  const SELECTED = 1, FAILED = 2, KNOWN = 4, UNKNOWN = 255;
+  const SELECTED = 1, FAILED = 2, UNKNOWN = 255;
   // Pixels within which the mouse points at a query, and milliseconds that it rests before a tip is asked for.
   const REACH = 9, REST = 120;
   // Corners of a lasso that the server takes, and pixels between them.
