@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.homography import apply_homography, middle_pixel, translation
+from lpn.core.numbers import wrap_degrees
 from lpn.locate.matchers import Complex, Features, Matcher, mutual_within
 
 # Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
@@ -168,7 +169,7 @@ def pose(homography: Float64Array, width: int, height: int) -> tuple[Float64Arra
 
 def turn_between(expected: float | None, heading: float) -> float | None:
     """Return the degrees clockwise, -180 .. 180, from an expected heading to another; None if none was expected."""
-    return None if expected is None else float(_wrapped(heading - expected))
+    return None if expected is None else wrap_degrees(heading - expected)
 
 
 def describe_ground(
@@ -407,7 +408,7 @@ def _hypotheses(u: Complex, m: Complex, width: float, factor: float, heading: fl
     i, a = i[far], (m[j] - m[i])[far] / apart[far]
     kept = (np.abs(a) > width / factor) & (np.abs(a) < width * factor)
     if heading is not None:
-        off = np.abs(_wrapped(-np.degrees(np.angle(a)) - heading))
+        off = np.abs(wrap_degrees(-np.degrees(np.angle(a)) - heading))
         kept &= (off < _HEADING_TOLERANCE) | (off > 180 - _HEADING_TOLERANCE)
     i, a = i[kept][:_HYPOTHESES], a[kept][:_HYPOTHESES]
     return a, m[i] - a * u[i]
@@ -610,8 +611,3 @@ def _cells(u: Complex) -> int:
     """Return how many cells of a grid over the photo hold at least one of the points."""
     cells: Int64Array = np.floor((np.stack([u.real, u.imag]) + 0.5) * _GRID).astype(np.int64)
     return len(np.unique(cells[0] * 1000 + cells[1]))
-
-
-def _wrapped(degrees: Any) -> Any:
-    """Wrap degrees to -180 .. 180."""
-    return (degrees + 180) % 360 - 180

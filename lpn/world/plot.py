@@ -10,7 +10,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.world.architecture import Architecture
 from lpn.world.buildings import MAKERS
-from lpn.world.city import SPECIES, VEHICLES, Building, District, Draft, Patch, Path, Surface, Terrain
+from lpn.world.city import SPECIES, Building, District, Draft, Patch, Path, Surface, Terrain
 from lpn.world.geometry import area, ellipse, overlap, rectangle, segment_distance, turned, within
 
 _NOTABLE = 260.0  # square metres a target covers at least

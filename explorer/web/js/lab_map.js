@@ -14,7 +14,7 @@
   // Selected queries beyond which marks are small and have hard edges.
   const MANY = 15000;
   const GREY = "#8a8a8a", PALE = "#515357", TILE = "#9aa1a8";
-  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+  const { clamp } = lpn;
   // The corners of what a drag encloses: its own, or those of the box that a straight one spans; null if it encloses nothing.
   const enclosed = (drag) => {
     if (drag.length < 2) return null;
