@@ -26,6 +26,14 @@ def test_preparation_is_the_published_one() -> None:
     np.testing.assert_allclose(prepared, ((reference - mean) / std).transpose(2, 0, 1), atol=1e-5)
 
 
+def test_a_picture_is_encoded_as_jpeg_in_its_colours() -> None:
+    picture = small_worlds.place(1)
+    found = images.jpeg(picture, 95)
+    assert found.startswith(b"\xff\xd8")
+    assert np.abs(images.decode_picture(found, "it").astype(int) - picture).mean() < 4
+    assert len(images.jpeg(picture, 40)) < len(found)
+
+
 @pytest.mark.parametrize(("degrees", "turns"), [(90, 1), (180, 2), (270, 3), (-90, 3)])
 def test_quarter_turns_are_exact_and_counter_clockwise(degrees: float, turns: int) -> None:
     picture = small_worlds.place(2)
