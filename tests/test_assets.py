@@ -107,7 +107,7 @@ def test_both_models_are_packed_with_descriptors_that_the_explorer_finds(
             ("query", "drone", dataset.queries("drone")),
             ("gallery", "satellite", dataset.gallery("satellite")),
         ):
-            found = descriptors.stored_descriptors(model, pictures, view, root, role)  # type: ignore[arg-type]
+            found = descriptors.shipped_or_cached(model, pictures, view, root, role).descriptors  # type: ignore[arg-type]
             assert found.shape == (len(pictures), parts, 512)
     assert not cache_folder().exists()  # nothing was described again
     assert environment_check._demo_error(root) is None
@@ -127,7 +127,7 @@ def test_the_demo_offers_both_directions_on_the_same_pictures() -> None:
         queries, gallery = dataset.queries(view), dataset.gallery(view)
         assert [picture.path.resolve() for picture in queries] == [picture.path.resolve() for picture in gallery]
         of_queries, of_gallery = (
-            descriptors.stored_descriptors(model, pictures, view, DEMO, role)
+            descriptors.shipped_or_cached(model, pictures, view, DEMO, role).descriptors
             for role, pictures in (("query", queries), ("gallery", gallery))
         )
         np.testing.assert_array_equal(of_queries, of_gallery)

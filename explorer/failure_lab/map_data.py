@@ -19,7 +19,7 @@ OUTCOME = ""
 # The code of a query without a value, and that of all values beyond the most frequent ones.
 UNKNOWN, OTHER = 255, 8
 # Flags of a query, from the lowest bit on.
-SELECTED, FAILED, KNOWN = 1, 2, 4
+SELECTED, FAILED = 1, 2
 # The ends of a numbers' scale, in percent of the queries: a few far values do not take all colours.
 _ENDS = 2.0, 98.0
 # The largest number of failures that are joined with their answers.
@@ -116,13 +116,10 @@ def degrees(points: MapPoints, origin: Position) -> list[tuple[float, float]]:
 
 
 def flags(findings: Findings, rows: Int64Array) -> bytes:
-    """Return one byte for each query, of `SELECTED`, `FAILED`, and `KNOWN`; `rows` are the selected queries."""
-    outcomes = findings.outcomes
-    selected = np.isin(np.arange(len(outcomes)), rows)
-    bits = (
-        np.stack([selected, outcomes.failed, outcomes.known]).astype(np.uint8) << np.arange(3, dtype=np.uint8)[:, None]
-    )
-    return bytes(bits.sum(axis=0, dtype=np.uint8).tobytes())
+    """Return one byte for each query, of `SELECTED` and `FAILED`; `rows` are the selected queries."""
+    failed = findings.outcomes.failed
+    selected = np.isin(np.arange(len(failed)), rows)
+    return (SELECTED * selected + FAILED * failed).astype(np.uint8).tobytes()
 
 
 def lines(findings: Findings, points: MapPoints, rows: Int64Array) -> list[list[int]]:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 
 from explorer.browse.feeds import Feeds
@@ -16,7 +15,8 @@ from explorer.failure_lab.service import FailureLab, Findings, MapPoints
 from explorer.failure_lab.state import LabState, Selection, add_selection
 from explorer.web.render import call, render, run
 from lpn.analysis import embedding_map
-from lpn.core.arrays import Int64Array, UInt8Array
+from lpn.core import images
+from lpn.core.arrays import Int64Array
 
 NO_EMBEDDING = "The tiles of an index are not in memory, so their descriptors are not drawn as a map."
 _LABELS = {"pca": "the PCA", "umap": "the UMAP", "ground": "the ground"}
@@ -117,7 +117,7 @@ class MapPage:
             west, south, east, north = points.ground[1]
             corners = (np.array([[west, north], [east, south]]) - origin) / unit
             data["ground"] = {
-                "picture": self._publish("ground", points, partial(_jpeg, points.ground[0]), "image/jpeg"),
+                "picture": self._publish("ground", points, partial(images.jpeg, points.ground[0], 85), "image/jpeg"),
                 "corners": corners.tolist(),
                 "metres": unit,
                 "degrees": map_data.degrees(points, points.origin),
@@ -138,7 +138,3 @@ class MapPage:
     def leave(self) -> None:
         """Serve nothing more to a browser that left."""
         self._feeds.leave(self)
-
-
-def _jpeg(picture: UInt8Array) -> bytes:
-    return bytes(cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes())

@@ -132,8 +132,7 @@ def _reduced(array: Float32Array) -> Float32Array:
 def encoded(picture: UInt8Array, valid: BoolArray | None = None) -> EncodedPicture:
     """Return a picture, (H, W, 3), as JPEG, or as WebP with transparency where a part of it is not valid, (H, W)."""
     if valid is None or valid.all():
-        data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
-        return EncodedPicture(data.tobytes(), "image/jpeg")
+        return EncodedPicture(images.jpeg(picture, _QUALITY), "image/jpeg")
     layers = np.dstack([picture[..., ::-1], np.where(valid, 255, 0).astype(np.uint8)])
     data = cv2.imencode(".webp", layers, [cv2.IMWRITE_WEBP_QUALITY, _QUALITY])[1]
     return EncodedPicture(data.tobytes(), "image/webp")

@@ -86,17 +86,15 @@ class Controls:
         *,
         visible: bool = True,
         hint: str | None = None,
-        apply: Callable[[SessionState, Any], SessionState] | None = None,
     ) -> None:
         """Add a dropdown for a field of the state; `choices` maps each label to its value, and other labels are ignored."""
         labels = {value: text for text, value in choices.items()}
         initial = labels[getattr(self._initial, field)]
         handle = self._gui.add_dropdown(label, tuple(choices), initial_value=initial, visible=visible, hint=hint)
-        set_value = apply or (lambda state, value: with_field(state, field, value))
 
         def choose(state: SessionState, value: Any) -> SessionState:
             known = isinstance(value, str) and value in choices
-            return set_value(state, choices[value]) if known else state
+            return with_field(state, field, choices[value]) if known else state
 
         self.bind(field, handle, choose, lambda state: labels[getattr(state, field)])
 

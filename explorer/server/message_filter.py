@@ -132,7 +132,6 @@ class MessageFilter:
 
     Attributes:
         number: the browser's number in the log.
-        dropped: number of dropped messages.
     """
 
     def __init__(self, is_upload_button: Callable[[str], bool], clock: Callable[[], float] = time.monotonic) -> None:
@@ -140,7 +139,6 @@ class MessageFilter:
         self._bucket = TokenBucket(RATE, BURST, clock)
         self._uploads: dict[str, _Upload] = {}
         self.number = 0
-        self.dropped = 0
 
     def delay(self) -> float:
         """Count one message; return the seconds to wait before reading it."""
@@ -161,7 +159,6 @@ class MessageFilter:
             accepted = not isinstance(message, _Other)
         if accepted:
             return msgspec.msgpack.encode(message)
-        self.dropped += 1
         kind = message.type if isinstance(message, _Other) else message.__struct_config__.tag
         log.debug("Browser %d: dropped a message of kind %.40r and %d bytes", self.number, kind, len(raw))
         return None

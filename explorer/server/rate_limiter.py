@@ -56,9 +56,6 @@ class RateLimiter:
         if len(self._buckets) > MAX_ADDRESSES:
             self._buckets.popitem(last=False)
 
-    def __len__(self) -> int:
-        return len(self._buckets)
-
 
 def _network(address: str) -> str:
     """Return an IPv4 address as it is, and the /64 network of an IPv6 address: a household has all of its addresses."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -49,19 +48,16 @@ class CompareCommand:
     """File to write everything to, as JSON."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from lpn.analysis.model_table import compare, rank_model, rank_saved
+        from lpn.core.consoles import wide_console
         from lpn.core.errors import InputError
-        from lpn.core.files import check_writable, distinct_names, write_atomic
+        from lpn.core.files import check_writable, distinct_names, write_atomic, write_json
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.published_results import load_saved
 
-        outputs = {self.markdown: "markdown", self.csv: "csv", self.json: "json"}
-        for file in outputs:
-            if file is not None:
-                check_writable(file)
+        for file in filter(None, (self.markdown, self.csv, self.json)):
+            check_writable(file)
         if len(self.models) < 2:
             raise InputError(f"A comparison takes two models or more; found {len(self.models)}.")
         if self.kind and len(self.kind) != len(self.models):
@@ -83,13 +79,13 @@ class CompareCommand:
                 model = lpn.load(file, self.provider, kind=kind)
                 ranked.append(rank_model(model, name, dataset, task, self.gallery, descriptor_reader(dataset.root)))
         found = compare(ranked, self.seed, self.resamples)
-        _print(found, Console(width=max(120, Console().width)))
+        _print(found, wide_console())
         if self.markdown is not None:
             write_atomic(self.markdown, found.to_markdown().encode())
         if self.csv is not None:
             write_atomic(self.csv, found.to_csv())
         if self.json is not None:
-            write_atomic(self.json, (json.dumps(found.to_dict(), indent=1) + "\n").encode())
+            write_json(self.json, found.to_dict())
 
 
 def _print(found: ModelTable, console: Console) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ class DoctorCommand:
     """File to write all findings to, with every name."""
 
     def run(self) -> int:
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.files import check_writable, write_json
 
         if self.json is not None:
             check_writable(self.json)
@@ -42,13 +41,13 @@ class DoctorCommand:
         if self.data is None:
             return self._check_environment()  # works without any package
 
-        from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+        from lpn.core.consoles import wide_console
         from lpn.datasets import open_dataset
         from lpn.doctor.dataset_check import check_dataset, print_report
 
-        console = Console(width=max(120, Console().width))
+        console = wide_console()
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("Reading pictures", total=None)
@@ -56,12 +55,12 @@ class DoctorCommand:
             report = check_dataset(dataset, not self.quick, lambda n, total: bar.update(task, completed=n, total=total))
         print_report(report, console)
         if self.json is not None:
-            write_atomic(self.json, (json.dumps(report.to_dict(), indent=1) + "\n").encode())
+            write_json(self.json, report.to_dict())
         return 0 if report.healthy else 1
 
     def _check_model(self, file: Path) -> int:
         import lpn
-        from lpn.core.files import printable, write_atomic
+        from lpn.core.files import printable, write_json
         from lpn.datasets import open_dataset
         from lpn.doctor import model_check
 
@@ -84,13 +83,11 @@ class DoctorCommand:
             print(f"{'OK' if finding.healthy else 'problem':8}{finding.view}: {finding.message}", flush=True)
         if self.json is not None:
             values = {"method": model.contract.method, "level": model.contract.claim, "fingerprint": model.fingerprint}
-            write_atomic(
-                self.json, (json.dumps(values | {"views": [vars(one) for one in findings]}, indent=1) + "\n").encode()
-            )
+            write_json(self.json, values | {"views": [vars(one) for one in findings]})
         return 0 if all(finding.healthy for finding in findings) else 1
 
     def _check_environment(self) -> int:
-        from lpn.core.files import write_atomic
+        from lpn.core.files import write_json
         from lpn.doctor import environment_check
 
         if self.quick:
@@ -102,5 +99,5 @@ class DoctorCommand:
         healthy = environment_check.healthy(findings)
         print("Nothing that is needed is broken." if healthy else "Something is broken: see the problems above.")
         if self.json is not None:
-            write_atomic(self.json, (json.dumps(environment_check.to_dict(findings), indent=1) + "\n").encode())
+            write_json(self.json, environment_check.to_dict(findings))
         return 0 if healthy else 1

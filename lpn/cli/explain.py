@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,11 +51,11 @@ class ExplainCommand:
     """Picture to write."""
 
     def run(self) -> None:
-        from rich.console import Console
 
         from lpn import explain, retrieval
         from lpn.core import images
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.consoles import wide_console
+        from lpn.core.files import check_writable, write_atomic, write_json
         from lpn.drawing import pair_figure, verdicts
         from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
@@ -80,7 +79,7 @@ class ExplainCommand:
         found = None if traces is None else explain.evidence(*traces, weights)
         cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
         names = model.contract.names(self.view_query)
-        console = Console(width=max(100, Console().width))
+        console = wide_console(100)
         losses = _losses(model, query, self.view_query, tile, console) if self.covering else None
         of: dict[str, Any] = {"model": model.fingerprint, "query": str(self.query), "match": str(self.match)}
         of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
@@ -92,7 +91,7 @@ class ExplainCommand:
         if found is not None:
             console.print(verdicts.describe_evidence(found, names, *views), markup=False)
         if self.json is not None:
-            write_atomic(self.json, (json.dumps(of, indent=1) + "\n").encode())
+            write_json(self.json, of)
         if self.png is not None and found is not None and traces is not None:
             cut = [model.as_partitioned(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
             titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")

@@ -53,11 +53,10 @@ class FailuresCommand:
     """File to write all queries that match --where to, with all columns, tags, and notes."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from lpn.analysis.notes import read_notes
         from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, compared_ranks
         from lpn.analysis.task import open_task
+        from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata, open_dataset
 
@@ -80,7 +79,7 @@ class FailuresCommand:
             )
             made = made.with_columns(compared_ranks(made, other.outcomes.rank))
         rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
-        console = Console(width=max(120, Console().width))
+        console = wide_console()
         shown = [
             *OUTCOME_COLUMNS,
             metadata.TAGS,

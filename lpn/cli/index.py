@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -113,7 +112,7 @@ class SearchCommand:
     def run(self) -> None:
         from lpn import retrieval
         from lpn.core import images
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.files import check_writable, write_json
         from lpn.index import check_effort, open_index
         from lpn.index.base import check_count
         from lpn.retrieval import scoring
@@ -143,7 +142,7 @@ class SearchCommand:
             }
             request |= {"view": self.view, "rotate": self.rotate, "weights": weights.tolist(), "box": self.box}
             request |= {"effort": self.effort, "depth": self.depth}
-            write_atomic(self.json, (json.dumps(request | {"matches": matches}, indent=1) + "\n").encode())
+            write_json(self.json, request | {"matches": matches})
 
 
 def _matches(
@@ -172,9 +171,10 @@ def _matches(
 
 
 def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
+
+    from lpn.core.consoles import wide_console
 
     table = Table(title="part: its share of the squared distance", title_justify="right")
     for name in ("rank", "tile", "score", "gap", *names):
@@ -183,7 +183,7 @@ def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
         gap = "" if match["gap"] is None else f"{match['gap']:.4f}"
         shares = (f"{part['share']:.4f}" for part in match["parts"])
         table.add_row(str(match["rank"]), Text(printable(match["tile"])), f"{match['score']:.4f}", gap, *shares)
-    console = Console(width=max(100, Console().width))
+    console = wide_console(100)
     console.print(table if matches else "There is no tile to compare with.")
 
 

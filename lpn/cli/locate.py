@@ -61,13 +61,12 @@ class LocateCommand:
     """Number of frames, the first ones of the flight; by default all."""
 
     def run(self) -> None:
-        from rich.console import Console
-
+        from lpn.core.consoles import wide_console
         from lpn.locate.tracks import check_suffix, write_track
 
         check_suffix(self.out)
         check_writable(self.out)
-        console = Console(width=max(120, Console().width))
+        console = wide_console()
         options = self._options()
         located = locate_files(
             self.map,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,15 +25,15 @@ class ModelsCommand:
 
     def run(self) -> None:
         import msgspec
-        from rich.console import Console
 
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.consoles import wide_console
+        from lpn.core.files import check_writable, write_json
         from lpn.models.shipped import model_card, model_cards
 
         if self.json is not None:
             check_writable(self.json)
         cards = model_cards() if self.name is None else (model_card(self.name),)
-        console = Console(width=max(120, Console().width))
+        console = wide_console()
         if self.name is None:
             _list(cards, console)
         else:
@@ -43,7 +42,7 @@ class ModelsCommand:
             values = [
                 {**msgspec.to_builtins(card), "bytes": card.size, "file": str(card.file().resolve())} for card in cards
             ]
-            write_atomic(self.json, (json.dumps(values, indent=1, ensure_ascii=False) + "\n").encode())
+            write_json(self.json, values, ensure_ascii=False)
 
 
 def _list(cards: tuple[ModelCard, ...], console: Console) -> None:

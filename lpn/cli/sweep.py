@@ -52,8 +52,7 @@ class SweepCommand:
     """File to draw the curves to; needs matplotlib, of the extra train."""
 
     def run(self) -> None:
-        from rich.console import Console
-
+        from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import open_dataset
 
@@ -68,7 +67,7 @@ class SweepCommand:
             raise InputError(
                 f"The task is {task!r}; {dataset.root.name} offers {', '.join(tasks) or 'none'} in its test split."
             )
-        console = Console(width=max(120, Console().width))
+        console = wide_console()
         found = self._sweep(model, dataset, task, console)
         views = views_of(task)
         title = f"{self.query} ({task}, {model.describe()})"

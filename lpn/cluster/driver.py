@@ -45,8 +45,6 @@ from lpn.core.errors import DataError, InputError, StoreError
 from lpn.core.files import exclusive_lock
 from lpn.core.views import View
 from lpn.datasets import geo
-from lpn.descriptors import Box
-from lpn.descriptors.store import float_box
 from lpn.models.contract import Role
 from lpn.models.onnx_engine import Engine, graph_files
 from lpn.models.shipped import model_file
@@ -87,7 +85,6 @@ def describe_shards(
     threads: int = 1,
     shard: int | None = None,
     positions: str | Path | None = None,
-    boxes: Mapping[str, Box] | None = None,
     say: Callable[[str], None] = print,
     worker: type[DescribeWorker] = DescribeWorker,
     role: Role | None = None,
@@ -108,7 +105,6 @@ def describe_shards(
             doubled as needed.
         positions: a file in the format of geo.csv; by default the `geo.csv` among the pictures. For how its paths are
             matched to the pictures, see `lpn.datasets.geo.match`.
-        boxes: crop boxes of pictures, by their names below `pictures`.
         say: called with each line of progress.
         worker: the worker's class.
         role: of the branch, see `Model.in_role`.
@@ -127,7 +123,7 @@ def describe_shards(
             raise InputError(f"The number of {name} is {number}; expected 1 or more.")
     engine = Engine(model, threads=1).in_role(view, role)
     source, target = Storage(pictures), Storage(out)
-    items = _items(source, positions, boxes or {})
+    items = _items(source, positions)
     role = engine.role(view) if engine.contract.roles == "role" else None
     wanted = Plan(engine.fingerprint, view, engine.n_parts, engine.embedding, precision, 1, shard=shard, role=role)
     files = {path.name: path.read_bytes() for path in graph_files(model, list(engine.contract.groups))}
@@ -144,11 +140,10 @@ def describe_shards(
         return _run(source, target, items, wanted, files, model.name, address, workers, threads, say, worker)
 
 
-def _items(source: Storage, positions: str | Path | None, boxes: Mapping[str, Box]) -> list[ShardItem]:
+def _items(source: Storage, positions: str | Path | None) -> list[ShardItem]:
     rows = source.files(images.SUFFIXES)
     if not rows:
         raise DataError(f"{source.where} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
-    rows = [replace(row, box=float_box(boxes[row.file])) if row.file in boxes else row for row in rows]
     found = _positions(source, positions)
     if found is None:
         return [ShardItem(row) for row in rows]

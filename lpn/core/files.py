@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
 import logging
 import os
 import re
@@ -103,6 +104,15 @@ def write_atomic(path: Path, data: bytes) -> None:
             raise _unwritable(path, error) from error
         with suppress(OSError):
             _delete_abandoned(path)
+
+
+def write_json(path: Path, value: object, *, ensure_ascii: bool = True) -> None:
+    """Write a value as indented JSON with a line feed at its end, atomically.
+
+    Raises:
+        OutputError: if the file cannot be written; nothing is left behind.
+    """
+    write_atomic(path, (json.dumps(value, indent=1, ensure_ascii=ensure_ascii) + "\n").encode())
 
 
 def linked_folder(path: Path) -> Path:
@@ -222,6 +232,12 @@ def printable(name: str) -> str:
     if name.isascii() and name.isprintable():
         return name
     return "".join(c if c.isprintable() else "?" for c in name.encode("utf-8", "replace").decode())
+
+
+def first_few(texts: Sequence[str], most: int) -> str:
+    """Join the first texts by commas, and say how many more there are."""
+    more = f", and {len(texts) - most} more" if len(texts) > most else ""
+    return ", ".join(texts[:most]) + more
 
 
 def _temporary(path: Path) -> Path:

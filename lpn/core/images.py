@@ -151,6 +151,12 @@ def use_all_cores() -> None:
     cv2.GaussianBlur(np.zeros((512, 512, 3), np.uint8), (0, 0), 2)
 
 
+def jpeg(picture: UInt8Array, quality: int) -> bytes:
+    """Encode a picture (H, W, 3) as a JPEG file; `quality` is 0 to 100."""
+    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return data.tobytes()
+
+
 def rotate(picture: UInt8Array, degrees: float) -> UInt8Array:
     """Rotate a picture counter-clockwise about its centre on its own canvas, corners black, bicubic (Table IV)."""
     if degrees % 360 == 0:

@@ -1,9 +1,21 @@
-"""Numbers as readers see them: in sentences, tables, and drawings."""
+"""Numbers as readers see them, and angles within half a turn."""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from lpn.core.arrays import Float64Array
+
+_Degrees = TypeVar("_Degrees", float, "Float64Array")
 
 
 def signed(value: float, digits: int = 3) -> str:
     """Return a number with its sign, "+" or the minus sign "−" (U+2212), and some digits; zero is positive."""
     text = f"{value:+.{digits}f}"
     return text.replace("-", "−") if float(text) else f"+{0:.{digits}f}"
+
+
+def wrap_degrees(degrees: _Degrees) -> _Degrees:
+    """Return an angle from -180 up to 180 degrees."""
+    return (degrees + 180) % 360 - 180

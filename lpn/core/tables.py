@@ -1,4 +1,4 @@
-"""A table that is sorted, filtered, searched, and paged by index arrays, without copying it.
+"""A table that is sorted, filtered, and searched by index arrays, without copying it.
 
 A filter is one or more conditions joined by `and`:
 
@@ -186,11 +186,6 @@ class Table:
         folded = self.columns["name"].folded
         found: Int64Array = rows[np.array([wanted in folded[row] for row in rows], bool)]
         return found
-
-    def page(self, rows: Int64Array, start: int, count: int) -> Int64Array:
-        """Return `count` rows from position `start` on, or the last full page."""
-        start = max(0, min(start, len(rows) - count))
-        return rows[start : start + max(count, 0)]
 
     def to_csv(self, rows: Int64Array) -> bytes:
         """Return rows as CSV in UTF-8: path and all columns, unknown values empty, numbers above a column's limit as "> limit".

@@ -16,7 +16,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture
 from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import views_of
@@ -419,6 +419,5 @@ def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -
     The warning reads "<name>: <number> <what>: <files>; <effect>."
     """
     if files:
-        some = ", ".join(f"{printable(item.file)} ({item.why})" for item in files[:3])
-        more = f", and {len(files) - 3} more" if len(files) > 3 else ""
-        log.warning("%s: %d %s: %s%s; %s.", printable(name), len(files), what, some, more, effect)
+        some = first_few([f"{printable(item.file)} ({item.why})" for item in files], 3)
+        log.warning("%s: %d %s: %s; %s.", printable(name), len(files), what, some, effect)

@@ -28,6 +28,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.numbers import wrap_degrees
 
 if TYPE_CHECKING:
     from lpn.datasets.base import Picture
@@ -160,7 +161,7 @@ def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
 def degrees_on_plane(degrees: Float64Array, origin: Position) -> Float64Array:
     """Return the same for latitudes and longitudes in degrees, (N, 2)."""
     north, east = metres_per_degree(origin.latitude)
-    turned = (degrees[:, 1] - origin.longitude + 180) % 360 - 180
+    turned = wrap_degrees(degrees[:, 1] - origin.longitude)
     return np.stack([turned * east, (degrees[:, 0] - origin.latitude) * north], axis=1)
 
 

@@ -20,7 +20,7 @@ from PIL import Image
 
 from lpn.core import images
 from lpn.core.errors import PictureError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 
 _BATCH = 2048
 # The error of a picture that has a valid header and end but cannot be decoded.
@@ -100,11 +100,8 @@ def check_whole(files: Sequence[Path], what: str, root: Path | None = None) -> N
 
 def list_errors(found: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
     """Return the first broken files with their errors, and the number of further ones."""
-    some = [
-        f"{printable(str(file.relative_to(root) if root else file))} {error}"
-        for file, error in list(found.items())[:most]
-    ]
-    return ", ".join(some) + (f", and {len(found) - most} more" if len(found) > most else "")
+    some = [f"{printable(str(file.relative_to(root) if root else file))} {error}" for file, error in found.items()]
+    return first_few(some, most)
 
 
 def _end_valid(file: BinaryIO) -> bool:

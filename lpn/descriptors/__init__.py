@@ -14,7 +14,6 @@ from lpn.descriptors.cache import (
     descriptor_reader,
     shipped_descriptors,
     shipped_or_cached,
-    stored_descriptors,
     temporary_descriptors,
 )
 from lpn.descriptors.store import FORMAT, Box, Manifest, Precision, Row, Store, open_store
@@ -37,6 +36,5 @@ __all__ = [
     "pictures_below",
     "shipped_descriptors",
     "shipped_or_cached",
-    "stored_descriptors",
     "temporary_descriptors",
 ]

@@ -131,11 +131,6 @@ def shipped_or_cached(
     return _cached(model, pictures, view, UNCHANGED)
 
 
-def stored_descriptors(model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role) -> Float32Array:
-    """Return the descriptors (N, n, D) of `shipped_or_cached` without their digest."""
-    return shipped_or_cached(model, pictures, view, root, role).descriptors
-
-
 def descriptor_reader(root: Path) -> Reader:
     """Return a reader of descriptors of the data set in `root`: from its shipped stores, else from the cache.
 

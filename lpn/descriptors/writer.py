@@ -125,7 +125,7 @@ def fill_store(
         title: the label of the progress bar.
 
     Raises:
-        DataError: the first that `prepare` raises.
+        PictureError: the first that `prepare` raises.
     """
     missing = [row for row, good in enumerate(partial.good) if not good]
     with progress_bar() as bar:

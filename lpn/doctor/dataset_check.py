@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, geo
 from lpn.datasets.integrity import picture_errors
@@ -340,5 +340,4 @@ def _of(found: int, full: int | None) -> str:
 def _some(what: str, names: Sequence[str]) -> list[str]:
     if not names:
         return []
-    more = f", and {len(names) - 5} more" if len(names) > 5 else ""
-    return [f"{len(names)} {what}: {', '.join(names[:5])}{more}."]
+    return [f"{len(names)} {what}: {first_few(names, 5)}."]

@@ -144,8 +144,7 @@ def outlined(size: int, colour: Colour, width: int, tint: float) -> UInt8Array:
 
 def data_uri(picture: UInt8Array, quality: int = 80) -> str:
     """Return a picture, (H, W, 3) uint8, as the data URI of a JPEG."""
-    encoded = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return "data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode()
+    return "data:image/jpeg;base64," + base64.b64encode(images.jpeg(picture, quality)).decode()
 
 
 def png_data_uri(cells: UInt8Array) -> str:

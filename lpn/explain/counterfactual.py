@@ -139,15 +139,9 @@ class Reweighting:
 
     Attributes:
         weights: the part weights, 0 or more, summing to one, (n,).
-        change: `weights` minus the ranking's weights, (n,), summing to zero.
-        distance: Euclidean length of the change.
-        tile: gallery position of the tile that `weights` put first.
     """
 
     weights: Float32Array
-    change: Float32Array
-    distance: float
-    tile: int
 
 
 def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | None:
@@ -170,8 +164,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
     if not len(positives):
         return None
     if _positive_rank(ranking, ranking.weights, positives, negatives).rank == 1:
-        first = int(ranking.order[np.isin(ranking.order, positives)][0])
-        return Reweighting(ranking.weights, np.zeros_like(ranking.weights), 0.0, first)
+        return Reweighting(ranking.weights)
     n, now = len(ranking.weights), ranking.weights.astype(np.float64)
     now /= now.sum()
     # The columns are an orthonormal basis of the changes that sum to zero. Coordinates keep the norm of a change.
@@ -188,7 +181,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
         weights = scoring.part_weights(n, np.where(solution < 1e-9, 0.0, solution))
         if _positive_rank(ranking, weights, positives, negatives).rank == 1:
             reach = float(np.linalg.norm(step))
-            best = Reweighting(weights, weights - ranking.weights, reach, int(index))
+            best = Reweighting(weights)
     return best
 
 

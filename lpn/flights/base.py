@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.numbers import wrap_degrees
 from lpn.datasets import geo
 
 HeadingSource = Literal["gimbal", "camera", "aircraft", "course"]
@@ -103,5 +104,5 @@ def local_metres(places: Float64Array) -> Float64Array:
         return np.full_like(places, np.nan)
     origin = known[0]
     north, east = geo.metres_per_degree(float(np.clip(known[:, 0].mean(), -89.0, 89.0)))
-    turned = (places[:, 1] - origin[1] + 180) % 360 - 180
+    turned = wrap_degrees(places[:, 1] - origin[1])
     return np.stack([turned * east, (places[:, 0] - origin[0]) * north], axis=1)

@@ -99,19 +99,23 @@ def read_log(file: Path) -> Log:
     """Read a log.
 
     Raises:
-        DataError: if it is no such file, has neither latitude and longitude nor a heading, or a value is no number; the message
-            names the line.
+        DataError: if it is no such file, has no latitude and longitude, or holds a value that is no number or no position; the
+            message names the line of such a value.
     """
     name = printable(file.name)
-    lines = [line for line in read_lines(file, name) if line.strip() and not line.startswith("sep=")]
+    lines = [
+        (number, line)
+        for number, line in enumerate(read_lines(file, name), 1)
+        if line.strip() and not line.startswith("sep=")
+    ]
     if not lines:
         raise DataError(f"{name} is empty; expected a log with a line of column names.")
-    delimiter = max(",;\t", key=lines[0].count)
+    reader = csv.reader((line for _, line in lines), delimiter=max(",;\t", key=lines[0][1].count))
     try:
-        table = list(csv.reader(lines, delimiter=delimiter))
+        table = [(lines[reader.line_num - 1][0], cells) for cells in reader]
     except csv.Error as error:
         raise DataError(f"{name} is not comma-separated values ({error}); correct it.") from error
-    header = [cell.strip() for cell in table[0]]
+    header = [cell.strip() for cell in table[0][1]]
     columns, factors, notes = _columns(header, name)
     if not {"latitude", "longitude"} <= columns.keys():
         raise DataError(
@@ -119,9 +123,9 @@ def read_log(file: Path) -> Log:
         )
     utc = "date" in columns and "utc" in header[columns["date"]].casefold()
     rows, zoned = [], False
-    for number, cells in enumerate(table[1:], 2):
+    for number, cells in table[1:]:
         named = {what: _cell(cells, at) for what, at in columns.items()}
-        row, has_zone = _row(named, factors, f"Row {number} of {name}")
+        row, has_zone = _row(named, factors, f"Line {number} of {name}")
         zoned |= has_zone
         rows.append(row)
     if not rows:

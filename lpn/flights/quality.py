@@ -10,6 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.files import first_few
+from lpn.core.numbers import wrap_degrees
 from lpn.flights.base import Frame, degrees, local_metres
 
 # The course is measured over this many metres, which position noise of a metre turns by 11 degrees.
@@ -67,7 +69,7 @@ def _course(places: Float64Array, times: Float64Array, at: int) -> float | None:
         if other is not None:
             east, north = (places[other] - places[at]) * step
             legs.append(math.degrees(math.atan2(east, north)))
-    if not legs or (len(legs) == 2 and abs((legs[1] - legs[0] + 180) % 360 - 180) > _TURN):
+    if not legs or (len(legs) == 2 and abs(wrap_degrees(legs[1] - legs[0])) > _TURN):
         return None
     sine, cosine = (sum(wave(math.radians(leg)) for leg in legs) for wave in (math.sin, math.cos))
     return math.degrees(math.atan2(sine, cosine)) % 360.0
@@ -94,14 +96,9 @@ def _counted(oddities: Sequence[Sequence[str]], frames: int) -> Iterator[str]:
 def _missing(frames: Sequence[Frame]) -> Iterator[str]:
     names = [frame.name for frame in frames if frame.latitude is None]
     if names and len(names) < len(frames):
-        yield f"{len(names)} of {len(frames)} frames have no position: {_some(names)}."
+        yield f"{len(names)} of {len(frames)} frames have no position: {first_few(names, _NAMED)}."
     elif names:
         yield f"None of the {len(frames)} frames has a position; errors in metres cannot be measured."
-
-
-def _some(names: Sequence[str]) -> str:
-    more = f", and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
 
 
 def _steps(frames: Sequence[Frame]) -> tuple[list[Frame], Float64Array, Float64Array]:
@@ -131,7 +128,8 @@ def _stale(frames: Sequence[Frame]) -> Iterator[str]:
     moving = len(metres) > 2 and np.median(metres) > _LEAST_STEP
     names = [known[i + 1].name for i in np.flatnonzero((metres == 0) & ~(seconds == 0))] if moving else []
     if names:
-        yield f"{len(names)} frames of a moving flight repeat the position before them: {_some(names)}; the position lags there."
+        which = first_few(names, _NAMED)
+        yield f"{len(names)} frames of a moving flight repeat the position before them: {which}; the position lags there."
 
 
 def _pauses(frames: Sequence[Frame]) -> Iterator[str]:

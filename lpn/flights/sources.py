@@ -12,7 +12,7 @@ from typing import Any, get_args
 
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, PictureError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 from lpn.datasets.base import files_below
 from lpn.flights import logs, subtitles, videos
 from lpn.flights.base import Flight, Frame, HeadingSource
@@ -131,9 +131,7 @@ def _others_note(files: Sequence[Path]) -> list[str]:
     """Return the note, if any, that names files which are left out."""
     if not files:
         return []
-    some = ", ".join(printable(file.name) for file in files[:_NAMED])
-    more = f", and {len(files) - _NAMED} more" if len(files) > _NAMED else ""
-    return [f"Left out as of other kinds: {some}{more}."]
+    return [f"Left out as of other kinds: {first_few([printable(file.name) for file in files], _NAMED)}."]
 
 
 def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log] = ()) -> Flight:

@@ -10,6 +10,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
+from lpn.core.numbers import wrap_degrees
 from lpn.flights.base import HeadingSource, local_metres
 
 # Entries farther apart than this many seconds, and this many usual steps, have a gap between them that nothing fills.
@@ -76,7 +77,7 @@ class Telemetry:
         """Return the value of each of `VALUES` at a time in seconds."""
         found: dict[str, float | HeadingSource | None] = {name: self._value(name, time) for name in self._known}
         if (longitude := found["longitude"]) is not None:
-            found["longitude"] = (float(longitude) + 180.0) % 360.0 - 180.0
+            found["longitude"] = wrap_degrees(float(longitude))
         found["heading_source"] = None
         if (heading := found["heading"]) is not None:
             found["heading"] = float(heading) % 360.0

@@ -27,8 +27,7 @@ class TagAudit:
         median, largest: metres between tag and registered position.
         lag: seconds by which tags are late; None if it cannot be told.
         lag_error: its standard error in seconds.
-        offset: metres east and north by which tags are off beside the lag.
-        without_lag: median of the metres that remain without lag and offset.
+        without_lag: median of the metres that remain without the lag and a constant offset.
         ahead: metres flown in the lag at the median speed, which a tilted camera may look ahead instead (behind, if negative);
             None if the positions are the camera's.
     """
@@ -38,7 +37,6 @@ class TagAudit:
     largest: float
     lag: float | None = None
     lag_error: float | None = None
-    offset: tuple[float, float] | None = None
     without_lag: float | None = None
     ahead: float | None = None
 
@@ -106,7 +104,6 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
         found.largest,
         float(-solution[0]),
         float(errors[0]),
-        (float(solution[1]), float(solution[2])),
         float(np.median(remaining)),
         float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +46,6 @@ def summarise(
     errors: npt.ArrayLike,
     radii: npt.ArrayLike | None = None,
     limit: float = 50.0,
-    within: Sequence[int] = WITHIN,
     scores: npt.ArrayLike | None = None,
 ) -> ErrorSummary:
     """Summarise errors in metres (N,), NaN where the stage gave no accepted position.
@@ -73,7 +71,7 @@ def summarise(
         len(known),
         float(np.median(known)) if len(known) else float("nan"),
         float(np.quantile(known, 0.9)) if len(known) else float("nan"),
-        {metres: share * int((known <= metres).sum()) for metres in within},
+        {metres: share * int((known <= metres).sum()) for metres in WITHIN},
         share * accepted_before_false(known, order, limit),
         limit,
         {k: 100 * float((known[given] <= k * own[given]).mean()) for k in RIGHT_CALIBRATION if given.any()},

@@ -463,7 +463,7 @@ def _correct(town: Map, frames: list[LocatedFrame], corrections: Mapping[str, Co
         centre, heading, width = pose(matrix, *size)
         turn = turn_between(frame.heading, heading)
         laid = Registration(
-            True, "", BY_HAND, "homography", 0, 0, 0.0, 0.0, matrix, centre, heading, width, turn, np.zeros((2, 2))
+            True, "", BY_HAND, "homography", 0, 0, 0.0, matrix, centre, heading, width, turn, np.zeros((2, 2))
         )
         below = _camera_place(frame, size, laid)
         x, y = (centre if below is None else below[0]).tolist()

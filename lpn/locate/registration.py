@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.homography import apply_homography, middle_pixel, translation
+from lpn.core.numbers import wrap_degrees
 from lpn.locate.matchers import Complex, Features, Matcher, mutual_within
 
 # Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
@@ -105,7 +106,7 @@ class Registration:
         matcher: the name of the matcher.
         model: "similarity" or "homography".
         matches, inliers: guided matches, and those that agree with the model.
-        support, runner_up: support of this place and of the best other place.
+        support: of this place, see `MIN_SUPPORT`.
         homography: from pixels of the photo (x, y, 1) to metres east and north, (3, 3) float64.
         centre: of the picture on the ground, metres east and north, (2,) float64.
         heading: of the picture's top, degrees clockwise from north, 0 .. 360.
@@ -122,7 +123,6 @@ class Registration:
     matches: int = 0
     inliers: int = 0
     support: float = 0.0
-    runner_up: float = 0.0
     homography: Float64Array | None = None
     centre: Float64Array | None = None
     heading: float | None = None
@@ -169,7 +169,7 @@ def pose(homography: Float64Array, width: int, height: int) -> tuple[Float64Arra
 
 def turn_between(expected: float | None, heading: float) -> float | None:
     """Return the degrees clockwise, -180 .. 180, from an expected heading to another; None if none was expected."""
-    return None if expected is None else float(_wrapped(heading - expected))
+    return None if expected is None else wrap_degrees(heading - expected)
 
 
 def describe_ground(
@@ -276,7 +276,7 @@ def contested(
     )
     if not (reason := _rivalled(support, max(found))):
         return answer
-    return replace(answer, accepted=False, reason=reason, support=support, runner_up=max(found))
+    return replace(answer, accepted=False, reason=reason, support=support)
 
 
 def _support_at(place: Similarity, matcher: Matcher, photo: UInt8Array, ground: Ground) -> float:
@@ -408,7 +408,7 @@ def _hypotheses(u: Complex, m: Complex, width: float, factor: float, heading: fl
     i, a = i[far], (m[j] - m[i])[far] / apart[far]
     kept = (np.abs(a) > width / factor) & (np.abs(a) < width * factor)
     if heading is not None:
-        off = np.abs(_wrapped(-np.degrees(np.angle(a)) - heading))
+        off = np.abs(wrap_degrees(-np.degrees(np.angle(a)) - heading))
         kept &= (off < _HEADING_TOLERANCE) | (off > 180 - _HEADING_TOLERANCE)
     i, a = i[kept][:_HYPOTHESES], a[kept][:_HYPOTHESES]
     return a, m[i] - a * u[i]
@@ -489,7 +489,6 @@ def _concluded(
         len(best.u),
         int(inliers.sum()),
         best.support,
-        runner_up,
         full,
         centre,
         heading,
@@ -612,8 +611,3 @@ def _cells(u: Complex) -> int:
     """Return how many cells of a grid over the photo hold at least one of the points."""
     cells: Int64Array = np.floor((np.stack([u.real, u.imag]) + 0.5) * _GRID).astype(np.int64)
     return len(np.unique(cells[0] * 1000 + cells[1]))
-
-
-def _wrapped(degrees: Any) -> Any:
-    """Wrap degrees to -180 .. 180."""
-    return (degrees + 180) % 360 - 180

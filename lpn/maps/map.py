@@ -120,7 +120,7 @@ class Map:
         chosen = centres[self.valid_shares(centres, size) >= min_valid - 1e-6]
         return [Window(x, y, size) for x, y in chosen.tolist()]
 
-    def pyramid(self, sizes: Sequence[float], overlap: float = 0.5, min_valid: float = 0.5) -> list[Window]:
+    def pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> list[Window]:
         """Return the windows of several sizes, in the order of `sizes`.
 
         Sizes with a factor of sqrt(2) or 2 between them cover a range of flying heights.
@@ -128,7 +128,6 @@ class Map:
         Args:
             sizes: sides in metres.
             overlap: share of a window's side that its neighbour covers too, 0 to below 1.
-            min_valid: see `windows`.
 
         Raises:
             InputError: if a number is out of range, or there is no size.
@@ -137,7 +136,7 @@ class Map:
             raise InputError(f"The overlap {overlap:g} is out of range; expected 0 to below 1.")
         if not len(sizes):
             raise InputError("A pyramid needs at least one size of windows; found none.")
-        return [window for size in sizes for window in self.windows(size, size * (1 - overlap), min_valid)]
+        return [window for size in sizes for window in self.windows(size, size * (1 - overlap))]
 
     def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
         """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""

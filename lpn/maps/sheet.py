@@ -11,6 +11,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.numbers import wrap_degrees
 from lpn.maps import _gdal
 from lpn.maps.frame import LocalFrame
 from lpn.maps.raster import Raster
@@ -113,7 +114,7 @@ class Sheet:
         if self.crs.is_geographic:
             # Longitudes of a sheet may pass 180 degrees.
             middle = self.matrix[0] @ (self.raster.width / 2, self.raster.height / 2, 1)
-            x = middle + (x - middle + 180) % 360 - 180
+            x = middle + wrap_degrees(x - middle)
         return np.stack([x, y, np.ones(len(x))], axis=1) @ self._inverse.T
 
     def _ground(self, cells: Float64Array) -> Float64Array:

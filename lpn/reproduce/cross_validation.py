@@ -23,6 +23,7 @@ import lpn
 from lpn import descriptors
 from lpn.analysis.model_table import RESAMPLES, intervals
 from lpn.core.arrays import Float64Array, Int64Array
+from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, fingerprint, printable, write_atomic
 from lpn.core.formats import decode_json
@@ -157,7 +158,7 @@ class CrossValidation:
                 f"Of {folds} folds, {run_folds} are to be trained with the seeds {', '.join(map(str, seeds)) or 'none'}; "
                 f"expected 0 for all folds, or up to {folds}, and at least one seed, each once."
             )
-        self.console = console or Console(width=max(120, Console().width))
+        self.console = console or wide_console()
         self.out, self.trials, self.folds = out, tuple(trials), folds
         self.source = Source(dataset, rendered=False)
         recipes = {trial.name: replace(recipe, **trial.changes) for trial in trials}

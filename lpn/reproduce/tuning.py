@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lpn.core.files import write_atomic
+from lpn.core.files import write_json
 from lpn.reproduce.record import here
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Scale, Training
@@ -101,7 +100,7 @@ def write(trials: Mapping[str, Sequence[Trial]], path: Path) -> None:
             for name, of_network in trials.items()
         },
     }
-    write_atomic(path, (json.dumps(values, indent=1) + "\n").encode())
+    write_json(path, values)
 
 
 def note(trials: Mapping[str, Sequence[Trial]]) -> str:

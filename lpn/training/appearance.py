@@ -7,6 +7,7 @@ from typing import cast
 import cv2
 import numpy as np
 
+from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.training.recipes import Recipe
 
@@ -109,7 +110,7 @@ def add_noise(picture: UInt8Array, sigma: float, rng: np.random.Generator) -> UI
 
 def compress(picture: UInt8Array, quality: int) -> UInt8Array:
     """Compress as JPEG, so that a network does not overfit to the artefacts of one quality."""
-    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    data = np.frombuffer(images.jpeg(picture, quality), np.uint8)
     return cast(UInt8Array, cv2.cvtColor(cast(UInt8Array, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
 
 

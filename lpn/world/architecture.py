@@ -71,12 +71,10 @@ class Architecture:
 
     Attributes:
         outline: the footprint's outer ring, counter-clockwise.
-        yard: the ring of an inner courtyard, or empty.
     """
 
     kind: Kind
     outline: tuple[Corner, ...]
-    yard: tuple[Corner, ...]
     parts: tuple[Volume, ...]
     items: tuple[RoofItem, ...]
 

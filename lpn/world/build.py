@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from lpn.core import images
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import UPGRADE, WORLD, is_newer, newer_version
@@ -242,7 +243,7 @@ class _SectorRenderer:
         return np.random.default_rng([self.atlas.settings.seed, 32, hash_of(shot.paths[0])])
 
     def _write(self, shot: PlannedPicture, picture: NDArray[np.uint8]) -> None:
-        data = photo.jpeg(picture, _QUALITY)
+        data = images.jpeg(picture, _QUALITY)
         for path in shot.paths:
             write_atomic(self.out / path, data)
         self.done()

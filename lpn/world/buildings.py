@@ -51,7 +51,6 @@ def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Volume], items:
     return Architecture(
         kind,
         moved(outline),
-        (),
         tuple(Volume(**{**part.__dict__, "outline": moved(part.outline)}) for part in parts),
         tuple(RoofItem(**{**item.__dict__, "x": item.x + dx, "y": item.y + dy}) for item in items),
     )
@@ -154,9 +153,7 @@ def courtyard(rng: np.random.Generator, pitched: bool = False) -> Architecture:
     a, b, t = rng.uniform(46, 74), rng.uniform(40, 60), rng.uniform(11, 16)
     low, high = (0.0, b) if pitched else (t, b - t)
     wings = [box(0, 0, a, t), box(0, b - t, a, b), box(0, low, t, high), box(a - t, low, a, high)]
-    made = _wings(rng, "courtyard", wings, box(0, 0, a, b), pitched, int(rng.integers(2, 5)))
-    yard = ((t - a / 2, t - b / 2), (a / 2 - t, t - b / 2), (a / 2 - t, b / 2 - t), (t - a / 2, b / 2 - t))
-    return Architecture(made.kind, made.outline, yard, made.parts, made.items)
+    return _wings(rng, "courtyard", wings, box(0, 0, a, b), pitched, int(rng.integers(2, 5)))
 
 
 def tower(rng: np.random.Generator) -> Architecture:

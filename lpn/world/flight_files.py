@@ -25,6 +25,7 @@ from PIL.TiffImagePlugin import IFDRational
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import OutputError
 from lpn.core.images import load_picture
+from lpn.core.numbers import wrap_degrees
 from lpn.world.cameras import SatelliteImage, Site
 from lpn.world.flight_plan import EQUIVALENT, FOV, FlightPicture
 
@@ -107,7 +108,7 @@ def _xmp(picture: FlightPicture, width: int) -> bytes:
 
 def _signed(angles: tuple[float, float, float]) -> tuple[float, float, float]:
     """Return yaw, pitch, and roll with the yaw from -180 to 180 degrees, as DJI writes it."""
-    return (angles[0] + 180) % 360 - 180, angles[1], angles[2]
+    return wrap_degrees(angles[0]), angles[1], angles[2]
 
 
 def subtitles_bytes(pictures: Sequence[FlightPicture]) -> bytes:

@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
 from lpn.datasets.city_model import MAX_BYTES
-from lpn.world import light, paint, photo, solids, textures
+from lpn.world import light, paint, solids, textures
 from lpn.world.atlas import Atlas
 from lpn.world.cameras import TILE, Site, Tile
 from lpn.world.city import City
@@ -170,7 +171,7 @@ def _ground(city: City, window: Window, detail: Detail) -> Primitive:
     a, b, c, d = (corner.reshape(-1) for corner in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
     uv = (vertices[:, :2] - (west, north)) / (east - west, south - north)
-    picture = photo.jpeg(_painted(city, window, detail.pixel), _QUALITY)
+    picture = images.jpeg(_painted(city, window, detail.pixel), _QUALITY)
     return Primitive("ground", vertices, faces, uv=uv, picture=picture)
 
 

@@ -159,9 +159,3 @@ def _distance(pose: Pose, pixels: int) -> Float32Array:
     down = np.maximum(-rays[..., 2], 0.08)
     distance: Float32Array = (pose.z / down * np.linalg.norm(rays, axis=-1)).astype(np.float32)
     return distance
-
-
-def jpeg(picture: NDArray[np.uint8], quality: int) -> bytes:
-    """Encode an RGB picture (h, w, 3) as JPEG."""
-    _, data = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return data.tobytes()

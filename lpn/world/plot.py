@@ -10,7 +10,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.world.architecture import Architecture
 from lpn.world.buildings import MAKERS
-from lpn.world.city import SPECIES, VEHICLES, Building, District, Draft, Patch, Path, Surface, Terrain
+from lpn.world.city import SPECIES, Building, District, Draft, Patch, Path, Surface, Terrain
 from lpn.world.geometry import area, ellipse, overlap, rectangle, segment_distance, turned, within
 
 _NOTABLE = 260.0  # square metres a target covers at least
@@ -206,14 +206,12 @@ class Plot:
                 size = float(self.rng.uniform(*height)) * (0.22 if SPECIES[kind] == "bush" else 1)
                 self.draft.trees.append((float(x), float(y), kind, size, float(self.rng.random())))
 
-    def stalls(
-        self, x: float, y: float, length: float, width: float, angle: float, chance: float, truck: bool = False
-    ) -> None:
+    def stalls(self, x: float, y: float, length: float, width: float, angle: float, chance: float) -> None:
         """Add rows of parking bays to a rectangle: 2.5 by 5 m, at right angles to its length, with aisles of 6 m."""
         for row in parking_rows(width):
             for along in np.arange(-length / 2 + 1.4, length / 2 - 1.2, 2.5):
                 a, b = turned(np.array([[along, row]]), angle)[0] + (x, y)
-                kind = VEHICLES.index("truck") if truck else int(self.rng.random() < 0.12)
+                kind = int(self.rng.random() < 0.12)
                 flip = np.pi * self.rng.integers(2)
                 turn = angle + np.pi / 2 + flip + self.rng.normal(0, 0.03)
                 self.draft.stalls.append((float(a), float(b), float(turn), kind, chance))

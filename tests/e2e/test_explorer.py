@@ -31,7 +31,7 @@ def expected(app: RunningApp, name: str, angle: float = 0.0, weights: tuple[floa
     model, dataset = lpn.load(app.model), datasets.open_dataset(app.data)
     query = next(entry for entry in dataset.queries("drone") if entry.name == name)
     gallery = dataset.gallery("satellite")
-    tiles = descriptors.stored_descriptors(model, gallery, "satellite", dataset.root, "gallery")
+    tiles = descriptors.shipped_or_cached(model, gallery, "satellite", dataset.root, "gallery").descriptors
     described = retrieval.describe_picture(model, images.load_picture(query.path), "drone", angle)
     cosines = scoring.part_cosines(described.descriptor, tiles)
     labels = np.array([entry.label for entry in gallery])

@@ -7,19 +7,7 @@
   let shown = ""; // "first", "all", or nothing before the first answer
 
   lpn.screen = () => shown;
-  lpn.prefersFirst = () => {
-    try {
-      return localStorage.getItem(STORAGE_KEY) !== "all";
-    } catch {
-      return true;
-    }
-  };
-
-  const remember = (screen) => {
-    try {
-      localStorage.setItem(STORAGE_KEY, screen);
-    } catch {}
-  };
+  lpn.prefersFirst = () => lpn.stored("local", STORAGE_KEY) !== "all";
 
   const close = () => {
     document.getElementById("lpn-first")?.remove();
@@ -51,7 +39,7 @@
   // Show the screen, or close it for an empty text; a tour comes only to the plain stage (`free`).
   lpn.first = (html, free) => {
     const now = html ? "first" : "all";
-    if (shown && shown !== now) remember(now);
+    if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
     if (html) return open(html);
     close();

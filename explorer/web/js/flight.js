@@ -24,7 +24,7 @@
   const ink = () => getComputedStyle(root).color;
   const total = () => data.names.length;
   const range = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
-  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+  const { clamp } = lpn;
 
   // ---- from metres to pixels and to degrees
   const size = () => [root.map.clientWidth, root.map.clientHeight];

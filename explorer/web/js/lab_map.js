@@ -3,7 +3,7 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.labMap) return;
-  const SELECTED = 1, FAILED = 2, KNOWN = 4, UNKNOWN = 255;
+  const SELECTED = 1, FAILED = 2, UNKNOWN = 255;
   // Pixels within which the mouse points at a query, and milliseconds that it rests before a tip is asked for.
   const REACH = 9, REST = 120;
   // Corners of a lasso that the server takes, and pixels between them.
@@ -14,7 +14,7 @@
   // Selected queries beyond which marks are small and have hard edges.
   const MANY = 15000;
   const GREY = "#8a8a8a", PALE = "#515357", TILE = "#9aa1a8";
-  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+  const { clamp } = lpn;
   // The corners of what a drag encloses: its own, or those of the box that a straight one spans; null if it encloses nothing.
   const enclosed = (drag) => {
     if (drag.length < 2) return null;

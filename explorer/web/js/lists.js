@@ -13,7 +13,7 @@
   const ATTEMPTS = 4;
   // Browsers cut elements above some 17 million pixels: a longer list scrolls in proportion.
   const LONGEST = 12e6;
-  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+  const { clamp } = lpn;
 
   const feed = (address, arrived) => {
     const pieces = new Map(); // by number, the oldest first

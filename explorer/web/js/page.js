@@ -5,6 +5,26 @@
   let count = 0;
   const lpn = (window.lpn = {});
 
+  lpn.clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+  // The canvas of the stage; null while there is none.
+  lpn.canvas = () => document.querySelector("canvas[data-engine]");
+
+  // A text in the browser's "local" or "session" storage: null without one, undefined if the browser denies its storage.
+  lpn.stored = (storage, key) => {
+    try {
+      return window[storage + "Storage"].getItem(key);
+    } catch {}
+  };
+
+  // Store a text, or remove it by null; nothing happens if the browser denies its storage.
+  lpn.store = (storage, key, text) => {
+    try {
+      if (text === null) window[storage + "Storage"].removeItem(key);
+      else window[storage + "Storage"].setItem(key, text);
+    } catch {}
+  };
+
   lpn.field = (uuid) => {
     let row = document.querySelector('label[for="' + uuid + '"]');
     while (row && !row.querySelector("input")) row = row.parentElement;

@@ -17,7 +17,7 @@
       const enough = Math.min(60, 0.8 * found.height);
       if (bottom - top > enough && right - left > 20) return { left, top, right, bottom };
     }
-    const canvas = document.querySelector("canvas[data-engine]")?.getBoundingClientRect();
+    const canvas = lpn.canvas()?.getBoundingClientRect();
     if (!box || !canvas || new URLSearchParams(location.search).get("map") === "1") return null;
     const { height, width, middle } = lpn.scene;
     const unit = canvas.height / Math.max(height, (width * canvas.height) / canvas.width);

@@ -42,12 +42,12 @@
   };
 
   const follow = () => {
-    const size = document.querySelector("canvas[data-engine]")?.getBoundingClientRect();
+    const size = lpn.canvas()?.getBoundingClientRect();
     const camera = window.__viserMutable?.camera;
     if (!size || !camera || !window.__viserSceneTree) return;
     if (!box.isConnected) document.body.append(box);
     // A window over the stage covers the marks as well.
-    box.hidden = !document.elementFromPoint(size.left + 24, size.bottom - 24)?.matches("canvas[data-engine]");
+    box.hidden = document.elementFromPoint(size.left + 24, size.bottom - 24) !== lpn.canvas();
     if (box.hidden) return;
     const now = [...camera.matrixWorld.elements, size.left, size.bottom, size.width, cursor, JSON.stringify(place)].join();
     if (now === seen) return;
@@ -60,7 +60,7 @@
   };
 
   const point = (event) => {
-    const onStage = event.target.matches?.("canvas[data-engine]");
+    const onStage = event.target === lpn.canvas();
     if (onStage || event.pointerType === "mouse") cursor = onStage ? [event.clientX, event.clientY] : null;
   };
 

@@ -12,17 +12,10 @@
 
   // Without storage, a draft lasts as long as its page.
   const key = () => "lpn-story " + lpn.title;
-  lpn.keepDraft = (draft) => {
-    try {
-      if (draft) sessionStorage.setItem(key(), JSON.stringify(draft));
-      else sessionStorage.removeItem(key());
-    } catch {}
-  };
+  lpn.keepDraft = (draft) => lpn.store("session", key(), draft ? JSON.stringify(draft) : null);
   lpn.restoreDraft = () => {
-    try {
-      const kept = sessionStorage.getItem(key());
-      if (kept) lpn.send("story-draft", JSON.parse(kept));
-    } catch {}
+    const kept = lpn.stored("session", key());
+    if (kept) lpn.send("story-draft", JSON.parse(kept));
   };
 
   const make = (tag, parent, name, text = "") => {
@@ -137,7 +130,7 @@
 
   // The page goes back to the state before the story, unless the person stays.
   const end = (stay = false) => {
-    if (told.name === lpn.tour.name) remember();
+    if (told.name === lpn.tour.name) lpn.store("local", SEEN, "seen");
     told = null;
     notes?.close();
     lpn.point(null);
@@ -188,7 +181,7 @@
 
   // Mark what the style sheet changes: the stage takes the whole of the frame in which viser docks panels beside it.
   const frame = () => {
-    let stage = document.querySelector("canvas[data-engine]");
+    let stage = lpn.canvas();
     while (stage.parentElement && !stage.parentElement.querySelector("#lpn-header")) stage = stage.parentElement;
     stage.classList.add("lpn-undocked");
     stage.parentElement?.classList.add("lpn-frame");
@@ -206,18 +199,8 @@
     go(0);
   };
 
-  const remember = () => {
-    try {
-      localStorage.setItem(SEEN, "seen");
-    } catch {}
-  };
-  const seen = () => {
-    try {
-      return localStorage.getItem(SEEN) !== null;
-    } catch {
-      return true; // without storage, the tour would start at every visit
-    }
-  };
+  // Without storage, the tour would start at every visit.
+  const seen = () => lpn.stored("local", SEEN) !== null;
   // Called when the workbench is shown: it tells the story that waits for it, or to a new visitor the tour.
   lpn.welcome = () => {
     const story = wanted || (seen() ? null : lpn.tour);

@@ -61,16 +61,12 @@
   // viser's notice about software WebGL would stay over the page, and return whenever it is loaded. viser may draw it twice.
   const NOTICE_SEEN = "lpn-software-webgl", NOTICE_SHOWN = 12000;
   const softwareNotice = () => document.getElementById("webgl-software-rendering");
-  let noticeSeen = false, noticeLeaves = 0;
-  try {
-    noticeSeen = sessionStorage.getItem(NOTICE_SEEN) !== null;
-  } catch {}
+  const noticeSeen = lpn.stored("session", NOTICE_SEEN) === "seen";
+  let noticeLeaves = 0;
   const seeOnce = () => {
     if (noticeSeen) softwareNotice().style.display = "none";
     if (noticeLeaves) return;
-    try {
-      sessionStorage.setItem(NOTICE_SEEN, "seen");
-    } catch {}
+    lpn.store("session", NOTICE_SEEN, "seen");
     const leave = () => {
       softwareNotice()?.querySelector("button")?.click();
       noticeLeaves = 0;
@@ -142,10 +138,9 @@
     const height = entry.target.getBoundingClientRect().height;
     document.documentElement.style.setProperty("--lpn-sheet", height + "px");
   });
-  const findCanvas = () => document.querySelector("canvas[data-engine]");
   // Width and height of the stage in pixels; null while there is none.
   lpn.stageSize = () => {
-    const canvas = findCanvas();
+    const canvas = lpn.canvas();
     return canvas?.clientWidth && canvas.clientHeight ? [canvas.clientWidth, canvas.clientHeight] : null;
   };
   const stage = new ResizeObserver(() => {
@@ -158,7 +153,7 @@
     }, 250);
   });
   lpn.watch = () => {
-    const canvas = findCanvas();
+    const canvas = lpn.canvas();
     if (canvas) stage.observe(canvas);
     canvas?.setAttribute("role", "img");
     canvas?.setAttribute("aria-label", "Stage: the query, the compared tile, and the ranked tiles");

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -123,14 +123,13 @@ def recognise(keys: Collection[str], name: str) -> Kind:
     # A file of another branch alone is nearest to its own method, too.
     alike = [re.sub(r"^model_\d\.", "model_1.", key) for key in keys]
     _, nearest = max(SIGNATURES, key=lambda pair: _share(pair[1], alike))
-    found = ", ".join(printable(key)[:80] for key in list(keys)[:_SHOWN]) or "nothing"
-    more = f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else ""
+    found = first_few([printable(key)[:80] for key in keys], _SHOWN) or "nothing"
     near = "none of the known models has such names"
     if _share(nearest, alike) > 0:
         lacking = [pattern for pattern in nearest.all_of if not _matched(pattern, keys)]
         near = f"the nearest is {nearest.title}, for which it lacks {', '.join(_plain(p) for p in lacking)}"
     raise ModelFileError(
-        f"{name} is not a checkpoint of a known model: it holds {found}{more}; {near}. If it is one under other names, "
+        f"{name} is not a checkpoint of a known model: it holds {found}; {near}. If it is one under other names, "
         f"name it with --kind ({', '.join(KINDS)})."
     )
 

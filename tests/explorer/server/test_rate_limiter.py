@@ -41,7 +41,11 @@ def test_addresses_of_one_ipv6_network_count_as_one() -> None:
 
 
 def test_few_addresses_are_remembered() -> None:
-    limiter = RateLimiter()
-    for number in range(MAX_ADDRESSES + 50):
+    limiter = RateLimiter(lambda: 0.0)
+    for _ in range(int(GUESSES)):
+        limiter.wrong_token("1.2.3.4")
+    for number in range(MAX_ADDRESSES - 1):
         limiter.wrong_token(f"10.0.{number // 256}.{number % 256}")
-    assert len(limiter) == MAX_ADDRESSES
+    assert limiter.blocked("1.2.3.4")
+    limiter.wrong_token("10.1.0.0")
+    assert not limiter.blocked("1.2.3.4"), "the least recently used address is forgotten"

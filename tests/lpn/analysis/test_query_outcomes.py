@@ -26,7 +26,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
 from lpn.datasets import Picture, Truth, geo, open_dataset
-from lpn.descriptors import cached_descriptors, describe, stored_descriptors
+from lpn.descriptors import cached_descriptors, describe, shipped_or_cached
 from lpn.models.base import normalise
 from lpn.retrieval import inner_products, metrics, scoring
 from tools.fixtures import small_worlds
@@ -347,10 +347,10 @@ def test_descriptors_that_came_with_a_data_set_are_taken(tmp_path: Path, model_f
     marked = np.lib.format.open_memmap(root / "descriptors" / "query_drone" / "descriptors.npy", mode="r+")
     marked[0] = marked[1]
     marked.flush()
-    taken = stored_descriptors(model, queries, "drone", root, "query")
+    taken = shipped_or_cached(model, queries, "drone", root, "query").descriptors
     np.testing.assert_array_equal(taken[0], taken[1])
     (root / "descriptors" / "query_drone" / "manifest.json").unlink()
-    fresh = stored_descriptors(model, queries, "drone", root, "query")
+    fresh = shipped_or_cached(model, queries, "drone", root, "query").descriptors
     assert np.abs(fresh[0] - fresh[1]).max() > 1e-3
     assert store.manifest.view == "drone"
 

@@ -293,10 +293,3 @@ def test_a_picture_that_could_not_be_read_is_tried_again_and_forgotten_when_it_i
     assert place.run(pictures(12), 6).broken == []
     place.check(pictures(12))
     assert sorted(place.computed) == [item.row.file for item in pictures(12)]
-
-
-def test_boxes_are_kept_as_a_worker_gives_them_back(tmp_path: Path) -> None:
-    (tmp_path / "a.jpg").write_bytes(b"picture")
-    (item,) = driver._items(Storage(tmp_path), None, {"a.jpg": (0, 0, 10, 10)})
-    assert item.row.box is not None
-    assert [type(side) for side in item.row.box] == [float] * 4

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from lpn.core.errors import OutputError
-from lpn.core.files import check_writable, distinct_names, fingerprint, write_atomic
+from lpn.core.files import check_writable, distinct_names, fingerprint, first_few, write_atomic, write_json
 
 
 def test_a_file_is_whole_however_many_write_it(tmp_path: Path) -> None:
@@ -78,3 +78,16 @@ def test_names_have_the_folders_that_tell_files_apart() -> None:
     assert distinct_names([Path("runs/a/net.pth"), Path("runs/b/other.pth")]) == ["net.pth", "other.pth"]
     assert distinct_names([Path("runs/a/net.pth"), Path("runs/b/net.pth")]) == ["a/net.pth", "b/net.pth"]
     assert distinct_names([Path("1/a/net.pth"), Path("2/a/net\n.pth"), Path("3/a/net.pth")])[1] == "2/a/net?.pth"
+
+
+def test_json_ends_with_a_line_feed(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"name": "Zürich"})
+    assert (tmp_path / "a.json").read_bytes() == b'{\n "name": "Z\\u00fcrich"\n}\n'
+    write_json(tmp_path / "a.json", ["Zürich"], ensure_ascii=False)
+    assert (tmp_path / "a.json").read_text("utf-8") == '[\n "Zürich"\n]\n'
+
+
+def test_the_first_few_are_named_and_the_others_counted() -> None:
+    assert first_few(["a", "b"], 2) == "a, b"
+    assert first_few(["a", "b", "c", "d"], 2) == "a, b, and 2 more"
+    assert first_few([], 2) == ""

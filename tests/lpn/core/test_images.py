@@ -26,6 +26,15 @@ def test_preparation_is_the_published_one() -> None:
     np.testing.assert_allclose(prepared, ((reference - mean) / std).transpose(2, 0, 1), atol=1e-5)
 
 
+def test_a_picture_is_encoded_as_jpeg_in_its_colours() -> None:
+    orange = np.full((16, 16, 3), (220, 120, 20), np.uint8)
+    found = images.jpeg(orange, 95)
+    assert found.startswith(b"\xff\xd8")
+    np.testing.assert_allclose(images.decode_picture(found, "it"), orange, atol=3)
+    noisy = small_worlds.place(1)
+    assert len(images.jpeg(noisy, 40)) < len(images.jpeg(noisy, 95))
+
+
 @pytest.mark.parametrize(("degrees", "turns"), [(90, 1), (180, 2), (270, 3), (-90, 3)])
 def test_quarter_turns_are_exact_and_counter_clockwise(degrees: float, turns: int) -> None:
     picture = small_worlds.place(2)

@@ -127,15 +127,10 @@ def test_no_filter_of_the_longest_takes_long(table: Table) -> None:
         assert time.process_time() - start < 1, text
 
 
-def test_search_and_pages(table: Table) -> None:
+def test_search(table: Table) -> None:
     rows = table.rows()
     assert table.search(rows, " 0001/ ").tolist() == [1, 2]
     assert table.search(rows[::-1], "").tolist() == [3, 2, 1, 0]
-    assert table.page(rows, 1, 2).tolist() == [1, 2]
-    assert table.page(rows, 3, 2).tolist() == [2, 3]
-    assert table.page(rows, -5, 10).tolist() == [0, 1, 2, 3]
-    assert table.page(rows, 10**9, 3).tolist() == [1, 2, 3]
-    assert table.page(rows[:0], 2, 3).tolist() == []
 
 
 def test_exported_rows_are_read_back_and_run_no_formula(table: Table) -> None:

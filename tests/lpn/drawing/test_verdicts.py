@@ -36,7 +36,7 @@ def test_ablation_names_the_part_that_matters_most(without: RanksWithoutParts, e
 
 
 def test_reweighting_states_its_effect_on_all_queries() -> None:
-    change = Reweighting(np.array([0.7, 0.3], np.float32), np.array([0.2, -0.2], np.float32), 0.28, 3)
+    change = Reweighting(np.array([0.7, 0.3], np.float32))
     none = np.zeros(0, np.int64)
     assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the true tile first."
     helped = verdicts.describe_reweighting(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))

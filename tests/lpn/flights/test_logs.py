@@ -178,9 +178,11 @@ def test_a_log_without_a_recording_begins_with_the_video_and_says_so(tmp_path: P
         ("", r"log\.csv is empty"),
         ("a,b\n1,2\n", r"log\.csv has the columns a, b; expected latitude and longitude"),
         ("lat,lon\n", r"log\.csv has column names and no row"),
-        ("lat,lon\n1,2\nx,3\n", r"Row 3 of log\.csv has the latitude 'x'; expected a number"),
-        ("lat,lon\n100,3\n", r"Row 2 of log\.csv has the position 100, 3; expected degrees"),
-        ("lat,lon\n1,inf\n", r"Row 2 of log\.csv has the longitude 'inf'"),
+        ("lat,lon\n1,2\nx,3\n", r"Line 3 of log\.csv has the latitude 'x'; expected a number"),
+        ("sep=,\nlat,lon\n\n1,2\n\nx,3\n", r"Line 6 of log\.csv has the latitude 'x'"),
+        ('lat,lon,name\n1,2,"a\nb"\nx,3,c\n', r"Line 4 of log\.csv has the latitude 'x'"),
+        ("lat,lon\n100,3\n", r"Line 2 of log\.csv has the position 100, 3; expected degrees"),
+        ("lat,lon\n1,inf\n", r"Line 2 of log\.csv has the longitude 'inf'"),
     ],
 )
 def test_damaged_logs_are_refused_by_their_row(tmp_path: Path, text: str, message: str) -> None:

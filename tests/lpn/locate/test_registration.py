@@ -68,10 +68,11 @@ def test_a_heading_that_is_not_certain_does_not_lock_the_photo_out(ground: Groun
 
 
 @pytest.mark.parametrize(
-    ("other", "east", "runner_up", "accepted"), [(16.0, 0, 5.0, True), (25.0, 90, 20.0, False), (40.0, 90, 20.0, True)]
+    ("other", "east", "reason"),
+    [(16.0, 0, ""), (25.0, 90, "its support is 20, and that of this one 25."), (40.0, 90, "")],
 )
 def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_not_rival_it(
-    ground: Ground, monkeypatch: pytest.MonkeyPatch, other: float, east: float, runner_up: float, accepted: bool
+    ground: Ground, monkeypatch: pytest.MonkeyPatch, other: float, east: float, reason: str
 ) -> None:
     supports = {0.0: 20.0, -90.0: 5.0, 90.0: other}
     u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
@@ -88,7 +89,8 @@ def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_no
     monkeypatch.setattr(registration, "_guided", guided)
     photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
     found = register(SiftMatcher(), photo, ground, Expectation(80.0, 0.0, certain=False), bounds=BOUNDS)
-    assert (found.accepted, found.runner_up) == (accepted, runner_up)
+    assert found.accepted == (not reason)
+    assert found.reason.endswith(reason)
     assert found.centre is not None
     assert found.centre[0] == pytest.approx(east)
     assert found.places[0] == (80, east)
