@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-import cv2
 import msgspec
 import viser
 from msgspec import Meta
@@ -20,7 +19,6 @@ from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
-from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.drawing import overlays
@@ -330,12 +328,8 @@ def own_query(state: SessionState, picture: OwnPicture) -> SessionState:
 def _hold(picture: OwnPicture, content: bytes) -> _Held:
     """Return a picture as it is held: as its own file if that is small and was not shrunk, else as JPEG of the size shown."""
     own = len(content) <= _SMALL and max(picture.picture.shape[:2]) < uploads.MAX_SIDE
-    file = content if own else _jpeg(picture.picture, _QUALITY)
-    return _Held(picture.name, file, _jpeg(overlays.square(picture.picture, _THUMBNAIL), 80), picture.place)
-
-
-def _jpeg(picture: UInt8Array, quality: int) -> bytes:
-    return bytes(cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+    file = content if own else images.jpeg(picture.picture, _QUALITY)
+    return _Held(picture.name, file, images.jpeg(overlays.square(picture.picture, _THUMBNAIL), 80), picture.place)
 
 
 def _thumbnails(held: Sequence[_Held]) -> Callable[[int], EncodedPicture | None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +89,7 @@ class EvaluateCommand:
     """File to write the measures to, as JSON."""
 
     def run(self) -> None:
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.files import check_writable, write_json
         from lpn.descriptors.transforms import Change
         from lpn.retrieval.protocol import Protocol
 
@@ -127,15 +126,14 @@ class EvaluateCommand:
             title, result = self._evaluate_saved(self.saved, protocol) if self.saved else self._evaluate_model(protocol)
         _print_result(title, result)
         if self.json is not None:
-            write_atomic(self.json, (json.dumps(result.to_dict(), indent=1) + "\n").encode())
+            write_json(self.json, result.to_dict())
 
     def _evaluate_flight(self) -> None:
         from dataclasses import asdict
 
-        from rich.console import Console
-
         from lpn.cli.locate import locate_files, print_summary
-        from lpn.core.files import write_atomic
+        from lpn.core.consoles import wide_console
+        from lpn.core.files import write_json
         from lpn.locate.pipeline import LocateOptions
 
         if self.flight is None or self.map is None:
@@ -145,7 +143,7 @@ class EvaluateCommand:
         given = [name for name in _NOT_OF_FLIGHTS if getattr(self, name) != getattr(type(self), name)]
         if given:
             raise InputError(f"A flight is evaluated as it is; leave --{given[0].replace('_', '-')} out.")
-        console = Console(width=max(120, Console().width))
+        console = wide_console()
         options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error)
         located = locate_files(
             self.map, self.flight, self.model, self.kind, self.provider, options, None, self.corrections, console
@@ -163,7 +161,7 @@ class EvaluateCommand:
                 "notes": located.notes,
             }
             # A stage without an answer has no median, which JSON cannot express as a number.
-            write_atomic(self.json, (json.dumps(_without_nan(result), indent=1) + "\n").encode())
+            write_json(self.json, _without_nan(result))
 
     def _evaluate_arrays(self, protocol: Protocol) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved
@@ -231,9 +229,9 @@ class EvaluateCommand:
 
 def _print_result(title: str, result: Result) -> None:
     """Print a table of recall and AP, and the protocol below it."""
-    from rich.console import Console
     from rich.table import Table
 
+    from lpn.core.consoles import wide_console
     from lpn.retrieval.evaluate import WITHOUT
 
     rows = [("all", result.galleries), *result.groups.items()]
@@ -245,7 +243,7 @@ def _print_result(title: str, result: Result) -> None:
         for figures in galleries:
             facts = (result.task, *([group] if result.groups else []), str(figures.queries), figures.name)
             table.add_row(*facts, *(f"{value:.2f}" for value in (*figures.recall.values(), figures.ap)))
-    console = Console(width=max(120, Console().width))
+    console = wide_console()
     console.print(table)
     console.print(result.sentence)
     if any(figures.gallery_name == WITHOUT for figures in result.galleries):

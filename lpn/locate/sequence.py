@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.core.numbers import wrap_degrees
 
 # Scores or log emissions of a frame's windows at its headings, (N, K), by the frame's position in the flight.
 OfFrame = Callable[[int], Float64Array]
@@ -97,7 +98,7 @@ class MotionModel:
             elapsed: seconds, NaN if unknown.
             before, after: headings in degrees, (K,) and (M,), NaN if unknown.
         """
-        change = (after - before[:, None] + 180) % 360 - 180
+        change = wrap_degrees(after - before[:, None])
         deviation = np.hypot(_HEADING_DEVIATION, self.turn_rate * elapsed)
         if np.isnan(change).any() or np.isnan(deviation):
             return np.full(change.shape, 1 / len(after))

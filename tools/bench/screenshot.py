@@ -1,4 +1,4 @@
-"""Make the pictures of docs/explorer.md and docs/stories.md: `python -m tools.bench.screenshot docs [FILE ...]`."""
+"""Make the pictures of the app in docs: `python -m tools.bench.screenshot docs [FILE ...]`."""
 
 from __future__ import annotations
 
@@ -10,31 +10,48 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
+import torch
 from playwright.sync_api import Browser, sync_playwright
 
-from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_MODEL, DEMO_QUERY
 from lpn.core.files import write_atomic
 from tools.bench.page import ServerProcess
 from tools.fixtures.chromium import RETURNING, launch
 from tools.fixtures.processes import free_port
+from tools.fixtures.published_models import golden
 
 QUALITY = 84
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One picture: of which query, after which keys, and whether by the baseline or with it beside; and which tab of the window
-    of reasons, with what chosen there and waited for."""
+    """One picture.
+
+    Attributes:
+        file: its name.
+        query: that is shown.
+        keys: pressed one after the other.
+        baseline: whether the baseline answers.
+        beside: whether the baseline is offered for comparison.
+        fsra: whether an FSRA with seeded weights answers, and the demo's LPN is offered for comparison.
+        tab: of the explain window, that is opened.
+        choose: a selector of what is pressed then.
+        wait: a selector of what is waited for.
+        address: that is opened.
+        part: a selector of what the picture shows; the whole page without one.
+    """
 
     file: str
     query: str
     keys: str = ""
     baseline: bool = False
     beside: bool = False
+    fsra: bool = False
     tab: str | None = None
     choose: str | None = None
     wait: str | None = None
     address: str = ""
+    part: str = "body"
 
 
 SHOTS = (
@@ -45,8 +62,24 @@ SHOTS = (
     Shot("failure.jpg", "0449/05"),
     Shot("failure-map.jpg", "0449/05", "m"),
     Shot("story-context.jpg", "0445/05", "y", beside=True, tab="Two models"),
-    Shot("story-turn.jpg", "0334/08", "y", tab="Turn, shift, zoom", choose="Turn", wait="#lpn-profile[data-done='24']"),
+    Shot(
+        "story-turn.jpg",
+        "0334/08",
+        "y",
+        tab="Turn, shift, zoom",
+        choose=".chips a:has-text('Turn')",
+        wait="#lpn-profile[data-done='24']",
+    ),
     Shot("story-constant.jpg", "0381/02", "y", tab="Why"),
+    Shot("fsra-beside-lpn.jpg", "0445/05", "y", fsra=True, tab="Two models", wait="#lpn-model-comparison img"),
+    Shot(
+        "flight.jpg",
+        DEMO_QUERY,
+        address="?show=flight&flight=1&query=LPN_0117.webp",
+        choose="[data-photo=swipe]",
+        wait="#lpn-flight .status:empty",
+        part="#lpn-flight",
+    ),
 )
 
 
@@ -62,11 +95,17 @@ def main() -> None:
 
 
 def _take(browser: Browser, shot: Shot, out: Path) -> None:
-    model = DEMO_BASELINE if shot.baseline else DEMO / "lpn.onnx"
-    command = [sys.executable, "-m", "lpn", "explore", "--data", str(DEMO), "--model", str(model)]
-    command += ["--beside", str(DEMO_BASELINE)] if shot.beside else []
-    with ServerProcess([*command, "--query", shot.query, "--port", str(free_port())], dict(os.environ)) as app:
-        _open(browser, app.url, shot, out)
+    with TemporaryDirectory() as folder:
+        model = DEMO_BASELINE if shot.baseline else DEMO_MODEL
+        if shot.fsra:
+            model = Path(folder) / "net_119.pth"
+            torch.save(golden("fsra_vits_b3").state, model)
+        beside = DEMO_MODEL if shot.fsra else DEMO_BASELINE if shot.beside else None
+        command = [sys.executable, "-m", "lpn", "explore", "--query", shot.query, "--port", str(free_port())]
+        command += [] if shot.address.startswith("?show=") else ["--data", str(DEMO), "--model", str(model)]
+        command += [] if beside is None else ["--beside", str(beside)]
+        with ServerProcess(command, dict(os.environ)) as app:
+            _open(browser, app.url, shot, out)
 
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
@@ -85,13 +124,13 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
         page.get_by_role("tab", name=shot.tab).click()
         page.wait_for_timeout(1500)
     if shot.choose is not None:
-        page.locator(".chips a", has_text=shot.choose).first.click()
+        page.locator(shot.choose).first.click()
     if shot.wait is not None:
-        page.wait_for_selector(shot.wait, state="attached", timeout=120_000)
-        page.wait_for_timeout(500)
+        page.wait_for_selector(shot.wait, state="attached", timeout=600_000)
+        page.wait_for_timeout(1500)
     with TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
-        page.screenshot(path=str(file))
+        page.locator(shot.part).screenshot(path=str(file))
         shown = cv2.imread(str(file))
         assert shown is not None
         data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
