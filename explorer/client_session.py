@@ -190,7 +190,7 @@ class ClientSession:
             shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
             background = self._requests.queued(workspace.model, background=True)
             self._stage = Stage(client, workspace, self._on_select, background, viewport)
-            self._worker = Worker(self._work, self._on_error)
+            self._worker = Worker(self._work, self._on_failed_answer)
             viewport.watch(lambda: self._worker.wake() if self._stage.outgrown else None)
             self._ranking_progress = RankingProgress(self._panels.answer.show_results, self._worker.wake)
             self._greeting_timeout = DelayedCall(_ADDRESS_TIMEOUT, self._stop_waiting)
@@ -384,11 +384,15 @@ class ClientSession:
         return f"Browser {self.client.client_id}: answer {self._sequence}: {state.task}, {query}, {change}: {times}"
 
     def _on_error(self, error: Exception) -> None:
-        text = (
-            str(error)
-            if isinstance(error, LPNError)
-            else f"{type(error).__name__}: try another picture, or load the page again; the server's log has the details."
-        )
         self._panels.answer.show_idle()
-        self._panels.notify_error("No answer", text)
-        self._explain_window.fail(text)
+        self._panels.notify_error("No answer", _in_words(error))
+
+    def _on_failed_answer(self, error: Exception) -> None:
+        self._on_error(error)
+        self._explain_window.fail(_in_words(error))
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, LPNError):
+        return str(error)
+    return f"{type(error).__name__}: try another picture, or load the page again; the server's log has the details."

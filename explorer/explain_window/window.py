@@ -129,6 +129,8 @@ class ExplainWindow:
         self._open_tab = open_tab
         self._lock = Lock()
         self._content: WindowContent | None = None
+        # True from `close` to `announce`: an analysis that was begun before does not open the window again.
+        self._closed = False
         self._open = False
         tabs: list[tuple[str, Any, Callable[[WindowContent], str]]] = [
             (_EVIDENCE, viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
@@ -216,6 +218,7 @@ class ExplainWindow:
 
     def announce(self) -> None:
         """Open the window at once, and say what is being computed until `show` is called."""
+        self._closed = False
         if not self._open:
             self._open = True
             for tab in self._tabs[:5]:
@@ -226,11 +229,15 @@ class ExplainWindow:
     def fail(self, text: str) -> None:
         """Say in the open window why the pair could not be analysed."""
         if self._open:
-            for tab in self._tabs[:5]:
+            with self._lock:  # what is still being computed for the pair before is not drawn
+                self._cancel_sweep(None)
+                self._content = None
+            for tab in self._tabs:
                 tab.fail(text)
 
     def close(self) -> None:
-        """Close the window at once."""
+        """Close the window at once, until `announce` opens it."""
+        self._closed = True
         if self._open:
             self._open = False
             self._place()
@@ -238,7 +245,8 @@ class ExplainWindow:
 
     def show(self, analysis: StateAnalysis) -> None:
         """Open or close the window as the state says, and draw the analysis if it is open."""
-        is_open, before = analysis.state.why and not analysis.state.first_screen, self._content
+        is_open = analysis.state.why and not analysis.state.first_screen and not self._closed
+        before = self._content
         kept = before is not None and before.pair is not None and before.pair.belongs_to(analysis)
         pair = PairResult.of(analysis) if is_open and not kept else None
         with self._lock:  # meanwhile, other threads may have stored an effect for the same pair, or a sweep

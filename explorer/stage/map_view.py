@@ -16,6 +16,7 @@ from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
+from lpn.core.errors import PictureError
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from lpn.drawing import captions, overlays, theme
@@ -201,8 +202,11 @@ class GalleryMap:
                 chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
-                picture = overlays.square(self._workspace.card(analysis.task, match.index), 96)
-                framed = overlays.framed(picture, colour, 5)
+                try:
+                    picture = self._workspace.load_picture(analysis.task.gallery[match.index])
+                except PictureError:
+                    picture = self._workspace.card(analysis.task, match.index)  # grey
+                framed = overlays.framed(overlays.square(picture, 96), colour, 5)
             side = self._tile_side(places, match.index)
             if side * pixels > 1.3 * LEAST:  # otherwise the number would not fit
                 framed = captions.numbered(framed, match.rank, legible(30, framed.shape[0], side * pixels))

@@ -26,5 +26,5 @@ def is_rendered(root: Path) -> bool:
 
 
 def is_rendered_flight(photos: Path) -> bool:
-    """Return whether `lpn world --flight` made the photos of a folder."""
+    """Return whether `lpn world --flight` made a folder of photos; its plan lies beside the folder."""
     return (photos.parent / FLIGHT_PLAN).is_file()

@@ -16,18 +16,12 @@ from lpn.core.errors import LPNError
 ROOT = Path(__file__).parents[2]
 
 
-def test_readme_snippet_runs(model_file: Path) -> None:
+def test_readme_snippet_runs(model_file: Path, data: Path) -> None:
     snippet = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
     rng = np.random.default_rng(0)
     height, width = lpn.load(model_file).input_size
-    names: dict[str, object] = {
-        "images": rng.standard_normal((2, 3, height, width)).astype(np.float32),
-        "query": rng.standard_normal((4, 2, 8)),
-        "query_labels": np.arange(4),
-        "gallery": rng.standard_normal((6, 2, 8)),
-        "gallery_labels": np.arange(6),
-    }
-    exec(snippet.replace('"model.onnx"', repr(str(model_file))), names)
+    names: dict[str, object] = {"images": rng.standard_normal((2, 3, height, width)).astype(np.float32)}
+    exec(snippet.replace('"model.onnx"', repr(str(model_file))).replace('"ROOT"', repr(str(data))), names)
     assert isinstance(names["descriptors"], np.ndarray)
     assert names["descriptors"].shape[:2] == (2, 4)
     assert isinstance(names["figures"], dict)

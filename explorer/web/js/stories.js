@@ -14,8 +14,10 @@
   const key = () => "lpn-story " + lpn.title;
   lpn.keepDraft = (draft) => lpn.store("session", key(), draft ? JSON.stringify(draft) : null);
   lpn.restoreDraft = () => {
-    const kept = lpn.stored("session", key());
-    if (kept) lpn.send("story-draft", JSON.parse(kept));
+    try {
+      const kept = JSON.parse(lpn.stored("session", key()));
+      if (kept) lpn.send("story-draft", kept);
+    } catch {} // another program's text
   };
 
   const make = (tag, parent, name, text = "") => {

@@ -323,7 +323,9 @@ def test_a_failed_analysis_is_said_in_the_open_window_which_can_be_closed(
     explain_window.fail("The picture of <b> is damaged.")
     assert "No answer: The picture of &lt;b&gt; is damaged." in gui.shown("lpn-why")
     explain_window.close()
+    explain_window.show(analysed(workspace))  # was begun before
     assert not explain_window._panel.visible
+    explain_window.announce()
     explain_window.show(analysed(workspace))
     assert explain_window._panel.visible
     assert "No answer" not in gui.shown("lpn-why")

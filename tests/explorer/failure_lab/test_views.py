@@ -62,6 +62,15 @@ def busy(lab: LabState) -> LabState:
     )
 
 
+def test_a_command_before_the_first_table_says_so(window: FailureLabWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(window._service, "findings", lambda _: None)
+    window._client.add_notification = lambda title, _: said.append(title)  # type: ignore[method-assign, misc, assignment]
+    window._download()
+    window._report()
+    assert said == ["No table yet"] * 2
+
+
 def test_a_view_brings_back_what_was_chosen(findings: Findings, lab: LabState) -> None:
     before = busy(lab)
     view = state.to_view(findings, before, " roofs ")

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -552,6 +553,24 @@ def test_steps_that_do_not_follow_the_headings_are_told(
     assert [
         note.startswith("The scores are more probable where the drone moves in any direction") for note in notes
     ] == [True] * told
+
+
+def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
+    flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    smoothed, scores = pipeline._smoothed, np.eye(25)[[12, 12, 12]]
+
+    def through_a_corner(*given: Any) -> Any:
+        track, motion = smoothed(*given)
+        return replace(track, path=np.array([12, 24, 12])), motion
+
+    monkeypatch.setattr(pipeline, "_smoothed", through_a_corner)
+    said = [frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {})]
+    assert ["The most probable path of the whole flight passes 113 m from here." in one for one in said] == [
+        False, True, False,
+    ]  # fmt: skip
+    monkeypatch.undo()
+    assert not any("path" in frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {}))
 
 
 def test_a_sequence_refuses_what_it_cannot_place(flight: Flight) -> None:
