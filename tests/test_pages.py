@@ -66,8 +66,15 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
     columns = ("drone pictures, % of activation", "satellite tiles, % of activation")
     run = tmp_path / "run"
     run.mkdir()
+    world = tmp_path / "world"
+    for folder in ("train/satellite/1", "test/query_satellite/2", "test/query_satellite/3", "test/query_drone/2"):
+        (world / folder).mkdir(parents=True)
+    (world / "test/query_drone/2/a.jpg").touch()
+    (world / "world.json").write_text('{"settings": {"seed": 5, "tile_pixels": 99}}')
+    (run / "runs" / "lpn-seed0").mkdir(parents=True)
+    (run / "runs" / "lpn-seed0" / "job.json").write_text('{"identity": {"size": 77, "epochs": 3}}')
     MeasurementStore(run / "measured.json").keep(TableRecord("figure7", "Figure 7: new", columns, (None, None), rows))
-    done = pages("--run", str(run), "--docs", str(docs))
+    done = pages("--run", str(run), "--world", str(world), "--docs", str(docs))
     assert done.returncode == 0, done.stderr
     text = (docs / "reproduction.md").read_text("utf-8")
     assert "| Baseline, n = 1 | 41.25 | 41.25 |" in text
@@ -77,10 +84,9 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
         in text
     )
     assert "### Table I: losses and LPN" in text
-    # A table without figures of single networks was not written by lpn reproduce.
-    copied = next(line for line in text.splitlines() if "copied from an earlier page, not from that file" in line)
-    assert "Figure 7" not in copied
-    assert text.count("Copied from an earlier page: ") == len(copied.partition("**: ")[2].split(", "))
+    assert "    lpn world --seed 5 --tile-pixels 99 --out runs/world\n" in text
+    assert "--epochs 3 --size 77\n" in text
+    assert "The world has 1\nplaces to train on and 2 to test on: 1 drone pictures" in text
     assert pages("--check", "--docs", str(docs)).returncode == 0
 
 

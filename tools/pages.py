@@ -1,10 +1,11 @@
-"""The pages with measured figures, rendered from their data: `python -m tools.pages [--run runs/reproduce] [--check]`.
+"""The pages with measured figures, rendered from their data: `python -m tools.pages [--run RUN --world WORLD] [--check]`.
 
 `docs/measured/<page>.md.j2` is the page's text, and `docs/measured/<page>.json` holds its figures, each with its command, seed,
 version, machine, and date. Those of docs/shipped.md are in the cards of the models that ship. The tables of docs/recipes.md come
 from `lpn.training.recipe_sources`. With `--run`, the tables and drawings of a run of `lpn reproduce` replace the page's own
-first. With `--crossval`, the table of an `lpn crossval` joins those of docs/strong.md. With `--check`, nothing is written: a page
-that differs from its data, and a figure in the text alone, end with status 1.
+first, and with `--world` the counts of the world that it ran on. With `--crossval`, the table of an `lpn crossval` joins those
+of docs/strong.md. With `--check`, nothing is written: a page that differs from its data, and a figure in the text alone, end
+with status 1.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from safetensors import safe_open
 
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import write_atomic
+from lpn.datasets.rendered import PLAN
 from lpn.models.shipped import model_cards
 from lpn.reproduce import claims, report
 from lpn.reproduce.measure import read_measurements
@@ -42,8 +44,6 @@ _DRAWINGS = {
     "figure8": "figure8.jpg",
     "figure8-panoramas": "figure8-panoramas.jpg",
 }
-# How the note of a table begins whose rows were defined otherwise when it was measured.
-_EARLIER = "**Earlier definition**"
 _SOURCE = "<!-- Rendered from docs/measured by python -m tools.pages; edit the template and the data there. -->\n"
 
 
@@ -65,18 +65,13 @@ def render(page: str, docs: Path) -> str:
     }
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
-    copied = [record.title.partition(":")[0] for record in records.values() if _is_copied(record)]
     environment.globals |= {"recipe_table": recipe_sources.table, "source": recipe_sources.source, "find": recipes.find}
-    old = [record for record in records.values() if any(note.startswith(_EARLIER) for note in record.notes)]
-    earlier = [record.title.partition(":")[0] for record in old]
     text = environment.get_template(f"{page}.md.j2").render(
         **data,
         tables=records,
         table=lambda key: table(records[key]),
         cards=model_cards(),
         drawings=drawings,
-        earlier=earlier,
-        copied=copied,
         limits=[largest_drop(column) for column in range(4)],
     )
     return text.rstrip("\n") + "\n\n" + _SOURCE
@@ -89,12 +84,6 @@ def table(record: TableRecord) -> str:
 
 def origins(record: TableRecord) -> list[str]:
     """Say where the figures of a table come from, each place once."""
-    if _is_copied(record):
-        sources = dict.fromkeys(made for row in record.rows for made in row.measured.values())
-        return [
-            f"Copied from an earlier page: {each.command}, lpn {each.version}, on {each.machine}, {each.date}."
-            for each in sources
-        ]
     places: dict[tuple[Provenance, str], dict[str, None]] = {}
     for row in record.rows:
         for verb, found in (("trained", row.trained), ("measured", row.measured)):
@@ -104,11 +93,6 @@ def origins(record: TableRecord) -> list[str]:
         f"{' and '.join(verbs).capitalize()}{seed} by `{made.command}`, lpn {made.version}, on {made.machine}, {made.date}."
         for (made, seed), verbs in places.items()
     ]
-
-
-def _is_copied(record: TableRecord) -> bool:
-    """Check whether a table lacks the figures of single networks, which `lpn reproduce` always records."""
-    return any(row.mean and not row.values for row in record.rows)
 
 
 def copy_run(run: Path, docs: Path) -> None:
@@ -123,6 +107,24 @@ def copy_run(run: Path, docs: Path) -> None:
     for name, picture in _DRAWINGS.items():
         if (drawn := run / f"{name}.png").is_file():
             cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))))
+
+
+def copy_world(world: Path, run: Path, docs: Path) -> None:
+    """Take the counts of a rendered world, and the size and length of a run's trainings on it, over into the page's data."""
+    settings = json.loads((world / PLAN).read_bytes())["settings"]
+    recipe = json.loads((run / "runs" / "lpn-seed0" / "job.json").read_bytes())["identity"]
+    flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in settings.items())
+    path = docs / "measured" / "reproduction.json"
+    data = json.loads(path.read_bytes())
+    data["world"] = {
+        "command": f"lpn world {flags} --out runs/world",
+        "train": len(list((world / "train/satellite").iterdir())),
+        "test": len(list((world / "test/query_satellite").iterdir())),
+        "drone": len(list((world / "test/query_drone").glob("*/*"))),
+        "size": recipe["size"],
+        "epochs": recipe["epochs"],
+    }
+    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
@@ -284,6 +286,7 @@ def main() -> int:
     """Render the pages, after taking over a run, or check them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--run", type=Path, help="folder of a finished lpn reproduce")
+    parser.add_argument("--world", type=Path, help="rendered world that the run was made on")
     parser.add_argument("--ablation", type=Path, help="folder of the ablation's runs")
     parser.add_argument("--commit", default="", help="commit of the ablation's runs")
     parser.add_argument("--check", action="store_true", help="write nothing, and fail on a difference")
@@ -296,6 +299,8 @@ def main() -> int:
         return int(bool(found))
     if given.run is not None:
         copy_run(given.run, given.docs)
+        if given.world is not None:
+            copy_world(given.world, given.run, given.docs)
     if given.ablation is not None:
         copy_ablation(given.ablation, given.commit, given.docs)
     if given.crossval is not None:
