@@ -207,11 +207,11 @@ class ClientSession:
                 return
             if state.dark != self._state.dark:
                 self._set_theme(state)
-            if state.why and not state.first_screen and (not self._state.why or self._state.first_screen):
+            if state.shows_reasons and not self._state.shows_reasons:
                 self._explain_window.announce()
                 self._bridge.call("reveal", "#lpn-why")
-            if self._state.why and not state.why:
-                self._explain_window.close()  # an analysis that fails would not close it
+            if self._state.shows_reasons and not state.shows_reasons:
+                self._explain_window.close()
             if state.flight and not self._state.flight:
                 self._bridge.call("reveal", "#lpn-flight")
             if state.lab and not self._state.lab:

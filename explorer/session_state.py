@@ -134,6 +134,11 @@ class SessionState:
         return values if any(values) else (1.0,) * self.n_parts
 
     @property
+    def shows_reasons(self) -> bool:
+        """Return True if the explain window is open, which the first screen has no room for."""
+        return self.why and not self.first_screen
+
+    @property
     def change(self) -> Change:
         """The transformation of the query before it is described."""
         return Change(self.angle, self.shift, self.zoom, self.down)

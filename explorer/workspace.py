@@ -188,6 +188,16 @@ class Workspace:
         """Return a gallery picture at the size of a card, without part borders; read-only."""
         return self._card(task.name, index)
 
+    def ground_picture(self, task: Task, index: int) -> UInt8Array:
+        """Return a gallery picture as it lies on the ground: a card, or where the model unrolls tiles, the tile itself."""
+        card = self.card(task, index)
+        if not self.contract.unrolled(task.gallery_view):
+            return card
+        try:
+            return self.load_picture(task.gallery[index])
+        except PictureError:
+            return card
+
     def areas(self, view: View, described: DescribedPicture | None = None) -> PartAreas | None:
         """Return the areas of the parts: of the view's partition, else of the picture's cells; None without either."""
         fixed = self._fixed_areas(view)

@@ -72,7 +72,8 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
     (world / "test/query_drone/2/a.jpg").touch()
     (world / "world.json").write_text('{"settings": {"seed": 5, "tile_pixels": 99}}')
     (run / "runs" / "lpn-seed0").mkdir(parents=True)
-    (run / "runs" / "lpn-seed0" / "job.json").write_text('{"identity": {"size": 77, "epochs": 3}}')
+    job = {"identity": {"size": 77, "epochs": 3}, "made": {"command": "lpn reproduce figure7 --epochs 3"}}
+    (run / "runs" / "lpn-seed0" / "job.json").write_text(json.dumps(job))
     MeasurementStore(run / "measured.json").keep(TableRecord("figure7", "Figure 7: new", columns, (None, None), rows))
     done = pages("--run", str(run), "--world", str(world), "--docs", str(docs))
     assert done.returncode == 0, done.stderr
@@ -83,9 +84,11 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
         "LPN to its surroundings too (Figure 7): **held** (drone pictures, % of activation: Baseline, n = 1 41.2"
         in text
     )
-    assert "### Table I: losses and LPN" in text
-    assert "    lpn world --seed 5 --tile-pixels 99 --out runs/world\n" in text
-    assert "--epochs 3 --size 77\n" in text
+    assert "### Table I" not in text  # of another run
+    assert "short trials" not in text
+    assert not (docs / "figure8.jpg").exists()
+    assert "    lpn world --seed 5 --tile-pixels 99 --out world\n    lpn reproduce figure7 --epochs 3\n" in text
+    assert "77 pixels, 3 epochs, one seed of each network" in text
     assert "The world has 1\nplaces to train on and 2 to test on: 1 drone pictures" in text
     assert pages("--check", "--docs", str(docs)).returncode == 0
 

@@ -2,8 +2,8 @@
 
 `docs/measured/<page>.md.j2` is the page's text, and `docs/measured/<page>.json` holds its figures, each with its command, seed,
 version, machine, and date. Those of docs/shipped.md are in the cards of the models that ship. The tables of docs/recipes.md come
-from `lpn.training.recipe_sources`. With `--run`, the tables and drawings of a run of `lpn reproduce` replace the page's own
-first, and with `--world` the counts of the world that it ran on. With `--crossval`, the table of an `lpn crossval` joins those
+from `lpn.training.recipe_sources`. With `--run` and `--world`, the tables and drawings of a run of `lpn reproduce`, and the
+counts of the world that it ran on, replace the page's own first. With `--crossval`, the table of an `lpn crossval` joins those
 of docs/strong.md. With `--check`, nothing is written: a page that differs from its data, and a figure in the text alone, end
 with status 1.
 """
@@ -24,7 +24,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from safetensors import safe_open
 
 from lpn.core.arrays import UInt8Array
-from lpn.core.files import write_atomic
+from lpn.core.files import write_atomic, write_json
 from lpn.datasets.rendered import PLAN
 from lpn.models.shipped import model_cards
 from lpn.reproduce import claims, report
@@ -95,36 +95,37 @@ def origins(record: TableRecord) -> list[str]:
     ]
 
 
-def copy_run(run: Path, docs: Path) -> None:
-    """Take the tables and drawings of a run of `lpn reproduce` over into the page's data."""
-    path = docs / "measured" / "reproduction.json"
-    data = json.loads(path.read_bytes())
-    data["tables"] |= json.loads(msgspec.json.encode(read_measurements(run / "measured.json").tables))
-    data["tables"] = dict(sorted(data["tables"].items(), key=lambda item: (item[0].startswith("figure"), item[0])))
-    if (run / "tuning.json").is_file():
-        data["tuning"] = json.loads((run / "tuning.json").read_bytes())
-    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+def copy_run(run: Path, world: Path, docs: Path) -> None:
+    """Replace the page's data and drawings by those of a finished run of `lpn reproduce` on a rendered world."""
+    tables = json.loads(msgspec.json.encode(read_measurements(run / "measured.json").tables))
+    jobs = [json.loads(file.read_bytes()) for file in sorted((run / "runs").glob("lpn-seed*/job.json"))]
+    settings = json.loads((world / PLAN).read_bytes())["settings"]
+    flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in settings.items())
+    tuning = run / "tuning.json"
+    data = {
+        "format": FORMAT,
+        "tables": dict(sorted(tables.items(), key=lambda item: (item[0].startswith("figure"), item[0]))),
+        "tuning": json.loads(tuning.read_bytes()) if tuning.is_file() else None,
+        "world": {
+            "commands": [
+                f"lpn world {flags} --out {world.name}",
+                jobs[0]["made"]["command"],
+                f"python -m tools.pages --run {run.name} --world {world.name}",
+            ],
+            "train": len(list((world / "train/satellite").iterdir())),
+            "test": len(list((world / "test/query_satellite").iterdir())),
+            "drone": len(list((world / "test/query_drone").glob("*/*"))),
+            "size": jobs[0]["identity"]["size"],
+            "epochs": jobs[0]["identity"]["epochs"],
+            "seeds": len(jobs),
+        },
+    }
+    write_json(docs / "measured" / "reproduction.json", data, ensure_ascii=False)
     for name, picture in _DRAWINGS.items():
         if (drawn := run / f"{name}.png").is_file():
             cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))))
-
-
-def copy_world(world: Path, run: Path, docs: Path) -> None:
-    """Take the counts of a rendered world, and the size and length of a run's trainings on it, over into the page's data."""
-    settings = json.loads((world / PLAN).read_bytes())["settings"]
-    recipe = json.loads((run / "runs" / "lpn-seed0" / "job.json").read_bytes())["identity"]
-    flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in settings.items())
-    path = docs / "measured" / "reproduction.json"
-    data = json.loads(path.read_bytes())
-    data["world"] = {
-        "command": f"lpn world {flags} --out runs/world",
-        "train": len(list((world / "train/satellite").iterdir())),
-        "test": len(list((world / "test/query_satellite").iterdir())),
-        "drone": len(list((world / "test/query_drone").glob("*/*"))),
-        "size": recipe["size"],
-        "epochs": recipe["epochs"],
-    }
-    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+        else:
+            (docs / picture).unlink(missing_ok=True)
 
 
 def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
@@ -174,7 +175,7 @@ def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
         },
         "figure7": json.loads(msgspec.json.encode(centre)),
     }
-    write_atomic(path, (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode())
+    write_json(path, data, ensure_ascii=False)
 
 
 def copy_crossval(file: Path, docs: Path) -> None:
@@ -182,7 +183,7 @@ def copy_crossval(file: Path, docs: Path) -> None:
     target = docs / "measured" / "strong.json"
     data: dict[str, Any] = json.loads(target.read_bytes()) if target.is_file() else {"format": FORMAT}
     data["crossval"] = {**data.get("crossval", {}), file.stem: json.loads(file.read_bytes())}
-    write_atomic(target, (json.dumps(data, indent=1) + "\n").encode())
+    write_json(target, data)
 
 
 def _centre(runs: Path, seeds: list[int]) -> TableRecord:
@@ -297,10 +298,10 @@ def main() -> int:
         found = [error for page in PAGES for error in errors(page, given.docs)]
         print("\n".join(found) or "The pages are what their data say.")
         return int(bool(found))
+    if (given.run is None) != (given.world is None):
+        parser.error("--run and --world go together: the page tells of both.")
     if given.run is not None:
-        copy_run(given.run, given.docs)
-        if given.world is not None:
-            copy_world(given.world, given.run, given.docs)
+        copy_run(given.run, given.world, given.docs)
     if given.ablation is not None:
         copy_ablation(given.ablation, given.commit, given.docs)
     if given.crossval is not None:

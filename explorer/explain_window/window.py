@@ -129,8 +129,6 @@ class ExplainWindow:
         self._open_tab = open_tab
         self._lock = Lock()
         self._content: WindowContent | None = None
-        # True from `close` to `announce`: an analysis that was begun before does not open the window again.
-        self._closed = False
         self._open = False
         tabs: list[tuple[str, Any, Callable[[WindowContent], str]]] = [
             (_EVIDENCE, viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
@@ -218,10 +216,9 @@ class ExplainWindow:
 
     def announce(self) -> None:
         """Open the window at once, and say what is being computed until `show` is called."""
-        self._closed = False
         if not self._open:
             self._open = True
-            for tab in self._tabs[:5]:
+            for tab in self._tabs:
                 tab.wait()
             self._place()
             self._panel.visible = True
@@ -236,34 +233,27 @@ class ExplainWindow:
                 tab.fail(text)
 
     def close(self) -> None:
-        """Close the window at once, until `announce` opens it."""
-        self._closed = True
-        if self._open:
-            self._open = False
-            self._place()
-            self._panel.visible = False
+        """Close the window at once."""
+        self._open = False
+        self._panel.visible = False
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Open or close the window as the state says, and draw the analysis if it is open."""
-        is_open = analysis.state.why and not analysis.state.first_screen and not self._closed
+        """Keep the analysis, and draw it if the window is open, now and in the analysed state."""
+        drawn = self._open and analysis.state.shows_reasons
         before = self._content
         kept = before is not None and before.pair is not None and before.pair.belongs_to(analysis)
-        pair = PairResult.of(analysis) if is_open and not kept else None
+        pair = PairResult.of(analysis) if drawn and not kept else None
         with self._lock:  # meanwhile, other threads may have stored an effect for the same pair, or a sweep
             now = self._content or WindowContent(analysis)
             self._content = WindowContent(analysis, now.pair if kept else pair, now.sweep)
             if now.sweep is not None and not now.sweep.request.applies_to(analysis):
                 now.sweep.request.cancelled.set()
                 self._content = replace(self._content, sweep=None)
-        if is_open:
+        if drawn:
             for tab in self._tabs[:5]:
                 tab.draw()
-        if is_open != self._open:
-            self._open = is_open
-            self._place()
-            self._panel.visible = is_open
-        if is_open and self._workspace.second is not None:
-            self._models_worker.wake()  # after `_open` is set, which it reads
+            if self._workspace.second is not None:
+                self._models_worker.wake()
 
     def _renderer(self, render: Callable[[WindowContent], str]) -> Callable[[], str | None]:
         """Wrap a tab's function so that it renders the newest content."""

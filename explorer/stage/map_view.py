@@ -16,7 +16,6 @@ from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
-from lpn.core.errors import PictureError
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from lpn.drawing import captions, overlays, theme
@@ -202,10 +201,7 @@ class GalleryMap:
                 chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
-                try:
-                    picture = self._workspace.load_picture(analysis.task.gallery[match.index])
-                except PictureError:
-                    picture = self._workspace.card(analysis.task, match.index)  # grey
+                picture = self._workspace.ground_picture(analysis.task, match.index)
                 framed = overlays.framed(overlays.square(picture, 96), colour, 5)
             side = self._tile_side(places, match.index)
             if side * pixels > 1.3 * LEAST:  # otherwise the number would not fit

@@ -12,18 +12,17 @@ import pytest
 import lpn
 import lpn.__main__
 from lpn.core.errors import LPNError
+from tools.fixtures import small_worlds
 
 ROOT = Path(__file__).parents[2]
 
 
 def test_readme_snippet_runs(model_file: Path, data: Path) -> None:
     snippet = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
-    rng = np.random.default_rng(0)
-    height, width = lpn.load(model_file).input_size
-    names: dict[str, object] = {"images": rng.standard_normal((2, 3, height, width)).astype(np.float32)}
+    names: dict[str, object] = {"picture": small_worlds.place(0)}
     exec(snippet.replace('"model.onnx"', repr(str(model_file))).replace('"ROOT"', repr(str(data))), names)
     assert isinstance(names["descriptors"], np.ndarray)
-    assert names["descriptors"].shape[:2] == (2, 4)
+    assert names["descriptors"].shape[:2] == (1, 4)
     assert isinstance(names["figures"], dict)
     assert 0 <= names["figures"]["recall@1"] <= names["figures"]["recall@5"] <= 100
 

@@ -331,6 +331,37 @@ def test_a_failed_analysis_is_said_in_the_open_window_which_can_be_closed(
     assert "No answer" not in gui.shown("lpn-why")
 
 
+def test_a_failure_ends_the_sweep_and_empties_every_tab(
+    workspace: Workspace, window: tuple[ExplainWindow, WindowGui]
+) -> None:
+    explain_window, gui = window
+    explain_window.announce()
+    explain_window.show(analysed(workspace))
+    explain_window.handlers()["sweep"]("rotation")
+    content = explain_window._content
+    assert content is not None
+    assert content.sweep is not None
+    explain_window.fail("The picture is damaged.")
+    assert content.sweep.request.cancelled.is_set()
+    explain_window.leave()
+    time.sleep(0.2)  # for a step of the sweep that was under way
+    assert sum("No answer: The picture is damaged." in html.content for html in gui.html) == 5
+
+
+def test_an_analysis_of_a_closed_window_is_not_drawn_and_opens_nothing(
+    workspace: Workspace, window: tuple[ExplainWindow, WindowGui]
+) -> None:
+    explain_window, gui = window
+    explain_window.announce()
+    explain_window.show(analysed(workspace, why=False))  # was begun before the window was opened
+    assert explain_window._panel.visible
+    assert "Computing" in gui.shown("lpn-why")
+    explain_window.close()
+    explain_window.show(analysed(workspace))
+    assert not explain_window._panel.visible
+    assert "Computing" in gui.shown("lpn-why")
+
+
 def test_an_effect_of_the_previous_pair_is_never_shown_under_the_next(
     workspace: Workspace, window: tuple[ExplainWindow, WindowGui], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -348,6 +379,7 @@ def test_an_effect_of_the_previous_pair_is_never_shown_under_the_next(
         return html
 
     monkeypatch.setattr(comparison, "page", slow_page)
+    explain_window.announce()
     explain_window.show(old)
     explain_window.handlers()["effect"](None)
     assert drawing.wait(120)  # the worker is about to show the old pair's effect when the pair changes
@@ -376,6 +408,7 @@ def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(
         return Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
 
     monkeypatch.setattr(counterfactual, "effect", effect)
+    explain_window.announce()
     explain_window.show(old)
     explain_window.handlers()["effect"](None)
     wait_until(lambda: bool(computed))

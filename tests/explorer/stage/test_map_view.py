@@ -56,3 +56,12 @@ def test_the_tag_of_one_s_own_picture_is_marked_and_joined_with_the_tile_if_it_i
         assert scene.lines.points.shape == (lines, 2, 3)
         middle = scene.lines.points[:4].mean(axis=(0, 1))
         np.testing.assert_allclose(scene.lines.points[4, 0], middle, atol=1e-5)
+
+
+def test_the_ground_shows_a_tile_as_it_is_where_the_model_unrolls_it(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = workspace.tasks[TASK]
+    assert workspace.ground_picture(task, 1) is workspace.card(task, 1)
+    monkeypatch.setattr(type(workspace.contract), "unrolled", lambda *_: True)
+    np.testing.assert_array_equal(workspace.ground_picture(task, 1), task.gallery[1].load())
