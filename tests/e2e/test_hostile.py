@@ -176,12 +176,14 @@ def visit(walk: Walk, folder: Path) -> None:
     look()
 
 
+@pytest.mark.slow
 def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(walk: Walk) -> None:
     assert walk.page.evaluate("window.hurt") is None
     assert not walk.alarms
     assert walk.seen >= set(NAMES)
 
 
+@pytest.mark.slow
 def test_the_browser_asks_nobody_but_the_server(walk: Walk) -> None:
     server = urlsplit(walk.url).netloc
     asked = {urlsplit(url) for url in walk.asked}

@@ -107,6 +107,7 @@ def test_the_tab_offers_the_model_opens_it_and_compares(workspace: Workspace) ->
     gui, tabs, errors = WindowGui(), [], []
     window: ExplainWindow = make_window(workspace, gui, errors, tabs.append)
     analysis = StateAnalyser(workspace).analyse(SessionState("drone-to-satellite", 4, why=True), 10)
+    window.announce()
     window.show(analysis)
     wait_until(lambda: "Compare with the baseline (n = 1)" in gui.shown("lpn-second-model"))
     expanded = gui.expanded

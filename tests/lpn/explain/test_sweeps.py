@@ -170,6 +170,7 @@ def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model
     assert found.best.score == pytest.approx(1, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     model, dataset = lpn.load(DEMO / "lpn.onnx"), open_dataset(DEMO)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")

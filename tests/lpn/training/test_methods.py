@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -94,18 +93,16 @@ def improves(data: Path, folder: Path, name: str, changes: dict[str, Any], task:
     return model
 
 
-def slow_but(names: Iterable[str], quick: str) -> list[Any]:
-    """All methods as parameters; only one of them belongs to the quick tests."""
-    return [pytest.param(name, marks=() if name == quick else pytest.mark.slow) for name in names]
-
-
-@pytest.mark.parametrize("name", slow_but(ON_PLACES, "lpn"))
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "lpn" else pytest.mark.slow) for name in ON_PLACES]
+)
 def test_training_on_places_improves_retrieval(places: Path, tmp_path: Path, name: str) -> None:
     model = improves(places, tmp_path, name, ON_PLACES[name], "drone-to-satellite")
     assert lpn.load(model).views == ("satellite", "street", "drone")
 
 
-@pytest.mark.parametrize("name", slow_but(ON_PANORAMAS, "safa"))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ON_PANORAMAS)
 def test_training_on_panoramas_improves_retrieval(panoramas: Path, tmp_path: Path, name: str) -> None:
     model = improves(panoramas, tmp_path, name, ON_PANORAMAS[name], "street-to-satellite")
     export(model, tmp_path / "model.onnx")

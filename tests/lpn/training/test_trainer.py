@@ -46,7 +46,8 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_dataset(tmp_path_factory.mktemp("train") / "places", train=24, test=12)
 
 
-@pytest.mark.parametrize("n_parts", [pytest.param(1, marks=pytest.mark.slow), 4])
+@pytest.mark.slow
+@pytest.mark.parametrize("n_parts", [1, 4])
 def test_training_improves_retrieval_of_the_training_places(tmp_path: Path, n_parts: int) -> None:
     root = tmp_path / "negatives"
     for label in range(1, 25):
