@@ -320,6 +320,7 @@ def crimson(picture: np.ndarray) -> float:
     return float(((red > 120) & (green < 0.5 * red) & (blue < 0.8 * red)).mean())
 
 
+@pytest.mark.slow
 def test_the_city_stands_on_the_map_until_it_is_switched_off(
     city_app: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:

@@ -67,6 +67,7 @@ def expect_workspace(explorer: ExplorerPage, label: str, parts: int) -> None:
     expect(explorer.page.locator("#lpn-header .facts", has_text=f"n = {parts}")).to_be_visible()
 
 
+@pytest.mark.slow
 def test_a_page_changes_its_workspace_and_back(
     offer: Offer, contexts: Callable[..., BrowserContext], caplog: pytest.LogCaptureFixture
 ) -> None:

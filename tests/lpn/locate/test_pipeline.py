@@ -326,6 +326,7 @@ class _OneEyedMatcher(SiftMatcher):
         return pairs[ground.points[pairs[:, 1], 0] > 0]
 
 
+@pytest.mark.slow
 def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Flight, tmp_path: Path) -> None:
     ground = land().copy()
     ground[:, : SIDE // 2] = ground[:, SIDE // 2 :]

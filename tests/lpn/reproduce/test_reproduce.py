@@ -162,6 +162,7 @@ def test_the_baseline_is_tuned_at_reduced_scale_only(places: Path, tmp_path: Pat
         assert "lpn" not in tuned
 
 
+@pytest.mark.slow
 def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: Path, tmp_path: Path) -> None:
     made = reproduction(places, tmp_path, seeds=(0, 1))
     files = made.run(["table4", "table5", "figure8"])
