@@ -10,9 +10,12 @@ import numpy as np
 from explorer.compute.ranking_job import TaskRanking
 from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
+from lpn.core.numbers import distance
 from lpn.drawing import verdicts
 from lpn.retrieval import Match
 
+# From here on a picture's GPS tag is that of another region than the tiles'.
+_ELSEWHERE_M = 10_000.0
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 
 
@@ -52,7 +55,7 @@ def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None
             return None, "Nearest tile", f"Its true place is not known here; {gap}."
         place = "Its true place is not known here"
         if analysis.errors_m is not None and math.isfinite(error := float(analysis.errors_m[first.index])):
-            place = f"Its GPS tag lies {error:,.0f} m from the middle of this tile"
+            place = _elsewhere(analysis) or f"Its GPS tag lies {distance(error)} from the middle of this tile"
         return None, "Your picture: nearest tile", f"{place}; {gap}."
     if analysis.positive is None and depth is not None:
         return False, f"No true tile among the {depth} found", "The search does not tell what follows them."
@@ -65,16 +68,27 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
     pictures = f"{analysis.task.tiles:,} {_PICTURES[analysis.task.gallery_view]}"
     if analysis.ranking.relevant is None:
-        text = f"This is the most similar of {pictures}. The true place is not known here, so it is not graded."
+        place = _elsewhere(analysis) or "The true place is not known here, so it is not graded"
+        text = f"This is the most similar of {pictures}. {place}."
         return None, "Best match", text
     if positive is None and analysis.ranking.depth is None:
         return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."
     if first.true:
-        off = "" if error_m is None else f", {error_m:,.0f} m off"
+        off = "" if error_m is None else f", {distance(error_m)} off"
         return True, "Right", f"The model compared {pictures} and found the right place{off}."
-    away = "another place" if error_m is None else f"a place {error_m:,.0f} m away"
+    away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
+
+
+def _elsewhere(analysis: StateAnalysis) -> str:
+    """Say that no tile is near the GPS tag of one's own picture; "" if one is, or without a tag."""
+    if analysis.state.upload is None or analysis.errors_m is None:
+        return ""
+    known = analysis.errors_m[np.isfinite(analysis.errors_m)]
+    if not known.size or known.min() < _ELSEWHERE_M:
+        return ""
+    return f"Its GPS tag lies {distance(float(known.min()))} from the nearest of them, so no answer can be right"
 
 
 def lead(analysis: StateAnalysis) -> Lead | None:

@@ -16,6 +16,7 @@ from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
+from lpn.core.numbers import distance
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from lpn.drawing import captions, overlays, theme
@@ -292,7 +293,7 @@ class GalleryMap:
             colour = palette.ink(theme.verdict_colour(chosen.true))
             draw.text(
                 (228, 126),
-                f"{analysis.errors_m[chosen.index]:,.0f} m off",
+                f"{distance(float(analysis.errors_m[chosen.index]))} off",
                 colour,
                 captions.font(max(40, size)),
                 anchor="mm",

@@ -16,6 +16,11 @@ def signed(value: float, digits: int = 3) -> str:
     return text.replace("-", "−") if float(text) else f"+{0:.{digits}f}"
 
 
+def distance(metres: float) -> str:
+    """Return a distance with its unit: whole metres, from 10 km on whole kilometres."""
+    return f"{metres:,.0f} m" if metres < 10_000 else f"{metres / 1000:,.0f} km"
+
+
 def wrap_degrees(degrees: _Degrees) -> _Degrees:
     """Return an angle from -180 up to 180 degrees."""
     return (degrees + 180) % 360 - 180

@@ -576,7 +576,8 @@ def _rivalled(support: float, runner_up: float) -> str:
     """Return that another place has nearly as much support, as a sentence; "" if it has not."""
     if support >= MIN_RATIO * runner_up:
         return ""
-    return f"Another place of the map agrees nearly as well: its support is {runner_up:.0f}, and that of this one {support:.0f}."
+    how = "nearly as well" if runner_up < support else "as well or better"
+    return f"Another place of the map agrees {how}: its support is {runner_up:.0f}, and that of this one {support:.0f}."
 
 
 def _refusal(

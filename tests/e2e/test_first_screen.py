@@ -82,6 +82,10 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     chooser.value.set_files(tmp_path / "mine.png")
     expect(first.locator("figcaption").first).to_contain_text("Your picture mine.png")
     expect(first.locator(".sentence")).to_contain_text("not graded")
+    first.locator("button.main").click()
+    expect(first.locator(".reason")).to_be_visible()
+    fresh.keyboard.press("Escape")
+    expect(first.locator(".reason")).to_have_count(0)
 
 
 @pytest.mark.slow

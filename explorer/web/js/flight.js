@@ -448,6 +448,7 @@
     fill(find(".lists"), html.counts || "");
     fill(find(".listed"), html[list] || '<p class="dim">Shift and click on the map: the frames that show the spot.</p>');
     if (followed && followed.frame === chosen) fill(find(".about"), followed.card);
+    find(".about").classList.toggle("late", chosen >= 0 && followed?.frame !== chosen);
     if (chosen < 0) fill(find(".about"), "<p>Your own picture is not a frame of this flight.</p>");
     const bar = find(".scores");
     bar.style.display = painted ? "flex" : "none";
@@ -598,6 +599,7 @@
     root.addEventListener("keydown", onKey);
     for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel"]) root.map.addEventListener(kind, onMap);
     root.map.addEventListener("wheel", onMap, { passive: false });
+    root.map.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (find(".read").textContent = ""));
     find(".swipe").addEventListener("input", layPhoto);
     for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel", "keydown"]) find(".ties").addEventListener(kind, onTie);
     const time = find(".time canvas");

@@ -175,6 +175,7 @@
     });
   const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
   window.addEventListener("pointerdown", pressed, true);
+  window.addEventListener("popstate", () => told && free(told.steps[at]) && end(true));
   // In full screen the browser takes Escape for itself.
   document.addEventListener("fullscreenchange", () => {
     if (document.fullscreenElement) wasFull = true;

@@ -12,7 +12,11 @@
 
   // A change of these is a step of the browser's history, which Back undoes; other changes replace the address.
   const STEPS = ["show", "task", "query", "screen"];
-  const step = (text) => STEPS.map((key) => new URLSearchParams(text).get(key)).join("\n");
+  // In a flight, which plays, a frame is none: Back leaves the flight.
+  const step = (text) => {
+    const found = new URLSearchParams(text);
+    return (found.has("flight") ? [...STEPS.filter((key) => key !== "query"), "flight"] : STEPS).map((key) => found.get(key)).join("\n");
+  };
   window.addEventListener("popstate", () => {
     clearTimeout(writing);
     search = location.search;
