@@ -88,7 +88,7 @@ def _elsewhere(analysis: StateAnalysis) -> str:
     known = analysis.errors_m[np.isfinite(analysis.errors_m)]
     if not known.size or known.min() < _ELSEWHERE_M:
         return ""
-    return f"Its GPS tag lies {distance(float(known.min()))} from the nearest of them, so no answer can be right"
+    return f"Your picture's GPS tag lies {distance(float(known.min()))} from the nearest of them, so no answer can be right"
 
 
 def lead(analysis: StateAnalysis) -> Lead | None:

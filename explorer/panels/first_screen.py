@@ -72,6 +72,7 @@ class FirstScreen:
 def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] = ()) -> str:
     """Return the screen's content as HTML."""
     state, task = analysis.state, analysis.task
+    rendered = is_rendered(workspace.root) or is_rendered_flight(workspace.root)
     right, headline, sentence = answer_text.plain_verdict(analysis)
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
@@ -97,10 +98,17 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         heat=cells is not None,
-        overall="" if state.upload else answer_text.overall(workspace.rankings[task.name].result),
-        rendered=is_rendered(workspace.root) or is_rendered_flight(workspace.root),
+        overall=_overall(analysis, workspace, rendered),
+        rendered=rendered,
         alterations=session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view])),
     )
+
+
+def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool) -> str:
+    """Say how often the model is right; for one's own picture in a rendered city, that it has no right answer there."""
+    if not analysis.state.upload:
+        return answer_text.overall(workspace.rankings[analysis.task.name].result)
+    return "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:

@@ -113,12 +113,16 @@ def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: py
             assert "pictures of a rendered city" in first_screen.page(analysis, workspace)
 
 
-def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace) -> None:
+def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     own = OwnPicture("mine.png", small_worlds.place(3))
     analysis = analyse(workspace, SessionState(TASK, 4, upload=own, first_screen=True, why=True))
     html = first_screen.page(analysis, workspace)
     assert "Your picture" in html
     assert "not graded" in html
+    assert "The city is rendered" not in html
+    with monkeypatch.context() as patch:
+        patch.setattr(first_screen, "is_rendered", lambda _: True)
+        assert "a photo of a real place has no right answer in it" in first_screen.page(analysis, workspace)
     assert "Over all" not in html, "nobody knows how often the model is right on such pictures"
     lead = answer_text.lead(analysis)
     assert lead is not None
