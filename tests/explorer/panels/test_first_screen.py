@@ -122,7 +122,8 @@ def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: 
     assert "The city is rendered" not in html
     with monkeypatch.context() as patch:
         patch.setattr(first_screen, "is_rendered", lambda _: True)
-        assert "a photo of a real place has no right answer in it" in first_screen.page(analysis, workspace)
+        closed = analyse(workspace, replace(analysis.state, why=False))
+        assert "a photo of a real place has no right answer in it" in first_screen.page(closed, workspace)
     assert "Over all" not in html, "nobody knows how often the model is right on such pictures"
     lead = answer_text.lead(analysis)
     assert lead is not None
