@@ -33,12 +33,13 @@
     document.getElementById("root")?.setAttribute("inert", "");
   };
 
-  // Escape closes the reason, unless it closes what lies over it.
-  document.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape" || lpn.telling() || document.querySelector(".mantine-Modal-content")) return;
-    const explained = document.querySelector("#lpn-first .reason");
-    if (explained) document.querySelector('#lpn-first [data-act="why"]').click();
-  });
+  // Escape closes the reason, unless it closes what lies over it; in the capture phase all of that is still there.
+  const OVER = "#lpn-term, .mantine-Modal-content";
+  const escaped = (event) => {
+    if (event.key !== "Escape" || lpn.telling() || document.querySelector(OVER)) return;
+    document.querySelector("#lpn-first:has(.reason) [data-act='why']")?.click();
+  };
+  window.addEventListener("keydown", escaped, true);
 
   // Until the first answer the page says that it is coming.
   lpn.opening = () => document.getElementById("lpn-first") || open('<p class="wait"><span class="busy"></span>Looking at the first picture …</p>');
