@@ -239,7 +239,12 @@ def choose_query(state: SessionState, query: int, queries: int) -> SessionState:
     """Choose a query: upright, and compared with its top match."""
     if not 0 <= query < queries:
         return state
-    return replace(upright(state), query=query, upload=None, selected=None)
+    return replace(leave_upload(state), query=query)
+
+
+def leave_upload(state: SessionState) -> SessionState:
+    """Go from one's own picture back to the chosen query: upright, and compared with its top match."""
+    return replace(upright(state), upload=None, selected=None)
 
 
 def choose_task(state: SessionState, task: str, query: int = 0) -> SessionState:

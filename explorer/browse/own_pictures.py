@@ -194,7 +194,7 @@ class OwnPictures:
             self._held, self._refused, self._opened = [], [], (None, -1)
             self._read = self._files = 0
             self._closed += 1
-        self._change(lambda state: replace(session_state.upright(state), upload=None, selected=None))
+        self._change(session_state.leave_upload)
         self._draw()
 
     def leave(self) -> None:

@@ -85,10 +85,10 @@ def _elsewhere(analysis: StateAnalysis) -> str:
     """Say that no tile is near the GPS tag of one's own picture; "" if one is, or without a tag."""
     if analysis.state.upload is None or analysis.errors_m is None:
         return ""
-    known = analysis.errors_m[np.isfinite(analysis.errors_m)]
-    if not known.size or known.min() < _ELSEWHERE_M:
+    nearest = float(analysis.errors_m.min())  # NaN if a tile has no position, which may then show the place
+    if not nearest >= _ELSEWHERE_M:
         return ""
-    return f"Your picture's GPS tag lies {distance(float(known.min()))} from the nearest of them, so no answer can be right"
+    return f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them, so no answer can be right"
 
 
 def lead(analysis: StateAnalysis) -> Lead | None:

@@ -47,7 +47,7 @@ class FirstScreen:
             "failure": navigation.failure,
             "why": session_state.flip_why,
             "start": session_state.to_first_screen,
-            "data": lambda state: replace(state, upload=None, selected=None),
+            "data": session_state.leave_upload,
             "all": lambda state: replace(state, first_screen=False, why=False),
             "cells": lambda state: replace(state, first_screen=False, why=True),
             "lab": lambda state: replace(state, lab=True, why=False),

@@ -8,6 +8,7 @@ from markupsafe import Markup
 
 from explorer.web.style import part_ink, verdict_ink
 from explorer.web.terms import term
+from lpn.core.numbers import distance
 from lpn.core.templates import environment
 from lpn.drawing import charts, theme
 
@@ -53,4 +54,5 @@ _ENVIRONMENT.globals.update(
     share_bar=charts.share_bar,
     verdict_colour=lambda true: theme.css(theme.verdict_colour(true)),
     signs=SIGNS,
+    distance=distance,
 )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
-from lpn.core.numbers import signed
+from lpn.core.numbers import distance, signed
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
@@ -136,7 +136,7 @@ def verdict(
         )
     part, loss = _largest(positive.shares - first.shares)
     deficit = positive.distance2 - first.distance2
-    off = "" if error_m is None else f" The answer is {error_m:,.0f} m off."
+    off = "" if error_m is None else f" The answer is {distance(error_m)} off."
     return (
         False,
         f"Wrong: the true tile is {describe_rank(positive)}",
