@@ -48,6 +48,9 @@ class Explore:
     """Method of --beside, as --kind is that of --model."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    calibrate: bool = False
+    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean, without labels; see
+    docs/evaluation.md."""
     gallery: Path | None = None
     """Descriptors of a gallery that any model made, as .npy, .npz, .mat, or .parquet; needs --query with those of the queries,
     and no model."""
@@ -104,6 +107,13 @@ class Explore:
             raise InputError(
                 "This kind is that of the second model; give --beside-kind with --beside, or leave it out."
             )
+        if self.calibrate and any(
+            other is not None for other in (self.index, self.gallery, self.map, self.flight, self.saved)
+        ):
+            raise InputError(
+                "A calibration describes the pictures of a data set by a model; give --calibrate with --data and --model, and "
+                "leave it out with an index, arrays, a flight, or a saved result."
+            )
         if self.index is not None:
             return self._index(self.index), {}
         if self.gallery is not None:
@@ -152,6 +162,7 @@ class Explore:
             self.provider,
             self.kind,
             self.beside_kind,
+            self.calibrate,
         ), others
 
     def _arrays(self, gallery: Path) -> Callable[[], Workspace]:

@@ -18,7 +18,7 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.analysis.array_task import array_task
 from lpn.analysis.query_outcomes import labels_of
-from lpn.analysis.task import Task, gallery_geometry, no_task_error, offered_tasks, open_task
+from lpn.analysis.task import Task, calibrated, gallery_geometry, no_task_error, offered_tasks, open_task
 from lpn.core.errors import DataError, LPNError
 from lpn.core.files import distinct_names, printable
 from lpn.core.requirements import missing_package
@@ -59,6 +59,7 @@ def open_model(
     provider: ProviderName = "auto",
     kind: Kind | None = None,
     second_kind: Kind | None = None,
+    calibrate: bool = False,
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
@@ -69,28 +70,36 @@ def open_model(
         baseline: the model of one part to offer for comparison; it is opened when a browser asks for it.
         provider: what computes the networks, see `lpn.load`.
         kind, second_kind: methods of `model` and `second_model`, see `lpn.load`.
+        calibrate: calibrate all of these models on the pictures of all tasks, see `lpn.retrieval.calibration`.
 
     Raises:
         LPNError: when model or data set cannot be used, or there is no such query.
     """
     name, second_name = _names(model, second_model)
-    workspace, dataset = _open_one(data, model, provider, name, kind)
+    workspace, dataset = _open_one(data, model, provider, name, kind, calibrate)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
     if second_model is not None:
-        second, _ = _open_one(data, second_model, provider, second_name, second_kind)
+        second, _ = _open_one(data, second_model, provider, second_name, second_kind, calibrate)
         workspace.second = LazyWorkspace(second.model_name, lambda _: second)
         workspace.second.open()
     elif baseline is not None:
         workspace.second = LazyWorkspace(
             "the baseline (n = 1)",
-            _naming_files([baseline], lambda _: _open_one(data, baseline, provider, baseline.name)[0]),
+            _naming_files(
+                [baseline], lambda _: _open_one(data, baseline, provider, baseline.name, calibrate=calibrate)[0]
+            ),
         )
     return workspace
 
 
 def _open_one(
-    data: Path, model: Path | Model, provider: ProviderName, model_name: str, kind: Kind | None = None
+    data: Path,
+    model: Path | Model,
+    provider: ProviderName,
+    model_name: str,
+    kind: Kind | None = None,
+    calibrate: bool = False,
 ) -> tuple[Workspace, Dataset]:
     """Open one model on a data set, see `open_model`."""
     data_name = printable(data.resolve().name)
@@ -100,7 +109,14 @@ def _open_one(
     names = offered_tasks(opened, dataset)
     if not names:
         raise no_task_error(opened, dataset)
-    workspace = _workspace([open_task(opened, model_name, dataset, name, tags_and_notes={}) for name in names], opened)
+    calibration = calibrated(opened, dataset) if calibrate else None
+    tasks = [open_task(opened, model_name, dataset, name, tags_and_notes={}, calibration=calibration) for name in names]
+    if calibration is not None:
+        opened = calibration.applied(opened)
+        sentence = f"{printable(model_name)} is {calibration.describe()}."
+        _terminal().print(sentence, highlight=False, markup=False, soft_wrap=True)
+    workspace = _workspace(tasks, opened)
+    workspace.description += "" if calibration is None else ", calibrated"
     return workspace, dataset
 
 

@@ -189,9 +189,9 @@ class Workspace:
         return self._card(task.name, index)
 
     def ground_picture(self, task: Task, index: int) -> UInt8Array:
-        """Return a gallery picture as it lies on the ground: a card, or where the model unrolls tiles, the tile itself."""
+        """Return a gallery picture as it lies on the ground: a card, or the picture itself if the card is unrolled or zoomed."""
         card = self.card(task, index)
-        if not self.contract.unrolled(task.gallery_view):
+        if not self.contract.unrolled(task.gallery_view) and task.gallery[index].zoom == 1:
             return card
         try:
             return self.load_picture(task.gallery[index])
@@ -268,7 +268,7 @@ class Workspace:
     def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.tasks[name]
         try:
-            picture = self.load_picture(task.gallery[index])
+            picture = task.gallery[index].cropped(self.load_picture(task.gallery[index]))
         except PictureError:  # one damaged window does not spoil the answers that rank it
             return np.full((*self.layout.card_pixels[::-1], 3), _UNREADABLE, np.uint8)
         return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)

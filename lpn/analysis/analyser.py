@@ -156,8 +156,10 @@ class QueryAnalyser:
         if index is not None and not 0 <= index < len(task.queries):
             raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
         picture = task.queries[index or 0]
-        source_key = own or (picture.path, picture.box)
-        source = self._source.get(source_key, lambda: own.picture if own else self._load_cropped(picture))
+        source_key = own or (picture.path, picture.box, picture.zoom)
+        source = self._source.get(
+            source_key, lambda: self._own_source(task, own) if own else picture.cropped(self._load(picture))
+        )
         query_key = source_key, task.name, index, request.change
         query = self._query.get(query_key, lambda: self._describe(task, index, source, request.change))
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
@@ -186,8 +188,11 @@ class QueryAnalyser:
             seconds=time.perf_counter() - started,
         )
 
-    def _load_cropped(self, picture: Picture) -> UInt8Array:
-        return images.crop(self._load(picture), picture.box, picture.name)
+    def _own_source(self, task: Task, own: OwnPicture) -> UInt8Array:
+        """Return one's own picture at the zoom that the task's calibration chooses for it."""
+        if self._model is None or task.calibration is None:
+            return own.picture
+        return images.zoom(own.picture, task.calibration.own_zoom(self._model, own.picture, task.query_view))
 
     def _describe(self, task: Task, index: int | None, source: UInt8Array, change: Change) -> DescribedPicture:
         if self._model is not None:

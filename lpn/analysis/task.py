@@ -27,7 +27,8 @@ from lpn.explain.counterfactual import Effect
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import Ranking, metrics, scoring
-from lpn.retrieval.evaluate import check_test_split
+from lpn.retrieval.calibration import Calibration, calibrate
+from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.retrieval.metrics import Retrieval
 
 
@@ -63,6 +64,7 @@ class Task:
         weights: part weights, see `scoring.part_weights`; None for equal ones.
         notes: a person's tags and notes by the query's path, see `lpn.analysis.notes`.
         columns: further columns of the table about the queries.
+        calibration: what the pictures' zooms and the model's means come from; None without one.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Task:
     weights: npt.ArrayLike | None = None
     notes: Mapping[str, Note] = field(default_factory=dict)
     columns: Sequence[Column] = ()
+    calibration: Calibration | None = None
 
     @property
     def query_view(self) -> View:
@@ -251,6 +254,7 @@ def open_task(
     name: str | None = None,
     weights: npt.ArrayLike | None = None,
     tags_and_notes: Mapping[str, Note] | None = None,
+    calibration: Calibration | None = None,
 ) -> Task:
     """Describe queries and gallery of a task, or read their stored descriptors.
 
@@ -259,6 +263,7 @@ def open_task(
         name: the task, see `choose_task`.
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
+        calibration: see `calibrated`; its zooms and means are applied to `model`, which is that before the calibration.
 
     Raises:
         InputError: when model and data set do not offer the task, or the weights are invalid.
@@ -273,11 +278,19 @@ def open_task(
     queries, gallery = dataset.queries(views[0]), dataset.gallery(views[1])
     geometry = gallery_geometry(dataset, queries, gallery)
     try:
-        query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
-        gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
+        if calibration is None:
+            query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
+            gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
+        else:
+            query_side, gallery_side = (
+                calibration.stored(model, side, view) for side, view in zip((queries, gallery), views, strict=True)
+            )
     except PictureError:  # of one list; name the broken pictures of all lists at once
         check_test_split(dataset, offered)
         raise
+    if calibration is not None:
+        queries, gallery = calibration.pictures(views[0], queries), calibration.pictures(views[1], gallery)
+        model = calibration.applied(model)
     identities = query_side.identity, gallery_side.identity
     return Task(
         name=name,
@@ -299,7 +312,30 @@ def open_task(
         weights=weights,
         notes=tags_and_notes,
         columns=dataset.columns(queries),
+        calibration=calibration,
     )
+
+
+def calibrated(model: Model, dataset: Dataset) -> Calibration:
+    """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
+
+    Raises:
+        InputError: when the model's branches have roles, so that a task decides its descriptors, or pictures are too few.
+        LPNError: when pictures cannot be read.
+    """
+    if model.contract.roles == "role":
+        raise InputError(
+            f"{model.contract.method} describes a view otherwise as query than as gallery, and a calibration is for all tasks; "
+            "leave --calibrate out."
+        )
+    tasks = offered_tasks(model, dataset)
+    if not tasks:
+        raise no_task_error(model, dataset)
+    check_test_split(dataset, tasks)
+    pictures: dict[View, list[Picture]] = {}
+    for name, of_list in lists_of(dataset, tasks).items():
+        pictures.setdefault(cast(View, name.split()[1]), []).extend(of_list)
+    return calibrate(model, pictures)
 
 
 def gallery_geometry(

@@ -71,6 +71,9 @@ class EvaluateCommand:
     centre: bool = False
     """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
     no labels, and makes up for places and cameras that differ from those of the training."""
+    calibrate: bool = False
+    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
+    and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     flight: Path | None = None
@@ -102,8 +105,11 @@ class EvaluateCommand:
         if self.kind is not None and self.model is None:
             raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
         if self.flight is not None or self.map is not None:
-            if self.centre:
-                raise InputError("The descriptors of a flight and of its map are always centred; leave --centre out.")
+            if self.centre or self.calibrate:
+                raise InputError(
+                    "The descriptors of a flight and of its map are always centred, and frames are cut to the ground of the "
+                    "windows; leave --centre and --calibrate out."
+                )
             self._evaluate_flight()
             return
         if self.prior is not None or self.map_error is not None or not self.register or not self.corrections:
@@ -119,6 +125,7 @@ class EvaluateCommand:
             self.average_queries,
             self.whole,
             self.centre,
+            self.calibrate,
         )
         if self.query is not None or self.gallery is not None or self.paths is not None:
             title, result = self._evaluate_arrays(protocol)

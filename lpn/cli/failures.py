@@ -33,6 +33,8 @@ class FailuresCommand:
     """Trained LPN: .onnx, .safetensors, or .pth."""
     kind: Kind | None = None
     """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    calibrate: bool = False
+    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean, without labels."""
     task: TaskName | None = None
     """Views of query and gallery; by default the first task of the data set that the model supports."""
     where: str = ""
@@ -55,7 +57,7 @@ class FailuresCommand:
     def run(self) -> None:
         from lpn.analysis.notes import read_notes
         from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, compared_ranks
-        from lpn.analysis.task import open_task
+        from lpn.analysis.task import calibrated, open_task
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata, open_dataset
@@ -70,12 +72,23 @@ class FailuresCommand:
             check_writable(self.csv)
         model, dataset = lpn.load(self.model, kind=self.kind), open_dataset(self.data)
         task = open_task(
-            model, self.model.name, dataset, self.task, tags_and_notes=read_notes(self.notes) if self.notes else None
+            model,
+            self.model.name,
+            dataset,
+            self.task,
+            tags_and_notes=read_notes(self.notes) if self.notes else None,
+            calibration=calibrated(model, dataset) if self.calibrate else None,
         )
         made = task.table
         if self.beside is not None:
+            second = lpn.load(self.beside, kind=self.beside_kind)
             other = open_task(
-                lpn.load(self.beside, kind=self.beside_kind), self.beside.name, dataset, task.name, tags_and_notes={}
+                second,
+                self.beside.name,
+                dataset,
+                task.name,
+                tags_and_notes={},
+                calibration=calibrated(second, dataset) if self.calibrate else None,
             )
             made = made.with_columns(compared_ranks(made, other.outcomes.rank))
         rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)

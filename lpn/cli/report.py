@@ -31,6 +31,8 @@ class ReportCommand:
     """HTML file to write."""
     kind: Kind | None = None
     """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    calibrate: bool = False
+    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean, without labels."""
     task: TaskName | None = None
     """Views of query and gallery; by default the first task of the data set that the model supports."""
     query: tuple[str, ...] = ()
@@ -58,7 +60,7 @@ class ReportCommand:
 
         from lpn import report
         from lpn.analysis.notes import read_notes
-        from lpn.analysis.task import choose_task, open_task
+        from lpn.analysis.task import calibrated, choose_task, open_task
         from lpn.cli.explain import part_values
         from lpn.core.files import check_writable, write_atomic
         from lpn.core.views import views_of
@@ -82,6 +84,7 @@ class ReportCommand:
             name,
             part_values(self.weights),
             read_notes(self.notes) if self.notes else None,
+            calibrated(model, dataset) if self.calibrate else None,
         )
         chosen, selection = (named, "chosen by name") if named else self._chosen(task)
         options = report.Options(self.matches, self.profile, self.step, Change(rotate=self.rotate), selection=selection)

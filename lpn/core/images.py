@@ -172,18 +172,18 @@ def roll(panorama: UInt8Array, degrees: float) -> UInt8Array:
 
 
 def zoom(picture: UInt8Array, scale: float) -> UInt8Array:
-    """Zoom about a picture's centre on its own canvas, bicubic with anti-aliasing: (H, W, 3) to the same shape.
+    """Zoom about a picture's centre at its own resolution, in whole pixels: (H, W, 3) uint8.
 
-    Above 1 its middle fills the canvas; below 1 a border of whole pixels is black.
+    Above 1 its middle is cut out, (h, w, 3), so that it is interpolated once only, at the size of the network's input. Below 1
+    it is shrunk on its own canvas, bicubic with anti-aliasing, and the border is black, (H, W, 3).
     """
     height, width = picture.shape[:2]
     if scale == 1:
         return picture
+    margin = 1 - 1 / scale if scale > 1 else 1 - scale
+    x, y = (min(round(side * margin / 2), (side - 1) // 2) for side in (width, height))
     if scale > 1:
-        left, top = width * (1 - 1 / scale) / 2, height * (1 - 1 / scale) / 2
-        middle = (left, top, width - left, height - top)
-        return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BICUBIC, middle))
-    x, y = (min(round(side * (1 - scale) / 2), (side - 1) // 2) for side in (width, height))
+        return cast(UInt8Array, np.ascontiguousarray(picture[y : height - y, x : width - x]))
     canvas = np.zeros_like(picture)
     canvas[y : height - y, x : width - x] = resize(picture, height - 2 * y, width - 2 * x)
     return canvas

@@ -17,7 +17,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
-from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture
+from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
 from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import views_of
 from lpn.datasets import geo
@@ -54,6 +54,7 @@ class Picture:
         panorama: True if it shows the full circle with north in the middle column.
         group: what tables of results tell apart, such as the height of its camera in metres; see `Dataset.group_name`.
         note: a remark to display beside the name.
+        zoom: the factor by which it is zoomed before it is described, within its box; see `lpn.retrieval.calibration`.
         cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
     """
 
@@ -64,15 +65,20 @@ class Picture:
     panorama: bool = False
     group: str = ""
     note: str = field(default="", compare=False)
+    zoom: float = 1.0
     cut: Callable[[], UInt8Array] | None = field(default=None, compare=False, repr=False)
 
     def load(self) -> UInt8Array:
-        """Return the picture without regard to its box, (H, W, 3) uint8 RGB; PictureError if it cannot be read."""
+        """Return the picture without regard to box and zoom, (H, W, 3) uint8 RGB; PictureError if it cannot be read."""
         return load_picture(self.path) if self.cut is None else self.cut()
 
     def load_cropped(self) -> UInt8Array:
-        """Return the picture within its box, (H, W, 3) uint8 RGB; errors as for `load`."""
-        return crop(self.load(), self.box, self.name)
+        """Return what is described of the picture, see `cropped`, (H, W, 3) uint8 RGB; errors as for `load`."""
+        return self.cropped(self.load())
+
+    def cropped(self, whole: UInt8Array) -> UInt8Array:
+        """Return the box of the loaded picture, zoomed: (H, W, 3) uint8; PictureError if the box is empty."""
+        return zoom(crop(whole, self.box, self.name), self.zoom)
 
 
 def _no_tiles() -> Int64Array:

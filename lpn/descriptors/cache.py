@@ -58,7 +58,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     boxes = [picture.box for picture in pictures]
     identity: list[Any] = [model.fingerprint, view, change.rotate, common]
     identity += [f"shift {change.shift}"] if change.shift else []
-    identity += [f"scale {change.scale}"] if change.scale != 1 else []
+    identity += [f"zoom {change.scale}"] if change.scale != 1 else []
     identity += [f"down {change.down}"] if change.down else []
     identity += ["around"] if change.around else []
     identity += ["cropped"] if any(boxes) else []

@@ -56,7 +56,7 @@ class Change:
         return bool(self.rotate or self.shift or self.scale != 1 or self.down)
 
     def apply(self, picture: UInt8Array) -> UInt8Array:
-        """Rotate and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape."""
+        """Rotate and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape, or smaller (`images.zoom`)."""
         turned = images.roll(picture, self.rotate) if self.around else images.rotate(picture, self.rotate)
         return images.zoom(turned, self.scale)
 

@@ -20,6 +20,7 @@ from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.retrieval import field_metrics, metrics
+from lpn.retrieval.calibration import Calibration, calibrate
 from lpn.retrieval.protocol import Protocol, averaged, centred, sentence
 from lpn.retrieval.published_results import PublishedResult
 
@@ -86,6 +87,7 @@ class Result:
         groups: the same figures for each group of the data set's pictures, such as each height; see `Dataset.group_name`.
         group_name: what the groups are; empty without groups.
         measures: the field's further metrics by their keys, see `field_figures`; empty where the data set has none.
+        calibration: the model's, if the protocol asks for one.
     """
 
     galleries: tuple[Figures, ...]
@@ -100,6 +102,7 @@ class Result:
     groups: Mapping[str, tuple[Figures, ...]] = field(default_factory=dict)
     group_name: str = ""
     measures: Mapping[str, float] = field(default_factory=dict)
+    calibration: Calibration | None = None
 
     @property
     def recall(self) -> dict[str, float]:
@@ -144,6 +147,7 @@ class Result:
             "parts": list(self.parts),
             "branch": self.protocol.branch,
             "averaged": self.protocol.average,
+            "calibration": None if self.calibration is None else self.calibration.to_dict(),
             "cropped": self.cropped,
             "junk": "lists" if self.listed else "label -1",
             "protocol": self.sentence,
@@ -205,12 +209,18 @@ def evaluate(
     measured_by = None if protocol.average else dataset.measured_by
     where = None if measured_by is None else (dataset.coordinates(queries), dataset.coordinates(gallery))
     change = protocol.change.for_picture(queries[0])
-    query = read(model, queries, query_branch, change)
-    tiles = read(model, gallery, gallery_branch, UNCHANGED)
+    calibration = _calibrated(model, protocol, {query_view: queries, gallery_view: gallery}, read)
+    if calibration is None:
+        query = read(model, queries, query_branch, change)
+        tiles = read(model, gallery, gallery_branch, UNCHANGED)
+    else:
+        query = calibration.read(model, queries, query_view, read, change)
+        tiles = calibration.read(model, gallery, gallery_view, read)
     if protocol.centre:
         query, tiles = centred(query), centred(tiles)
     cropped = any(picture.box for picture in queries)
     clauses = _clauses(model, protocol, cropped, change)
+    clauses += [] if calibration is None else [calibration.describe()]
     labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
     result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, clauses)
     errors = None if positions is None else _errors(retrieval, *positions)
@@ -240,7 +250,22 @@ def evaluate(
         groups=groups,
         group_name=dataset.group_name,
         measures=found,
+        calibration=calibration,
     )
+
+
+def _calibrated(
+    model: Model, protocol: Protocol, pictures: Mapping[View, Sequence[Picture]], read: descriptors.Reader
+) -> Calibration | None:
+    """Calibrate as the protocol says, on the pictures of both sides by their views."""
+    if not protocol.calibrate:
+        return None
+    if protocol.branch or protocol.centre or len(pictures) < 2:
+        raise InputError(
+            "A calibration takes the mean of each of two views, with the branch of each; leave --branch and --centre out, and "
+            "choose a task of two views."
+        )
+    return calibrate(model, pictures, read)
 
 
 def field_figures(
@@ -353,10 +378,10 @@ def evaluate_saved(
     """
     started = time.perf_counter()
     protocol = protocol or Protocol()
-    if protocol.change or protocol.branch or protocol.whole:
+    if protocol.change or protocol.branch or protocol.whole or protocol.calibrate:
         raise InputError(
-            f"{saved.name} holds descriptors, not pictures: rotation, shift, scale, branch, and whole queries need --model and "
-            "--data; leave them out."
+            f"{saved.name} holds descriptors, not pictures: rotation, shift, scale, branch, whole queries, and calibration need "
+            "--model and --data; leave them out."
         )
     clauses = ["descriptors as saved"] + ([CENTRED] if protocol.centre else [])
     sides = (saved.query, saved.gallery)

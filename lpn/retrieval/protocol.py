@@ -25,6 +25,7 @@ class Protocol:
         average: average the queries of one place into one.
         whole: ignore the boxes of queries (Oxford5k, Paris6k).
         centre: subtract the mean of the queries' descriptors from each query, and that of the gallery's from each tile.
+        calibrate: subtract the mean of each view, and choose the zoom, see `lpn.retrieval.calibration`.
     """
 
     change: Change = UNCHANGED
@@ -33,6 +34,7 @@ class Protocol:
     average: bool = False
     whole: bool = False
     centre: bool = False
+    calibrate: bool = False
 
     def chosen(self, n_parts: int) -> tuple[int, ...]:
         """The 1-based parts to use, without duplicates, in the given order.
