@@ -177,15 +177,15 @@ def calibrate(
         means = {view: read(model, of_view, view, UNCHANGED).mean(axis=0) for view, of_view in pictures.items()}
         zooms = {view: dict.fromkeys((one.path for one in of_view), 1.0) for view, of_view in pictures.items()}
         return Calibration(means, zooms, {}, 1.0, (), np.zeros((0, model.n_parts, model.embedding), np.float32))
-    ratio, tried = _ratio_of_all(model, pictures, read)
-    of_tiles = max(1 / ratio, 1.0)
+    of_all, tried = _step_of_all(model, pictures, read)
+    of_tiles, own = STEP ** max(-of_all, 0), max(of_all, 0)
     tiles = read(model, pictures["satellite"], "satellite", Change(scale=of_tiles))
     of_satellite = tiles.mean(axis=0)
     tiles = normalise(tiles - of_satellite)
-    steps = [step for step in range(-_OWN_STEPS, _OWN_STEPS + 1) if ratio * of_tiles * STEP**step > 0.999]
-    found = [read(model, pictures["drone"], "drone", Change(scale=ratio * of_tiles * STEP**step)) for step in steps]
+    steps = [step for step in range(-_OWN_STEPS, _OWN_STEPS + 1) if own + step >= 0]
+    found = [read(model, pictures["drone"], "drone", Change(scale=STEP ** (own + step))) for step in steps]
     levels = [
-        Level(ratio * of_tiles * STEP**step, PRIOR * step**2, described.mean(axis=0))
+        Level(STEP ** (own + step), PRIOR * step**2, described.mean(axis=0))
         for step, described in zip(steps, found, strict=True)
     ]
     values = [
@@ -202,7 +202,7 @@ def calibrate(
         {"satellite": of_satellite, "drone": taken.mean(axis=0)},
         {view: zooms[view] for view in pictures},
         tried,
-        ratio,
+        STEP**of_all,
         levels,
         _sample(tiles, _MOST_TILES),
     )
@@ -214,18 +214,18 @@ def _comparable(model: Model, pictures: Mapping[View, Sequence[Picture]]) -> boo
     return set(pictures) == {"drone", "satellite"} and flat and not any(map(model.contract.unrolled, pictures))
 
 
-def _ratio_of_all(
+def _step_of_all(
     model: Model, pictures: Mapping[View, Sequence[Picture]], read: descriptors.Reader
-) -> tuple[float, dict[float, float]]:
-    """Return the ratio with the nearest neighbours, and the mean cosine at each tried ratio."""
+) -> tuple[int, dict[float, float]]:
+    """Return the power of STEP with the nearest neighbours, and the mean cosine at each tried ratio."""
     drones, tiles = _sample(pictures["drone"], _MOST_DRONES), _sample(pictures["satellite"], _MOST_TILES)
     tried: dict[float, float] = {}
 
     def value(step: int) -> float:
         ratio = STEP**step
         if ratio not in tried:
-            query = read(model, drones, "drone", Change(scale=max(ratio, 1.0)))
-            gallery = read(model, tiles, "satellite", Change(scale=max(1 / ratio, 1.0)))
+            query = read(model, drones, "drone", Change(scale=STEP ** max(step, 0)))
+            gallery = read(model, tiles, "satellite", Change(scale=STEP ** max(-step, 0)))
             query, gallery = (normalise(side - side.mean(axis=0)) for side in (query, gallery))
             tried[ratio] = float(_nearest(query, gallery).mean())
         return tried[ratio]
@@ -237,7 +237,7 @@ def _ratio_of_all(
         while behind < 2 and abs(step) <= _MOST_STEPS:
             best, behind = (step, 0) if value(step) > value(best) else (best, behind + 1)
             step += direction
-    return STEP**best, tried
+    return best, tried
 
 
 def _sample(values: Any, most: int) -> Any:

@@ -1,0 +1,157 @@
+"""Calibration without labels: zooms, means, what they do to descriptors, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
+from lpn.analysis.task import calibrated, open_task
+from lpn.core import images
+from lpn.core.errors import InputError
+from lpn.core.views import View
+from lpn.datasets import Picture, open_dataset
+from lpn.descriptors import temporary_descriptors
+from lpn.models.base import Model, normalise
+from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol, centred
+from tests.conftest import MakeOnce
+from tools.fixtures import small_worlds
+
+TASK = "drone-to-satellite"
+PLACES = 24
+# Steps by which the ground of a drone picture is wider than that of its tile: most by two, every fourth by three.
+WIDER = [3 if i % 4 == 0 else 2 for i in range(PLACES)]
+
+
+@pytest.fixture(scope="module")
+def wide(make_once: MakeOnce) -> Path:
+    """Test places whose drone pictures show more ground than their tiles."""
+
+    def fill(folder: Path) -> None:
+        for i, steps in enumerate(WIDER):
+            ground = images.resize(small_worlds.place(100 + i), 192, 192)
+            shown = images.resize(images.zoom(ground, 2 / STEP**steps), 96, 96)
+            tile = images.resize(images.zoom(ground, 2), 96, 96)
+            for role in ("query", "gallery"):
+                small_worlds.write(folder / "places/test" / f"{role}_drone" / f"{i:04d}/1.png", shown)
+                small_worlds.write(folder / "places/test" / f"{role}_satellite" / f"{i:04d}/{i:04d}.png", tile)
+
+    return make_once("wide-places", fill) / "places"
+
+
+@pytest.fixture(scope="module")
+def model(model_file: Path) -> Model:
+    return lpn.load(model_file)
+
+
+@pytest.fixture(scope="module")
+def found(model: Model, wide: Path) -> Calibration:
+    return calibrate(model, sides(wide), temporary_descriptors)
+
+
+def sides(root: Path) -> dict[View, list[Picture]]:
+    dataset = open_dataset(root)
+    return {"drone": dataset.queries("drone"), "satellite": dataset.gallery("satellite")}
+
+
+def test_the_ratio_of_all_and_of_each_picture_is_found(found: Calibration) -> None:
+    assert found.ratio == pytest.approx(STEP**2)
+    assert max(found.tried, key=lambda ratio: found.tried[ratio]) == found.ratio
+    steps = np.log([found.zooms["drone"][path] for path in sorted(found.zooms["drone"])]) / np.log(STEP)
+    assert np.abs(steps - np.array(WIDER)).mean() < 0.35
+    assert set(found.zooms["satellite"].values()) == {1.0}
+    assert [level.cost for level in found.levels] == pytest.approx([4 * PRIOR, PRIOR, 0, PRIOR, 4 * PRIOR])
+    assert found.describe() == (
+        "calibrated without labels on 24 drone and 24 satellite pictures, drone pictures zoomed by "
+        f"{min(found.zooms['drone'].values()):.2f} to {max(found.zooms['drone'].values()):.2f}, the mean of each view subtracted"
+    )
+
+
+def test_tiles_are_zoomed_where_drone_pictures_show_less(model: Model, wide: Path) -> None:
+    swapped = sides(wide)
+    drones = [replace(picture, path=tile.path) for picture, tile in zip(*swapped.values(), strict=True)]
+    tiles = [replace(tile, path=picture.path) for picture, tile in zip(*swapped.values(), strict=True)]
+    found = calibrate(model, {"drone": drones, "satellite": tiles}, temporary_descriptors)
+    assert found.ratio == pytest.approx(STEP**-2)
+    assert set(found.zooms["satellite"].values()) == {STEP**2}
+    # No drone picture can be shrunk, so none takes a smaller ratio.
+    assert min(found.zooms["drone"].values()) == 1
+
+
+def test_descriptors_are_those_of_the_zoomed_pictures_without_the_mean(
+    model: Model, wide: Path, found: Calibration
+) -> None:
+    pictures = found.pictures("drone", sides(wide)["drone"])
+    prepared = np.stack([model.prepare(picture.load_cropped(), "drone") for picture in pictures])
+    plain = model.descriptors(prepared, "drone")
+    np.testing.assert_allclose(found.means["drone"], plain.mean(axis=0), atol=1e-6)
+    read = found.read(model, pictures, "drone", temporary_descriptors)
+    np.testing.assert_allclose(read, normalise(plain - plain.mean(axis=0)), atol=1e-5)
+    np.testing.assert_allclose(found.applied(model).descriptors(prepared, "drone"), read, atol=1e-5)
+    assert pictures[0].note == f"zoomed by {pictures[0].zoom:.2f}"
+    assert pictures[0].load_cropped().shape < pictures[0].load().shape
+
+
+def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: Path) -> None:
+    dataset = open_dataset(wide)
+    plain, moved = evaluate(model, dataset, TASK), evaluate(model, dataset, TASK, Protocol(calibrate=True))
+    assert moved.recall["1"] > plain.recall["1"]
+    assert "calibrated without labels on 24 drone and 24 satellite pictures" in moved.sentence
+    assert moved.to_dict()["calibration"]["ratio"] == pytest.approx(STEP**2)
+    assert plain.to_dict()["calibration"] is None
+    turned = evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, rotate=90), calibrate=True))
+    assert turned.recall["1"] < moved.recall["1"]
+
+
+def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:
+    dataset = open_dataset(wide)
+    calibration = calibrated(model, dataset)
+    task = open_task(model, "model.onnx", dataset, TASK, calibration=calibration)
+    expected = evaluate(model, dataset, TASK, Protocol(calibrate=True))
+    assert task.metrics["recall@1"] == pytest.approx(expected.recall["1"])
+    moved = task.model
+    assert moved is not None
+    analyser = QueryAnalyser(moved, lambda of, index: describe_tile(of, index, moved))
+    analysis = analyser.analyse(task, QueryRequest(0, evidence=True), 5)
+    np.testing.assert_allclose(analysis.query.descriptor, task.query_descriptors[0], atol=1e-5)
+    np.testing.assert_array_equal(analysis.query.picture, task.queries[0].load_cropped())
+    # The contributions of all cells, and the constants with the means in them, still make up the score.
+    assert analysis.pair_evidence is not None
+    assert analysis.pair_evidence.evidence.score == pytest.approx(analysis.chosen.score, abs=1e-4)
+    assert task.contract.claim == "exact, with the length of the mean's term held"
+    own = analyser.analyse(task, QueryRequest(OwnPicture("mine", task.queries[0].load())), 5)
+    assert own.source.shape == analysis.source.shape
+    np.testing.assert_allclose(own.query.descriptor, analysis.query.descriptor, atol=1e-5)
+
+
+def test_too_few_pictures_are_refused(model: Model, data: Path) -> None:
+    with pytest.raises(InputError, match=r"there are 14 drone pictures; expected 20 or more"):
+        calibrate(model, sides(data), temporary_descriptors)
+
+
+def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
+    around = {view: [replace(one, panorama=view == "drone") for one in of] for view, of in sides(wide).items()}
+    found = calibrate(model, around, temporary_descriptors)
+    assert (found.ratio, dict(found.tried), set(found.zooms["drone"].values())) == (1.0, {}, {1.0})
+    described = found.read(model, around["drone"], "drone", temporary_descriptors)
+    np.testing.assert_allclose(described, centred(temporary_descriptors(model, around["drone"], "drone")), atol=1e-5)
+    assert "zoomed" not in found.describe()
+
+
+def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path) -> None:
+    dataset = open_dataset(wide)
+    for protocol in (Protocol(calibrate=True, branch="satellite"), Protocol(calibrate=True, centre=True)):
+        with pytest.raises(InputError, match="leave --branch and --centre out"):
+            evaluate(model, dataset, TASK, protocol)
+
+
+def test_what_is_found_does_not_depend_on_labels(model: Model, wide: Path, found: Calibration) -> None:
+    unlabelled = {view: [replace(one, label=0) for one in of] for view, of in sides(wide).items()}
+    again = calibrate(model, unlabelled, temporary_descriptors)
+    assert again.zooms == found.zooms
