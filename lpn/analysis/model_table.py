@@ -29,6 +29,7 @@ from lpn.descriptors import Reader, cached_descriptors
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
 from lpn.retrieval import metrics
+from lpn.retrieval.calibration import calibrate
 from lpn.retrieval.evaluate import FULL, WITHOUT
 from lpn.retrieval.published_results import PublishedResult, truth_of_rows
 
@@ -224,11 +225,16 @@ def rank_model(
     task: str,
     gallery: GalleryChoice = "full",
     read: Reader = cached_descriptors,
+    calibrated: bool = False,
 ) -> RankedModel:
     """Rank a task by a model; queries whose truth is not known are left out.
 
+    Args:
+        calibrated: calibrate the model on the task's pictures first, see `lpn.retrieval.calibration`.
+
     Raises:
-        InputError: when the data set lacks the task, the model a view, or the gallery has no distractors to leave out.
+        InputError: when the data set lacks the task, the model a view, the gallery has no distractors to leave out, or a
+            calibration is not possible.
         DataError: when the test split is incomplete.
     """
     if task not in dataset.tasks():
@@ -239,7 +245,11 @@ def rank_model(
         model.check_view(view)
     model = model.for_task(*views)
     queries, tiles = dataset.queries(views[0]), dataset.gallery(views[1])
-    sides = read(model, queries, views[0], UNCHANGED.for_picture(queries[0])), read(model, tiles, views[1], UNCHANGED)
+    if calibrated:
+        calibration = calibrate(model, {views[0]: queries, views[1]: tiles}, read)
+        sides = calibration.read(model, queries, views[0], read), calibration.read(model, tiles, views[1], read)
+    else:
+        sides = read(model, queries, views[0], UNCHANGED), read(model, tiles, views[1], UNCHANGED)
     return _ranked(name, dataset, task, gallery, (queries, tiles), sides, _labels(queries, tiles), dataset.truth(task))
 
 

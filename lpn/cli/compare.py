@@ -31,6 +31,8 @@ class CompareCommand:
     """Views of query and gallery; by default the first task of the data set."""
     gallery: Literal["full", "without-distractors"] = "full"
     """The gallery that all of them rank: full (as LPN and FSRA do), or without-distractors (as Sample4Geo and DAC do)."""
+    calibrate: bool = False
+    """Rank with each model calibrated on the pictures without labels as well (docs/evaluation.md); a row of its own."""
     seed: int = 0
     """Seed of the bootstrap."""
     resamples: int = 1000
@@ -58,8 +60,10 @@ class CompareCommand:
 
         for file in filter(None, (self.markdown, self.csv, self.json)):
             check_writable(file)
-        if len(self.models) < 2:
-            raise InputError(f"A comparison takes two models or more; found {len(self.models)}.")
+        if len(self.models) < 2 - self.calibrate:
+            raise InputError(
+                f"A comparison takes two models or more, or one with --calibrate; found {len(self.models)}."
+            )
         if self.kind and len(self.kind) != len(self.models):
             raise InputError(
                 f"There are {len(self.kind)} kinds for {len(self.models)} models; give one for each in their order, or auto."
@@ -77,7 +81,11 @@ class CompareCommand:
                 ranked.append(rank_saved(load_saved(file), name, dataset, task, self.gallery))
             else:
                 model = lpn.load(file, self.provider, kind=kind)
-                ranked.append(rank_model(model, name, dataset, task, self.gallery, descriptor_reader(dataset.root)))
+                read = descriptor_reader(dataset.root)
+                ranked.append(rank_model(model, name, dataset, task, self.gallery, read))
+                if self.calibrate:
+                    moved = f"{name}, calibrated"
+                    ranked.append(rank_model(model, moved, dataset, task, self.gallery, read, calibrated=True))
         found = compare(ranked, self.seed, self.resamples)
         _print(found, wide_console())
         if self.markdown is not None:

@@ -161,8 +161,13 @@ def calibrate(
         pictures: of each view, those that are searched with and those that are searched; equal files count once.
 
     Raises:
-        InputError: if a view has fewer than 20 pictures, or the model lacks it.
+        InputError: if there are not two views, one has fewer than 20 pictures, or the model lacks one.
     """
+    if len(pictures) != 2:
+        raise InputError(
+            f"A calibration compares two views, and the pictures are of {' and '.join(pictures)}; choose a task of two views, or "
+            "leave --calibrate out."
+        )
     pictures = {
         view: list({picture.path: picture for picture in of_view}.values()) for view, of_view in pictures.items()
     }

@@ -260,11 +260,8 @@ def _calibrated(
     """Calibrate as the protocol says, on the pictures of both sides by their views."""
     if not protocol.calibrate:
         return None
-    if protocol.branch or protocol.centre or len(pictures) < 2:
-        raise InputError(
-            "A calibration takes the mean of each of two views, with the branch of each; leave --branch and --centre out, and "
-            "choose a task of two views."
-        )
+    if protocol.branch or protocol.centre:
+        raise InputError("A calibration centres each view and takes its own branch; leave --branch and --centre out.")
     return calibrate(model, pictures, read)
 
 

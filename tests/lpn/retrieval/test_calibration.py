@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 import lpn
 from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import calibrated, open_task
+from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.views import View
@@ -109,6 +111,14 @@ def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: 
     assert turned.recall["1"] < moved.recall["1"]
 
 
+def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, tmp_path: Path) -> None:
+    table = tmp_path / "table.json"
+    main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--json", str(table)])
+    plain, moved = json.loads(table.read_bytes())["models"]
+    assert [plain["name"], moved["name"]] == ["model.onnx", "model.onnx, calibrated"]
+    assert moved["R@1"]["value"] > plain["R@1"]["value"]
+
+
 def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
     calibration = calibrated(model, dataset)
@@ -133,6 +143,8 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
 def test_too_few_pictures_are_refused(model: Model, data: Path) -> None:
     with pytest.raises(InputError, match=r"there are 14 drone pictures; expected 20 or more"):
         calibrate(model, sides(data), temporary_descriptors)
+    with pytest.raises(InputError, match="compares two views, and the pictures are of drone; choose a task of two"):
+        calibrate(model, {"drone": sides(data)["drone"]}, temporary_descriptors)
 
 
 def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
