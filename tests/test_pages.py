@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
 from lpn.reproduce.measure import MeasurementStore
 from lpn.reproduce.record import Provenance, TableRecord, row_record
+from lpn.training.recipes import RECIPES
 
 ROOT = Path(__file__).parents[1]
 
@@ -160,6 +163,27 @@ def test_the_table_of_a_cross_validation_joins_the_page(docs: Path, tmp_path: Pa
     beside = "61.5 ± 2.0 (+1.5; -3.0 to +6.0)"
     assert f"| rings | `part_dropout` 0.5 | {beside} | {beside} | 2 | 1.1 |" in text
     assert "By `lpn crossval --trial base`, lpn 7.7, on CPU, 1 cores, 2026-11-23." in text
+    assert pages("--check", "--docs", str(docs)).returncode == 0
+
+
+def test_networks_that_were_measured_on_the_test_split_join_the_page(docs: Path, tmp_path: Path) -> None:
+    recipe = msgspec.to_builtins(dataclasses.replace(RECIPES["small"], memory=True, epochs=7))
+    for seed, value in ((0, 60.0), (2, 64.0)):
+        folder = tmp_path / f"memory-seed{seed}"
+        folder.mkdir()
+        (folder / "log.csv").touch()
+        metadata = {"recipe": json.dumps(recipe | {"seed": seed})}
+        save_file({"a": np.zeros(1)}, folder / "last.safetensors", metadata=metadata)
+        for number, task in enumerate(("drone-to-satellite", "satellite-to-drone")):
+            for reading in ("", "-centred"):
+                at = value + 10 * number + (5 if reading else 0)
+                (folder / f"{task}{reading}.json").write_text(json.dumps({"recall@1": at, "ap": at + 1}))
+    done = pages("--trained", str(tmp_path), "--commit", "abc", "--docs", str(docs))
+    assert done.returncode == 0, done.stderr
+    text = (docs / "strong.md").read_text("utf-8")
+    cells = " | ".join(f"{mean:.1f} ± 2.0" for mean in (62, 63, 67, 68, 72, 73, 77, 78))
+    assert f"| memory | 2 | {cells} |" in text
+    assert "--recipe small --init city-lpn --epochs 7 --memory --seed 2`, and the other seeds alike (0, 2)" in text
     assert pages("--check", "--docs", str(docs)).returncode == 0
 
 

@@ -186,6 +186,42 @@ def copy_crossval(file: Path, docs: Path) -> None:
     write_json(target, data)
 
 
+def copy_trained(runs: Path, commit: str, docs: Path) -> None:
+    """Take networks that were measured on the test split over into the data of docs/strong.md.
+
+    Each is a folder `<name>-seed<k>` of `lpn train --recipe small --init city-lpn` with the files `<task>.json` and
+    `<task>-centred.json` of `lpn evaluate`.
+    """
+    tasks = ("drone-to-satellite", "satellite-to-drone")
+    trained: dict[str, Any] = {}
+    for folder in sorted(runs.glob("*-seed*")):
+        name, _, seed = folder.name.partition("-seed")
+        with safe_open(folder / "last.safetensors", "np") as file:
+            recipe = json.loads(file.metadata()["recipe"])
+        changed = msgspec.to_builtins(recipes.RECIPES["small"]).items() - recipe.items()
+        flags = [_flag(key, recipe[key]) for key, _ in sorted(changed) if key != "seed"]
+        network = trained.setdefault(name, {"seeds": [], "figures": [[] for _ in range(8)]})
+        start = f"lpn train --data university1652-mini --out runs/{folder.name} --recipe small --init city-lpn"
+        network |= {
+            "command": " ".join([start, *flags, f"--seed {seed}"]),
+            "commit": commit,
+            "machine": machine(),
+            "date": time.strftime("%Y-%m-%d", time.gmtime((folder / "log.csv").stat().st_mtime)),
+        }
+        network["seeds"].append(int(seed))
+        files = [folder / f"{task}{reading}.json" for task in tasks for reading in ("", "-centred")]
+        values = [json.loads(file.read_bytes())[key] for file in files for key in ("recall@1", "ap")]
+        for column, value in zip(network["figures"], values, strict=True):
+            column.append(value)
+    target = docs / "measured" / "strong.json"
+    write_json(target, json.loads(target.read_bytes()) | {"trained": trained})
+
+
+def _flag(name: str, value: object) -> str:
+    flag = name.replace("_", "-")
+    return f"--{flag}" if value is True else f"--no-{flag}" if value is False else f"--{flag} {value}"
+
+
 def _centre(runs: Path, seeds: list[int]) -> TableRecord:
     """Join the tables of Figure 7 that were measured on the networks of each seed alone."""
     tables = {
@@ -289,7 +325,8 @@ def main() -> int:
     parser.add_argument("--run", type=Path, help="folder of a finished lpn reproduce")
     parser.add_argument("--world", type=Path, help="rendered world that the run was made on")
     parser.add_argument("--ablation", type=Path, help="folder of the ablation's runs")
-    parser.add_argument("--commit", default="", help="commit of the ablation's runs")
+    parser.add_argument("--trained", type=Path, help="folder of networks that were measured on the test split")
+    parser.add_argument("--commit", default="", help="commit of the runs of --ablation or --trained")
     parser.add_argument("--check", action="store_true", help="write nothing, and fail on a difference")
     parser.add_argument("--crossval", type=Path, help="table of an lpn crossval")
     parser.add_argument("--docs", type=Path, default=Path(__file__).parents[1] / "docs")
@@ -304,6 +341,8 @@ def main() -> int:
         copy_run(given.run, given.world, given.docs)
     if given.ablation is not None:
         copy_ablation(given.ablation, given.commit, given.docs)
+    if given.trained is not None:
+        copy_trained(given.trained, given.commit, given.docs)
     if given.crossval is not None:
         copy_crossval(given.crossval, given.docs)
     for page in PAGES:
