@@ -52,7 +52,7 @@ def test_every_model_in_the_assets_has_a_card() -> None:
 def test_the_figures_on_the_demo_are_those_of_its_shipped_descriptors(card: ModelCard) -> None:
     model, dataset, tried = lpn.load(card.name), open_dataset(DEMO), 0
     for one in card.figures:
-        if not one.data.startswith("the demo"):
+        if one.data != "the demo":  # the calibrated figures need further descriptors
             continue
         task: TaskName = one.task  # type: ignore[assignment]
         views = views_of(task)
