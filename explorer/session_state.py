@@ -91,6 +91,7 @@ class SessionState:
         find: filter of the list of queries.
         dark: True for the dark theme.
         first_screen: True while the page shows one query and its answer only; `why` explains it there.
+        from_first_screen: True while something is open that was opened there, so that its end leads back; no address has it.
     """
 
     task: str
@@ -121,6 +122,7 @@ class SessionState:
     find: str = ""
     dark: bool = True
     first_screen: bool = False
+    from_first_screen: bool = False
 
     def __post_init__(self) -> None:
         if not self.weights:
@@ -132,6 +134,11 @@ class SessionState:
         """Return the effective weight of each part: 0 where it is off, and equal weights where none is left."""
         values = tuple(w if on else 0.0 for w, on in zip(self.weights, self.enabled, strict=True))
         return values if any(values) else (1.0,) * self.n_parts
+
+    @property
+    def shows_window(self) -> bool:
+        """Return True if a window is open, or something else that ends where it was begun: the map, or pulled rings."""
+        return self.why or self.lab or self.flight or self.map or self.exploded
 
     @property
     def shows_reasons(self) -> bool:
@@ -181,8 +188,17 @@ def with_field(state: SessionState, field: str, value: Any) -> SessionState:
 def leave_first_screen(before: SessionState, after: SessionState) -> SessionState:
     """Return `after` without the first screen if the change from `before` is to something that it does not show.
 
-    A change of the query shows the query's top match, whatever was compared before.
+    A change of the query shows the query's top match, whatever was compared before. The end of the last window that was opened
+    from the first screen leads back to it.
     """
+    if not before.first_screen and not after.first_screen:
+        ended = before.from_first_screen and before.shows_window and not after.shows_window
+        return to_first_screen(after) if ended else after
+    left = _without_first_screen(before, after)
+    return replace(left, from_first_screen=not left.first_screen and left.shows_window)
+
+
+def _without_first_screen(before: SessionState, after: SessionState) -> SessionState:
     if not (before.first_screen and after.first_screen):
         return after
     beyond = [field for field in _BEYOND_FIRST_SCREEN if getattr(before, field) != getattr(after, field)]
@@ -308,7 +324,7 @@ def turn(state: SessionState, by: float) -> SessionState:
 def to_first_screen(state: SessionState) -> SessionState:
     """Open the first screen, and close all that it does not show."""
     closed = replace(state, why=False, lab=False, flight=False, map=False, exploded=False, selected=None)
-    return replace(closed, first_screen=True)
+    return replace(closed, first_screen=True, from_first_screen=False)
 
 
 def leave_stage_view(state: SessionState) -> SessionState:

@@ -158,6 +158,27 @@ def test_what_the_first_screen_cannot_show_leaves_it() -> None:
     assert session_state.leave_first_screen(everything, replace(first, map=True)).first_screen
 
 
+def test_what_was_opened_from_the_first_screen_leads_back_to_it() -> None:
+    leave, first = session_state.leave_first_screen, SessionState("t", 4, first_screen=True)
+    for field in ("lab", "flight", "exploded", "map"):
+        opened = leave(first, replace(first, **{field: True}))
+        turned = leave(opened, replace(opened, angle=9.0))
+        back = leave(turned, replace(turned, **{field: False}))
+        assert back == replace(first, angle=9.0), field
+    # A window over another one leads back to that one first.
+    lab = leave(first, replace(first, lab=True))
+    both = leave(lab, replace(lab, why=True))
+    assert leave(both, replace(both, why=False)) == lab
+    # Everything was asked for, so the end of a window shows that.
+    everything = leave(first, replace(first, first_screen=False))
+    opened = leave(everything, replace(everything, lab=True))
+    assert leave(opened, replace(opened, lab=False)) == everything
+    # The cells behind the reason are the explain window of the workbench.
+    reason = replace(first, why=True)
+    cells = leave(reason, replace(reason, first_screen=False))
+    assert leave(cells, replace(cells, why=False)) == first
+
+
 def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:
     address, plain = UrlState(workspace), SessionState(TASK, 4)
     for bare in ("", "?", "?theme=light", "?unknown=1"):
