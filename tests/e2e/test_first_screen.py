@@ -71,6 +71,27 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
 
 
 @pytest.mark.slow
+def test_windows_and_the_tour_lead_back_to_where_they_were_begun(app: RunningApp, fresh: Page) -> None:
+    first = fresh.locator("#lpn-first")
+    fresh.goto(app.url)
+    first.get_by_role("button", name="All pictures in a table").click()
+    expect(fresh.locator("#lpn-lab-table")).to_be_visible()
+    expect(first).to_have_count(0)
+    fresh.keyboard.press("b")
+    expect(first.locator(".sentence")).to_contain_text("The model compared")
+    for key in ("Escape", "ArrowDown"):
+        first.get_by_role("button", name="Tour").click()
+        expect(fresh.locator("#lpn-told.free")).to_be_visible()
+        fresh.keyboard.press(key)
+        expect(fresh.locator("#lpn-told")).to_have_count(0)
+        if key == "Escape":
+            expect(first.locator(".sentence")).to_contain_text("The model compared")
+    # Any other key goes on in what the tour showed.
+    expect(fresh.locator("#lpn-header .tools")).to_be_visible()
+    expect(first).to_have_count(0)
+
+
+@pytest.mark.slow
 def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fresh: Page, tmp_path: Path) -> None:
     fresh.set_viewport_size({"width": 1024, "height": 600})  # the left panel is folded
     fresh.goto(app.url)

@@ -4,6 +4,7 @@
   const lpn = window.lpn;
   if (lpn.tell) return;
   let told = null, at = 0, withNotes = false, wasFull = false;
+  let begunOnFirst = null; // a story of the workbench that the first screen asked for
   let before = ""; // the screen that the story was begun on, see `lpn.screen`
   let moved = false; // a step has changed the state
   let notes = null; // the presenter's window
@@ -141,7 +142,7 @@
     if (document.fullscreenElement) document.exitFullscreen();
     wasFull = false;
     if (moved) lpn.send("story-end", stay);
-    else if (before === "first") lpn.send("screen", "start");
+    else if (before === "first" && !stay) lpn.send("screen", "start");
   };
 
   const STEPS = {
@@ -153,8 +154,9 @@
     if (told && free(told.steps[at])) {
       const pressed = document.getElementById("lpn-told").contains(event.target) && ["Enter", " "].includes(event.key);
       if (pressed || ["Tab", "Shift", "Control", "Alt", "Meta"].includes(event.key)) return;
-      if (event.key === "Escape") event.stopImmediatePropagation(); // it closes nothing else
-      return end(true);
+      if (event.key !== "Escape") return end(true);
+      event.stopImmediatePropagation(); // it closes nothing else
+      return end();
     }
     if (!told || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.('input, textarea, select, [role="slider"]')) return;
     if (event.key === " " && event.target.matches?.('button, [role="button"], [role="tab"]')) return;
@@ -193,10 +195,11 @@
   lpn.telling = () => told !== null;
   lpn.tell = (story) => {
     if (free(story.steps[0]) && lpn.screen() === "first") {
-      wanted = story;
+      wanted = begunOnFirst = story;
       return lpn.send("screen", "all");
     }
-    if (!told) [before, moved] = [lpn.screen(), false];
+    if (!told) [before, moved] = [story === begunOnFirst ? "first" : lpn.screen(), false];
+    begunOnFirst = null;
     told = story;
     frame();
     go(0);
