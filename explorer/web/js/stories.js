@@ -7,6 +7,7 @@
   let begunOnFirst = null; // a story of the workbench that the first screen asked for
   let before = ""; // the screen that the story was begun on, see `lpn.screen`
   let moved = false; // a step has changed the state
+  let pushed = false; // the browser's history has the story as one step of its own
   let notes = null; // the presenter's window
   let wanted = null; // a story that waits for the workbench
   const SEEN = "lpn-tour";
@@ -132,7 +133,7 @@
   };
 
   // The page goes back to the state before the story, unless the person stays.
-  const end = (stay = false) => {
+  const end = (stay = false, byBack = false) => {
     if (told.name === lpn.tour.name) lpn.store("local", SEEN, "seen");
     told = null;
     notes?.close();
@@ -141,6 +142,7 @@
     document.documentElement.classList.remove("lpn-telling");
     if (document.fullscreenElement) document.exitFullscreen();
     wasFull = false;
+    if (pushed && !stay && !byBack) lpn.backQuietly();
     if (moved) lpn.send("story-end", stay);
     else if (before === "first" && !stay) lpn.send("screen", "start");
   };
@@ -177,7 +179,18 @@
     });
   const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
   window.addEventListener("pointerdown", pressed, true);
-  window.addEventListener("popstate", () => told && free(told.steps[at]) && end(true));
+  // How a step of a story writes its address: all steps are one step of the browser's history, which Back ends with the story.
+  lpn.storyAddress = () => {
+    if (!told || !moved) return null;
+    const write = pushed ? "replaceState" : "pushState";
+    pushed = true;
+    return write;
+  };
+  lpn.backEndsStory = () => {
+    const ends = told !== null && pushed;
+    if (told) end(!ends, ends);
+    return ends;
+  };
   // In full screen the browser takes Escape for itself.
   document.addEventListener("fullscreenchange", () => {
     if (document.fullscreenElement) wasFull = true;
@@ -198,7 +211,7 @@
       wanted = begunOnFirst = story;
       return lpn.send("screen", "all");
     }
-    if (!told) [before, moved] = [story === begunOnFirst ? "first" : lpn.screen(), false];
+    if (!told) [before, moved, pushed] = [story === begunOnFirst ? "first" : lpn.screen(), false, false];
     begunOnFirst = null;
     told = story;
     frame();

@@ -17,11 +17,17 @@
     const found = new URLSearchParams(text);
     return (found.has("flight") ? [...STEPS.filter((key) => key !== "query"), "flight"] : STEPS).map((key) => found.get(key)).join("\n");
   };
+  let quiet = false; // the page itself goes back
   window.addEventListener("popstate", () => {
     clearTimeout(writing);
     search = location.search;
-    lpn.send("back", search);
+    if (!quiet && !lpn.backEndsStory()) lpn.send("back", search);
+    quiet = false;
   });
+  lpn.backQuietly = () => {
+    quiet = true;
+    history.back();
+  };
 
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {
@@ -44,7 +50,7 @@
     clearTimeout(writing); // browsers limit how often the address may change
     const first = !ready;
     writing = setTimeout(() => {
-      const write = first || step(search) === step(location.search) ? "replaceState" : "pushState";
+      const write = lpn.storyAddress() || (first || step(search) === step(location.search) ? "replaceState" : "pushState");
       history[write](history.state, "", location.pathname + search + location.hash);
     }, 200);
     lpn.watch();
