@@ -115,9 +115,7 @@ def _open_one(
         opened = calibration.applied(opened)
         sentence = f"{printable(model_name)} is {calibration.describe()}."
         _terminal().print(sentence, highlight=False, markup=False, soft_wrap=True)
-    workspace = _workspace(tasks, opened)
-    workspace.description += "" if calibration is None else ", calibrated"
-    return workspace, dataset
+    return _workspace(tasks, opened), dataset
 
 
 def _names(model: Path | Model, second: Path | None) -> tuple[str, str]:

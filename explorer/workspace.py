@@ -35,6 +35,7 @@ from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
+from lpn.retrieval.calibration import zoom_note
 
 # Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
 TILES = 48
@@ -268,7 +269,8 @@ class Workspace:
     def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.tasks[name]
         try:
-            picture = task.gallery[index].cropped(self.load_picture(task.gallery[index]))
+            entry = task.gallery[index]
+            picture = images.zoom(self.load_picture(entry), entry.zoom)
         except PictureError:  # one damaged window does not spoil the answers that rank it
             return np.full((*self.layout.card_pixels[::-1], 3), _UNREADABLE, np.uint8)
         return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)
@@ -323,6 +325,11 @@ class StateAnalysis(Analysis):
     """The analysis of the query that a state shows."""
 
     state: SessionState
+
+    @property
+    def query_note(self) -> str:
+        """The remark beside the query's name; of one's own picture, the zoom that a calibration chose for it."""
+        return self.task.queries[self.state.query].note if self.state.upload is None else zoom_note(self.zoom)
 
 
 class StateAnalyser:

@@ -175,7 +175,7 @@ def test_networks_that_were_measured_on_the_test_split_join_the_page(docs: Path,
         metadata = {"recipe": json.dumps(recipe | {"seed": seed})}
         save_file({"a": np.zeros(1)}, folder / "last.safetensors", metadata=metadata)
         for number, task in enumerate(("drone-to-satellite", "satellite-to-drone")):
-            for reading in ("", "-centred"):
+            for reading in ("", "-calibrated"):
                 at = value + 10 * number + (5 if reading else 0)
                 (folder / f"{task}{reading}.json").write_text(json.dumps({"recall@1": at, "ap": at + 1}))
     done = pages("--trained", str(tmp_path), "--commit", "abc", "--docs", str(docs))

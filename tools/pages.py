@@ -190,7 +190,7 @@ def copy_trained(runs: Path, commit: str, docs: Path) -> None:
     """Take networks that were measured on the test split over into the data of docs/strong.md.
 
     Each is a folder `<name>-seed<k>` of `lpn train --recipe small --init city-lpn` with the files `<task>.json` and
-    `<task>-centred.json` of `lpn evaluate`.
+    `<task>-calibrated.json` of `lpn evaluate`.
     """
     tasks = ("drone-to-satellite", "satellite-to-drone")
     trained: dict[str, Any] = {}
@@ -209,7 +209,7 @@ def copy_trained(runs: Path, commit: str, docs: Path) -> None:
             "date": time.strftime("%Y-%m-%d", time.gmtime((folder / "log.csv").stat().st_mtime)),
         }
         network["seeds"].append(int(seed))
-        files = [folder / f"{task}{reading}.json" for task in tasks for reading in ("", "-centred")]
+        files = [folder / f"{task}{reading}.json" for task in tasks for reading in ("", "-calibrated")]
         values = [json.loads(file.read_bytes())[key] for file in files for key in ("recall@1", "ap")]
         for column, value in zip(network["figures"], values, strict=True):
             column.append(value)

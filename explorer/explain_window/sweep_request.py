@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Float32Array
-from lpn.descriptors.transforms import UNCHANGED
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import sweeps
 from lpn.explain.sweeps import CHANGE_FIELD, Point, SweepResult, SweptProperty
 from lpn.models.base import Model
@@ -39,7 +39,7 @@ class SweepRequest:
         analysis, task, state = self.analysis, self.analysis.task, self.analysis.state
         height, width = workspace.contract.input_size
         changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
-        changes = [change.for_picture(self.query) for change in sweeps.apply_to_base(self.over, state.change, changes)]
+        changes = [self.for_query(change) for change in sweeps.apply_to_base(self.over, state.change, changes)]
         known = None if state.upload else state.query
         progress = SweepProgress(self, total=len(changes))
         yield progress
@@ -56,6 +56,10 @@ class SweepRequest:
             progress = replace(progress, points=(*progress.points, point))
             yield progress
         yield replace(progress, ended=True)
+
+    def for_query(self, change: Change) -> Change:
+        """Return a change for the picture of the query, which has a zoom of its own if it is calibrated."""
+        return replace(change.for_picture(self.query), zoom=self.analysis.zoom)
 
     def applies_to(self, analysis: StateAnalysis) -> bool:
         """Return True when only the swept property of the query has changed since the request."""
@@ -98,6 +102,4 @@ class SweepProgress:
         over = self.request.over
         now = sweeps.swept_value(over, analysis.state.change)
         shown = next((p.change for p in self.points if abs(sweeps.swept_value(over, p.change) - now) < 1e-6), None)
-        return SweepResult(
-            over, self.points, shown or self.request.analysis.state.change.for_picture(self.request.query)
-        )
+        return SweepResult(over, self.points, shown or self.request.for_query(self.request.analysis.state.change))

@@ -160,7 +160,7 @@ def _third_tile(analysis: StateAnalysis, workspace: Workspace, index: int) -> tu
     if not analysis.state.why:
         return overlays.data_uri(workspace.card(task, index), 85), caption, right
     try:
-        picture = task.gallery[index].load_cropped()
+        picture = task.gallery[index].load_zoomed()
     except PictureError:
         picture = workspace.card(task, index)  # grey
     drawn = draw_parts(workspace, replace(analysis.tile, picture=picture, trace=None), task.gallery_view, _SIZE)

@@ -74,7 +74,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the analysis in words."""
     right, headline, reason = answer_text.verdict(analysis, workspace.part_names)
     all_parts_off = not analysis.state.parts_left()
-    note = "" if analysis.state.upload is not None else analysis.task.queries[analysis.state.query].note
+    note = analysis.query_note
     return render(
         "panels/verdict",
         verdict=right,

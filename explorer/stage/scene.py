@@ -263,14 +263,15 @@ class Stage:
     def _query_caption(self, analysis: StateAnalysis) -> UInt8Array:
         own = analysis.state.upload is not None
         source = "your picture" if own else analysis.task.query_view
-        note = "" if own else analysis.task.queries[analysis.state.query].note
-        text = ", ".join(filter(None, (f"{source} {analysis.name}", note, analysis.state.change.describe())))
+        text = ", ".join(
+            filter(None, (f"{source} {analysis.name}", analysis.query_note, analysis.state.change.describe()))
+        )
         return title("QUERY", text, None, analysis.state.palette, self._lettering.caption)
 
     def _tile_caption(self, analysis: StateAnalysis) -> UInt8Array:
         chosen = analysis.chosen
-        name = analysis.task.gallery[chosen.index].name
-        text, palette = f"{analysis.task.gallery_view} {name}", analysis.state.palette
+        tile, palette = analysis.task.gallery[chosen.index], analysis.state.palette
+        text = ", ".join(filter(None, (f"{analysis.task.gallery_view} {tile.name}", tile.note)))
         return title(rank_title(chosen), text, chosen.true, palette, self._lettering.caption, chosen.distance2)
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:

@@ -40,15 +40,16 @@ def read_stories(file: Path) -> list[Story]:
     return _FORMAT.read(file)
 
 
-def read_all(root: Path, built_in: Sequence[Story] = ()) -> Stories:
+def read_all(root: Path, built_in: Sequence[Story] = (), shipped: bool = True) -> Stories:
     """Read the stories that lie beside a data set, and those that its user made.
 
     Args:
         built_in: come last, unless another story has the name.
+        shipped: with those of the demo, whose captions are of its own model.
     """
     stories: dict[str, Story] = {}
     errors = []
-    files = [root / NAME]
+    files = [root / NAME] if shipped else []
     try:
         files = list(dict.fromkeys([*files, own_file(root, NAME)]))
     except OutputError as error:

@@ -166,7 +166,8 @@ class StoryWindow:
                     self._edit(replace(self._draft, story=story.remove(self._draft.story, index)))
 
     def _read(self) -> library.Stories:
-        return library.read_all(self._workspace.root, [self.tour])
+        calibrated = any(task.calibration for task in self._workspace.tasks.values())
+        return library.read_all(self._workspace.root, [self.tour], shipped=not calibrated)
 
     def _new_draft(self) -> StoryDraft:
         return StoryDraft(Story(story.new_name(list(self._stories.by_name))))

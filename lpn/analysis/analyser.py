@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -90,6 +90,7 @@ class Analysis:
         errors_m: metres from the place that the query shows to each tile, (G,); of one's own picture, from its camera. None
             without positions.
         source: the query's picture before the change, (H, W, 3) uint8.
+        zoom: of the query's picture, see `Picture.zoom`; of one's own picture the one that a calibration chose.
         pair_evidence: None if it was not requested, or there is no network.
         seconds: time that the analysis took.
     """
@@ -104,6 +105,7 @@ class Analysis:
     positive: Match | None
     errors_m: Float64Array | None
     source: UInt8Array
+    zoom: float
     pair_evidence: PairEvidence | None
     seconds: float
 
@@ -138,6 +140,7 @@ class QueryAnalyser:
         self._model, self._describe_tile, self._load = model, describe_tile, load
         self._source: _LastValue[UInt8Array] = _LastValue()
         self._query: _LastValue[DescribedPicture] = _LastValue()
+        self._zoom: _LastValue[float] = _LastValue()
         self._search: _LastValue[RankUnderWeights] = _LastValue()
 
     def analyse(self, task: Task, request: QueryRequest, k: int) -> Analysis:
@@ -156,12 +159,12 @@ class QueryAnalyser:
         if index is not None and not 0 <= index < len(task.queries):
             raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
         picture = task.queries[index or 0]
-        source_key = own or (picture.path, picture.box, picture.zoom)
-        source = self._source.get(
-            source_key, lambda: self._own_source(task, own) if own else picture.cropped(self._load(picture))
-        )
+        source_key = own or (picture.path, picture.box)
+        source = self._source.get(source_key, lambda: own.picture if own else self._load_cropped(picture))
+        zoom = picture.zoom if own is None else self._zoom.get((own, task.name), lambda: self._own_zoom(task, own))
         query_key = source_key, task.name, index, request.change
-        query = self._query.get(query_key, lambda: self._describe(task, index, source, request.change))
+        change = replace(request.change.for_picture(picture), zoom=zoom)
+        query = self._query.get(query_key, lambda: self._describe(task, index, source, change))
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
         search_key = query_key, request.region, request.weights if request.region else None
@@ -184,19 +187,22 @@ class QueryAnalyser:
             positive=ranking.positive(),
             errors_m=_errors_m(task, index, own),
             source=source,
+            zoom=zoom,
             pair_evidence=pair_evidence(query, tile, weights, request.correspondences) if request.evidence else None,
             seconds=time.perf_counter() - started,
         )
 
-    def _own_source(self, task: Task, own: OwnPicture) -> UInt8Array:
-        """Return one's own picture at the zoom that the task's calibration chooses for it."""
+    def _load_cropped(self, picture: Picture) -> UInt8Array:
+        return images.crop(self._load(picture), picture.box, picture.name)
+
+    def _own_zoom(self, task: Task, own: OwnPicture) -> float:
+        """Return the zoom that the task's calibration chooses for one's own picture; 1 without one."""
         if self._model is None or task.calibration is None:
-            return own.picture
-        return images.zoom(own.picture, task.calibration.own_zoom(self._model, own.picture, task.query_view))
+            return 1.0
+        return task.calibration.own_zoom(self._model, own.picture, task.query_view)
 
     def _describe(self, task: Task, index: int | None, source: UInt8Array, change: Change) -> DescribedPicture:
         if self._model is not None:
-            change = change.for_picture(task.queries[index or 0])
             return retrieval.describe_picture(self._model.for_task(*task.views), source, task.query_view, change)
         if index is None:
             raise InputError(
@@ -227,7 +233,7 @@ def pair_evidence(
 
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:
     """Describe a gallery picture; without a model, or without its picture, take its stored descriptor."""
-    picture = task.gallery[index].load_cropped()
+    picture = task.gallery[index].load_zoomed()
     if model is None or task.without_picture(index):
         return DescribedPicture(picture, task.stored_descriptor(index), None, None)
     return retrieval.describe_picture(model.for_task(*task.views), picture, task.gallery_view)

@@ -246,7 +246,7 @@ def rank_model(
     model = model.for_task(*views)
     queries, tiles = dataset.queries(views[0]), dataset.gallery(views[1])
     if calibrated:
-        calibration = calibrate(model, {views[0]: queries, views[1]: tiles}, read)
+        calibration = calibrate(model, {views[0]: [queries], views[1]: [tiles]}, read)
         sides = calibration.read(model, queries, views[0], read), calibration.read(model, tiles, views[1], read)
     else:
         sides = read(model, queries, views[0], UNCHANGED), read(model, tiles, views[1], UNCHANGED)

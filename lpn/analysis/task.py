@@ -283,7 +283,8 @@ def open_task(
             gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
         else:
             query_side, gallery_side = (
-                calibration.stored(model, side, view) for side, view in zip((queries, gallery), views, strict=True)
+                calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
+                for side, view in zip((queries, gallery), views, strict=True)
             )
     except PictureError:  # of one list; name the broken pictures of all lists at once
         check_test_split(dataset, offered)
@@ -332,10 +333,10 @@ def calibrated(model: Model, dataset: Dataset) -> Calibration:
     if not tasks:
         raise no_task_error(model, dataset)
     check_test_split(dataset, tasks)
-    pictures: dict[View, list[Picture]] = {}
-    for name, of_list in lists_of(dataset, tasks).items():
-        pictures.setdefault(cast(View, name.split()[1]), []).extend(of_list)
-    return calibrate(model, pictures)
+    lists: dict[View, list[Sequence[Picture]]] = {}
+    for name, pictures in lists_of(dataset, tasks).items():
+        lists.setdefault(cast(View, name.split()[1]), []).append(pictures)
+    return calibrate(model, lists, descriptors.descriptor_reader(dataset.root))
 
 
 def gallery_geometry(

@@ -68,6 +68,11 @@ class CompareCommand:
             raise InputError(
                 f"There are {len(self.kind)} kinds for {len(self.models)} models; give one for each in their order, or auto."
             )
+        saved = [file.name for file in self.models if file.suffix.lower() == ".mat"]
+        if saved and self.calibrate:
+            raise InputError(
+                f"{saved[0]} holds descriptors, not pictures, so it cannot be calibrated; leave it or --calibrate out."
+            )
         kinds: list[Kind | None] = [None if kind == "auto" else kind for kind in self.kind]
         kinds = kinds or [None] * len(self.models)
         dataset = open_dataset(self.data)

@@ -101,6 +101,8 @@ class FailuresCommand:
         if self.beside is not None:
             shown = [name for name in shown if name != "rank"]
         _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
+        if task.calibration is not None:
+            console.print(f"{task.model_name} is {task.calibration.describe()}.", highlight=False, markup=False)
         if len(rows):
             _print_breakdown(console, task, rows, self.top)
         if self.csv is not None:

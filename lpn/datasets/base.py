@@ -54,7 +54,7 @@ class Picture:
         panorama: True if it shows the full circle with north in the middle column.
         group: what tables of results tell apart, such as the height of its camera in metres; see `Dataset.group_name`.
         note: a remark to display beside the name.
-        zoom: the factor by which it is zoomed before it is described, within its box; see `lpn.retrieval.calibration`.
+        zoom: the factor by which it is zoomed when it is described, within its box; see `lpn.retrieval.calibration`.
         cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
     """
 
@@ -73,12 +73,12 @@ class Picture:
         return load_picture(self.path) if self.cut is None else self.cut()
 
     def load_cropped(self) -> UInt8Array:
-        """Return what is described of the picture, see `cropped`, (H, W, 3) uint8 RGB; errors as for `load`."""
-        return self.cropped(self.load())
+        """Return the picture within its box, (H, W, 3) uint8 RGB; errors as for `load`."""
+        return crop(self.load(), self.box, self.name)
 
-    def cropped(self, whole: UInt8Array) -> UInt8Array:
-        """Return the box of the loaded picture, zoomed: (H, W, 3) uint8; PictureError if the box is empty."""
-        return zoom(crop(whole, self.box, self.name), self.zoom)
+    def load_zoomed(self) -> UInt8Array:
+        """Return what is described of the picture: its box at its zoom, (H, W, 3) uint8 RGB; errors as for `load`."""
+        return zoom(self.load_cropped(), self.zoom)
 
 
 def _no_tiles() -> Int64Array:

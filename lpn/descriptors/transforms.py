@@ -25,6 +25,7 @@ class Change:
         scale: zoom factor about the centre on the picture's canvas; above 1 crops, below 1 adds a black border.
         down: pixels of the network's input downwards; negative: upwards.
         around: the picture is a panorama, rotated by rolling its columns: counter-clockwise is to the left.
+        zoom: the picture's own zoom, by which `scale` is multiplied; see `Picture.zoom`.
 
     Raises:
         InputError: if a number is not finite, a shift is not whole, or the scale is outside 1/16 .. 16.
@@ -35,6 +36,7 @@ class Change:
     scale: float = 1.0
     down: int = 0
     around: bool = False
+    zoom: float = 1.0
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.rotate):
@@ -53,16 +55,16 @@ class Change:
 
     def __bool__(self) -> bool:
         """Return whether this is not the identity."""
-        return bool(self.rotate or self.shift or self.scale != 1 or self.down)
+        return bool(self.rotate or self.shift or self.scale * self.zoom != 1 or self.down)
 
     def apply(self, picture: UInt8Array) -> UInt8Array:
         """Rotate and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape, or smaller (`images.zoom`)."""
         turned = images.roll(picture, self.rotate) if self.around else images.rotate(picture, self.rotate)
-        return images.zoom(turned, self.scale)
+        return images.zoom(turned, self.scale * self.zoom)
 
     def for_picture(self, picture: Picture) -> Change:
-        """Return this transform for a picture, which may be a panorama."""
-        return replace(self, around=picture.panorama)
+        """Return this transform for a picture, which may be a panorama, and may have a zoom of its own."""
+        return replace(self, around=picture.panorama, zoom=picture.zoom)
 
     def move(self, shaped: UInt8Array) -> UInt8Array:
         """Shift a picture of the network's input size: (height, width, 3) uint8 to the same shape; see `check`."""

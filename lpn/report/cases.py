@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
+from lpn.analysis.analyser import Analysis, OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
 from lpn.analysis.query_outcomes import picture_columns
 from lpn.analysis.task import Task
 from lpn.core.arrays import Float32Array, UInt8Array
@@ -164,7 +164,7 @@ class Cases:
             without=counterfactual.ranks_without_parts(ranking),
             change=change,
             effect=None if change is None else self._effect(change),
-            profile=self._profile(analysis.source, index, chosen, on_step),
+            profile=self._profile(analysis, index, on_step),
         )
         on_step()
         return case
@@ -211,20 +211,18 @@ class Cases:
             task.outcomes.rank,
         )
 
-    def _profile(
-        self, picture: UInt8Array, index: int | None, chosen: Match, on_step: Callable[[], None]
-    ) -> SweepResult | None:
+    def _profile(self, analysis: Analysis, index: int | None, on_step: Callable[[], None]) -> SweepResult | None:
         task, options = self._task, self._options
         if not self.turns or task.model is None:
             return None
         change = options.change
         entry = task.queries[index or 0]
-        turns = [turn.for_picture(entry) for turn in self.turns]
-        follow = chosen.index if index is None else None
+        turns = [replace(turn.for_picture(entry), zoom=analysis.zoom) for turn in self.turns]
+        follow = analysis.chosen.index if index is None else None
         points = []
         for point in sweeps.run_sweep(
             task.model,
-            picture,
+            analysis.source,
             task.views[0],
             task.gallery_descriptors,
             task.part_weights,

@@ -114,6 +114,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}each part normalised"]
     if task.weights is not None:
         clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
+    clauses += [] if task.calibration is None else [task.calibration.describe()]
     parts = tuple(range(1, task.contract.n_parts + 1))
     rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None)
     facts = [

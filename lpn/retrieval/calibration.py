@@ -22,11 +22,11 @@ import numpy as np
 
 from lpn import descriptors
 from lpn.core import images
-from lpn.core.arrays import Float32Array, Float64Array, Int64Array, UInt8Array
+from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Picture
-from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model, normalise
 
 # The factor between tried ratios.
@@ -62,7 +62,7 @@ class Calibration:
 
     Attributes:
         means: the mean descriptor of each view at the zoom of its pictures, (n, D).
-        zooms: the zoom of each picture by its file; 1 for others.
+        zooms: the zoom of each picture by its file.
         tried: mean of s(r) by the ratio r, see this module; empty if the views are not those of drone and satellite.
         ratio: the ratio of all.
         levels: the zooms that a drone picture may have; empty without ratios.
@@ -80,7 +80,11 @@ class Calibration:
         """Return the pictures with their zoom, which a note tells."""
         zooms = self.zooms[view]
         return [
-            replace(picture, zoom=zooms.get(picture.path, 1.0), note=_note(picture, zooms.get(picture.path, 1.0)))
+            replace(
+                picture,
+                zoom=zooms[picture.path],
+                note=", ".join(filter(None, (picture.note, zoom_note(zooms[picture.path])))),
+            )
             for picture in pictures
         ]
 
@@ -92,8 +96,17 @@ class Calibration:
         read: descriptors.Reader = descriptors.cached_descriptors,
         change: Change = UNCHANGED,
     ) -> Float32Array:
-        """Return the calibrated descriptors of changed pictures, (N, n, D)."""
-        zooms = np.array([self.zooms[view].get(picture.path, 1.0) for picture in pictures])
+        """Return the calibrated descriptors of changed pictures, (N, n, D).
+
+        Raises:
+            InputError: if the scale of the change and the zoom of a picture multiply to more than 16.
+        """
+        zooms = np.array([self.zooms[view][picture.path] for picture in pictures])
+        if change.scale * zooms.max(initial=1) > MAX_SCALE:
+            raise InputError(
+                f"The scale is {change.scale:g}, and the calibration zooms {view} pictures by up to {zooms.max():.3g}; expected a "
+                f"scale of at most {MAX_SCALE / zooms.max():.3g}."
+            )
         found = np.zeros((len(pictures), model.n_parts, model.embedding), np.float32)
         for zoom in np.unique(zooms):
             rows = np.flatnonzero(zooms == zoom)
@@ -101,14 +114,18 @@ class Calibration:
             found[rows] = read(model, some, view, replace(change, scale=change.scale * float(zoom)))
         return normalise(found - self.means[view])
 
-    def stored(self, model: Model, pictures: Sequence[Picture], view: View) -> descriptors.StoredDescriptors:
-        """Return the calibrated descriptors of pictures from the user's cache, and their digest."""
-        found = self.read(model, pictures, view)
+    def stored(
+        self, model: Model, pictures: Sequence[Picture], view: View, read: descriptors.Reader
+    ) -> descriptors.StoredDescriptors:
+        """Return the calibrated descriptors of pictures, and their digest."""
+        found = self.read(model, pictures, view, read)
         return descriptors.StoredDescriptors(found, hashlib.sha256(found.tobytes()).hexdigest())
 
     def applied(self, model: Model) -> Model:
         """Return the model that subtracts the means; contributions stay exact, with the length of the mean's term held."""
-        return model.centred(self.means)
+        moved = model.centred(self.means)
+        moved.contract = replace(moved.contract, title=f"{moved.contract.title}, calibrated")
+        return moved
 
     def own_zoom(self, model: Model, picture: UInt8Array, view: View) -> float:
         """Return the zoom of one's own picture (H, W, 3), that of a drone chosen as for the others; `model` may be calibrated."""
@@ -147,90 +164,108 @@ class Calibration:
 
 def calibrate(
     model: Model,
-    pictures: Mapping[View, Sequence[Picture]],
+    lists: Mapping[View, Sequence[Sequence[Picture]]],
     read: descriptors.Reader = descriptors.cached_descriptors,
 ) -> Calibration:
     """Choose the zoom of drone pictures and tiles, and take the mean descriptor of each view.
 
     The ratio of all is sought from 1 in steps of 2^(1/4), as long as one of two steps is better, within a factor of 4, by at most
-    200 drone pictures and 1,000 tiles. All drone pictures are described at up to five zooms then. Views other than drone and
-    satellite, panoramas, and unrolled tiles keep their zoom.
+    200 drone pictures and 1,000 tiles. All drone pictures are described at up to five zooms then. Street views, panoramas, and
+    unrolled tiles keep their zoom.
 
     Args:
         model: see `Model.for_task`.
-        pictures: of each view, those that are searched with and those that are searched; equal files count once.
+        lists: of each view, the lists of pictures that are searched with and that are searched, which are read one by one;
+            equal files count once.
 
     Raises:
-        InputError: if there are not two views, one has fewer than 20 pictures, or the model lacks one.
+        InputError: if there is one view only, one has fewer than 20 pictures, or the model lacks one.
     """
-    if len(pictures) != 2:
+    if len(lists) < 2:
         raise InputError(
-            f"A calibration compares two views, and the pictures are of {' and '.join(pictures)}; choose a task of two views, or "
-            "leave --calibrate out."
+            f"A calibration takes the mean of each of two views or more, and all pictures are of {' and '.join(lists)}; leave "
+            "--calibrate out."
         )
-    pictures = {
-        view: list({picture.path: picture for picture in of_view}.values()) for view, of_view in pictures.items()
-    }
-    for view, of_view in pictures.items():
+    sides = {view: _Side(model, view, of_view, read) for view, of_view in lists.items()}
+    for view, side in sides.items():
         model.check_view(view)
-        if len(of_view) < MIN_PICTURES:
+        if len(side.pictures) < MIN_PICTURES:
             raise InputError(
-                f"A calibration takes the mean of each view's descriptors, and there are {len(of_view)} {view} pictures; "
+                f"A calibration takes the mean of each view's descriptors, and there are {len(side.pictures)} {view} pictures; "
                 f"expected {MIN_PICTURES} or more, so leave --calibrate out."
             )
-    if not _comparable(model, pictures):
-        means = {view: read(model, of_view, view, UNCHANGED).mean(axis=0) for view, of_view in pictures.items()}
-        zooms = {view: dict.fromkeys((one.path for one in of_view), 1.0) for view, of_view in pictures.items()}
+    zooms = {view: dict.fromkeys(side.files, 1.0) for view, side in sides.items()}
+    if not _comparable(model, sides):
+        means = {view: side.read(0).mean(axis=0) for view, side in sides.items()}
         return Calibration(means, zooms, {}, 1.0, (), np.zeros((0, model.n_parts, model.embedding), np.float32))
-    of_all, tried = _step_of_all(model, pictures, read)
-    of_tiles, own = STEP ** max(-of_all, 0), max(of_all, 0)
-    tiles = read(model, pictures["satellite"], "satellite", Change(scale=of_tiles))
-    of_satellite = tiles.mean(axis=0)
-    tiles = normalise(tiles - of_satellite)
-    steps = [step for step in range(-_OWN_STEPS, _OWN_STEPS + 1) if own + step >= 0]
-    found = [read(model, pictures["drone"], "drone", Change(scale=STEP ** (own + step))) for step in steps]
-    levels = [
-        Level(STEP ** (own + step), PRIOR * step**2, described.mean(axis=0))
-        for step, described in zip(steps, found, strict=True)
-    ]
-    values = [
-        _nearest(normalise(described - level.mean), tiles) - level.cost
-        for described, level in zip(found, levels, strict=True)
-    ]
-    chosen: Int64Array = np.stack(values).argmax(axis=0)
-    taken = np.stack([found[level][row] for row, level in enumerate(chosen)])
-    zooms = {
-        "satellite": dict.fromkeys((picture.path for picture in pictures["satellite"]), of_tiles),
-        "drone": {picture.path: levels[level].zoom for picture, level in zip(pictures["drone"], chosen, strict=True)},
+    means = {view: side.read(0).mean(axis=0) for view, side in sides.items() if view == "street"}
+    of_all, tried = _step_of_all(sides["drone"], sides["satellite"])
+    tiles = sides["satellite"].read(max(-of_all, 0))
+    means["satellite"] = tiles.mean(axis=0)
+    tiles = normalise(tiles - means["satellite"])
+    levels: list[Level] = []
+    best: Float64Array = np.full(len(sides["drone"].pictures), -np.inf)
+    chosen, taken = np.zeros(len(best), np.int64), np.zeros((0, model.n_parts, model.embedding), np.float32)
+    for step in range(max(-_OWN_STEPS, -max(of_all, 0)), _OWN_STEPS + 1):
+        found = sides["drone"].read(max(of_all, 0) + step)
+        level = Level(STEP ** (max(of_all, 0) + step), PRIOR * step**2, found.mean(axis=0))
+        value = _nearest(normalise(found - level.mean), tiles) - level.cost
+        better = value > best
+        taken = np.where(better[:, None, None], found, taken) if levels else found
+        best, chosen = np.where(better, value, best), np.where(better, len(levels), chosen)
+        levels.append(level)
+    means["drone"] = taken.mean(axis=0)
+    zooms["satellite"] = dict.fromkeys(sides["satellite"].files, STEP ** max(-of_all, 0))
+    zooms["drone"] = {
+        file: levels[level].zoom for file, level in zip(sides["drone"].files, chosen.tolist(), strict=True)
     }
-    return Calibration(
-        {"satellite": of_satellite, "drone": taken.mean(axis=0)},
-        {view: zooms[view] for view in pictures},
-        tried,
-        STEP**of_all,
-        levels,
-        _sample(tiles, _MOST_TILES),
-    )
+    return Calibration(means, zooms, tried, STEP**of_all, levels, _sample(tiles, _MOST_TILES))
 
 
-def _comparable(model: Model, pictures: Mapping[View, Sequence[Picture]]) -> bool:
-    """Return whether both views show ground from above, so that a zoom makes sense."""
-    flat = not any(picture.panorama for of_view in pictures.values() for picture in of_view)
-    return set(pictures) == {"drone", "satellite"} and flat and not any(map(model.contract.unrolled, pictures))
+class _Side:
+    """All pictures of a view, each file once."""
+
+    def __init__(self, model: Model, view: View, lists: Sequence[Sequence[Picture]], read: descriptors.Reader) -> None:
+        self._model, self._view, self._lists, self._read = model, view, lists, read
+        self.pictures = list({picture.path: picture for of_list in lists for picture in of_list}.values())
+        self.files = [picture.path for picture in self.pictures]
+
+    def read(self, step: int) -> Float32Array:
+        """Return the descriptors of all at the zoom STEP^step, (N, n, D), read list by list, as the tasks do."""
+        known: set[Path] = set()
+        found = []
+        for pictures in self._lists:
+            new = []
+            for picture in pictures:
+                new.append(picture.path not in known)
+                known.add(picture.path)
+            found.append(self._described(pictures, step)[new])
+        return found[0] if len(found) == 1 else np.concatenate(found)
+
+    def sample(self, most: int, step: int) -> Float32Array:
+        """Return the descriptors of at most so many."""
+        return self._described(_sample(self.pictures, most), step)
+
+    def _described(self, pictures: Sequence[Picture], step: int) -> Float32Array:
+        return self._read(self._model, pictures, self._view, Change(scale=STEP**step))
 
 
-def _step_of_all(
-    model: Model, pictures: Mapping[View, Sequence[Picture]], read: descriptors.Reader
-) -> tuple[int, dict[float, float]]:
+def _comparable(model: Model, sides: Mapping[View, _Side]) -> bool:
+    """Return whether two of the views show ground from above, so that a zoom makes sense."""
+    above: tuple[View, View] = ("drone", "satellite")
+    if any(view not in sides or model.contract.unrolled(view) for view in above):
+        return False
+    return not any(picture.panorama for view in above for picture in sides[view].pictures)
+
+
+def _step_of_all(drones: _Side, tiles: _Side) -> tuple[int, dict[float, float]]:
     """Return the power of STEP with the nearest neighbours, and the mean cosine at each tried ratio."""
-    drones, tiles = _sample(pictures["drone"], _MOST_DRONES), _sample(pictures["satellite"], _MOST_TILES)
     tried: dict[float, float] = {}
 
     def value(step: int) -> float:
         ratio = STEP**step
         if ratio not in tried:
-            query = read(model, drones, "drone", Change(scale=STEP ** max(step, 0)))
-            gallery = read(model, tiles, "satellite", Change(scale=STEP ** max(-step, 0)))
+            query, gallery = drones.sample(_MOST_DRONES, max(step, 0)), tiles.sample(_MOST_TILES, max(-step, 0))
             query, gallery = (normalise(side - side.mean(axis=0)) for side in (query, gallery))
             tried[ratio] = float(_nearest(query, gallery).mean())
         return tried[ratio]
@@ -267,5 +302,6 @@ def _counts(zooms: Mapping[Path, float]) -> tuple[list[float], list[int]]:
     return values.tolist(), counts.tolist()
 
 
-def _note(picture: Picture, zoom: float) -> str:
-    return ", ".join(filter(None, (picture.note, f"zoomed by {zoom:.2f}" if zoom != 1 else "")))
+def zoom_note(zoom: float) -> str:
+    """Return a picture's zoom in words, such as "zoomed by 1.41"; empty for 1."""
+    return "" if zoom == 1 else f"zoomed by {zoom:.2f}"

@@ -209,7 +209,7 @@ def evaluate(
     measured_by = None if protocol.average else dataset.measured_by
     where = None if measured_by is None else (dataset.coordinates(queries), dataset.coordinates(gallery))
     change = protocol.change.for_picture(queries[0])
-    calibration = _calibrated(model, protocol, {query_view: queries, gallery_view: gallery}, read)
+    calibration = _calibrated(model, protocol, [(query_view, queries), (gallery_view, gallery)], read)
     if calibration is None:
         query = read(model, queries, query_branch, change)
         tiles = read(model, gallery, gallery_branch, UNCHANGED)
@@ -255,14 +255,14 @@ def evaluate(
 
 
 def _calibrated(
-    model: Model, protocol: Protocol, pictures: Mapping[View, Sequence[Picture]], read: descriptors.Reader
+    model: Model, protocol: Protocol, sides: Sequence[tuple[View, Sequence[Picture]]], read: descriptors.Reader
 ) -> Calibration | None:
-    """Calibrate as the protocol says, on the pictures of both sides by their views."""
+    """Calibrate as the protocol says, on the pictures of both sides with their views."""
     if not protocol.calibrate:
         return None
     if protocol.branch or protocol.centre:
         raise InputError("A calibration centres each view and takes its own branch; leave --branch and --centre out.")
-    return calibrate(model, pictures, read)
+    return calibrate(model, {view: [pictures for of, pictures in sides if of == view] for view, _ in sides}, read)
 
 
 def field_figures(

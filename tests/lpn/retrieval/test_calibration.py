@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 
 import lpn
+from explorer.opening import open_model
+from explorer.session_state import SessionState
+from explorer.workspace import StateAnalyser
+from lpn import report
 from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.task import calibrated, open_task
 from lpn.cli.main import main
@@ -18,7 +22,10 @@ from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
 from lpn.descriptors import temporary_descriptors
+from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
+from lpn.report import Options
+from lpn.report.cases import Cases
 from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
@@ -57,9 +64,9 @@ def found(model: Model, wide: Path) -> Calibration:
     return calibrate(model, sides(wide), temporary_descriptors)
 
 
-def sides(root: Path) -> dict[View, list[Picture]]:
+def sides(root: Path) -> dict[View, list[list[Picture]]]:
     dataset = open_dataset(root)
-    return {"drone": dataset.queries("drone"), "satellite": dataset.gallery("satellite")}
+    return {"drone": [dataset.queries("drone")], "satellite": [dataset.gallery("satellite")]}
 
 
 def test_the_ratio_of_all_and_of_each_picture_is_found(found: Calibration) -> None:
@@ -77,9 +84,7 @@ def test_the_ratio_of_all_and_of_each_picture_is_found(found: Calibration) -> No
 
 def test_tiles_are_zoomed_where_drone_pictures_show_less(model: Model, wide: Path) -> None:
     swapped = sides(wide)
-    drones = [replace(picture, path=tile.path) for picture, tile in zip(*swapped.values(), strict=True)]
-    tiles = [replace(tile, path=picture.path) for picture, tile in zip(*swapped.values(), strict=True)]
-    found = calibrate(model, {"drone": drones, "satellite": tiles}, temporary_descriptors)
+    found = calibrate(model, {"drone": swapped["satellite"], "satellite": swapped["drone"]}, temporary_descriptors)
     assert found.ratio == pytest.approx(STEP**-2)
     assert set(found.zooms["satellite"].values()) == {STEP**2}
     # No drone picture can be shrunk, so none takes a smaller ratio.
@@ -89,15 +94,15 @@ def test_tiles_are_zoomed_where_drone_pictures_show_less(model: Model, wide: Pat
 def test_descriptors_are_those_of_the_zoomed_pictures_without_the_mean(
     model: Model, wide: Path, found: Calibration
 ) -> None:
-    pictures = found.pictures("drone", sides(wide)["drone"])
-    prepared = np.stack([model.prepare(picture.load_cropped(), "drone") for picture in pictures])
+    pictures = found.pictures("drone", sides(wide)["drone"][0])
+    prepared = np.stack([model.prepare(picture.load_zoomed(), "drone") for picture in pictures])
     plain = model.descriptors(prepared, "drone")
     np.testing.assert_allclose(found.means["drone"], plain.mean(axis=0), atol=1e-6)
     read = found.read(model, pictures, "drone", temporary_descriptors)
     np.testing.assert_allclose(read, normalise(plain - plain.mean(axis=0)), atol=1e-5)
     np.testing.assert_allclose(found.applied(model).descriptors(prepared, "drone"), read, atol=1e-5)
     assert pictures[0].note == f"zoomed by {pictures[0].zoom:.2f}"
-    assert pictures[0].load_cropped().shape < pictures[0].load().shape
+    assert pictures[0].load_zoomed().shape < pictures[0].load().shape
 
 
 def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: Path) -> None:
@@ -109,6 +114,10 @@ def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: 
     assert plain.to_dict()["calibration"] is None
     turned = evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, rotate=90), calibrate=True))
     assert turned.recall["1"] < moved.recall["1"]
+    with pytest.raises(
+        InputError, match=r"The scale is 12, and the calibration zooms drone pictures by up to .*expected a scale"
+    ):
+        evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, scale=12), calibrate=True))
 
 
 def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, tmp_path: Path) -> None:
@@ -117,6 +126,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     plain, moved = json.loads(table.read_bytes())["models"]
     assert [plain["name"], moved["name"]] == ["model.onnx", "model.onnx, calibrated"]
     assert moved["R@1"]["value"] > plain["R@1"]["value"]
+    assert main(["compare", "saved.mat", str(model_file), "--data", str(wide), "--calibrate"]) == 2
 
 
 def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:
@@ -130,29 +140,64 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
     analyser = QueryAnalyser(moved, lambda of, index: describe_tile(of, index, moved))
     analysis = analyser.analyse(task, QueryRequest(0, evidence=True), 5)
     np.testing.assert_allclose(analysis.query.descriptor, task.query_descriptors[0], atol=1e-5)
-    np.testing.assert_array_equal(analysis.query.picture, task.queries[0].load_cropped())
+    np.testing.assert_array_equal(analysis.query.picture, task.queries[0].load_zoomed())
     # The contributions of all cells, and the constants with the means in them, still make up the score.
     assert analysis.pair_evidence is not None
     assert analysis.pair_evidence.evidence.score == pytest.approx(analysis.chosen.score, abs=1e-4)
     assert task.contract.claim == "exact, with the length of the mean's term held"
     own = analyser.analyse(task, QueryRequest(OwnPicture("mine", task.queries[0].load())), 5)
-    assert own.source.shape == analysis.source.shape
+    assert own.zoom == analysis.zoom == task.queries[0].zoom != 1
     np.testing.assert_allclose(own.query.descriptor, analysis.query.descriptor, atol=1e-5)
+    # A change means the same in an evaluation, in the explorer, and in a sweep.
+    change = Change(rotate=30, scale=0.9)
+    expected_rows = calibration.read(model, dataset.queries("drone"), "drone", change=change)
+    changed = analyser.analyse(task, QueryRequest(0, change), 5)
+    np.testing.assert_allclose(changed.query.descriptor, expected_rows[0], atol=1e-5)
+
+
+def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Path) -> None:
+    dataset = open_dataset(wide)
+    task = open_task(model, "model.onnx", dataset, TASK, calibration=calibrated(model, dataset))
+    own = OwnPicture("mine", task.queries[0].load())
+    case = Cases(task, Options()).make(own, lambda: None)
+    np.testing.assert_array_equal(case.picture, task.queries[0].load_zoomed())
+    assert case.ranking.order.tolist() == Cases(task, Options()).make(0, lambda: None).ranking.order.tolist()
+    page = report.build(task, [0])
+    assert b"calibrated without labels on 24 drone and 24 satellite pictures" in page.replace(b"48 ", b"24 ")
+
+
+def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
+    model_file: Path, one_part_model_file: Path, wide: Path
+) -> None:
+    workspace = open_model(wide, model_file, second_model=one_part_model_file, calibrate=True)
+    assert "calibrated" in workspace.description
+    assert workspace.second is not None
+    assert workspace.second.workspace is not None
+    assert "calibrated" in workspace.second.workspace.description
+    task = workspace.tasks["satellite-to-drone"]
+    tile = task.gallery[0]
+    assert tile.note == f"zoomed by {tile.zoom:.2f}"
+    card = workspace.card(task, 0)
+    np.testing.assert_array_equal(card, images.resize(tile.load_zoomed(), *card.shape[:2]))
+    np.testing.assert_array_equal(workspace.ground_picture(task, 0), tile.load())
+    state = SessionState(TASK, 4, upload=OwnPicture("mine", workspace.tasks[TASK].queries[0].load()))
+    shown = StateAnalyser(workspace).analyse(state, 5)
+    assert shown.query_note == workspace.tasks[TASK].queries[0].note == f"zoomed by {shown.zoom:.2f}"
 
 
 def test_too_few_pictures_are_refused(model: Model, data: Path) -> None:
     with pytest.raises(InputError, match=r"there are 14 drone pictures; expected 20 or more"):
         calibrate(model, sides(data), temporary_descriptors)
-    with pytest.raises(InputError, match="compares two views, and the pictures are of drone; choose a task of two"):
+    with pytest.raises(InputError, match="two views or more, and all pictures are of drone; leave --calibrate out"):
         calibrate(model, {"drone": sides(data)["drone"]}, temporary_descriptors)
 
 
 def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
-    around = {view: [replace(one, panorama=view == "drone") for one in of] for view, of in sides(wide).items()}
+    around = {view: [[replace(one, panorama=view == "drone") for one in of[0]]] for view, of in sides(wide).items()}
     found = calibrate(model, around, temporary_descriptors)
     assert (found.ratio, dict(found.tried), set(found.zooms["drone"].values())) == (1.0, {}, {1.0})
-    described = found.read(model, around["drone"], "drone", temporary_descriptors)
-    np.testing.assert_allclose(described, centred(temporary_descriptors(model, around["drone"], "drone")), atol=1e-5)
+    described = found.read(model, around["drone"][0], "drone", temporary_descriptors)
+    np.testing.assert_allclose(described, centred(temporary_descriptors(model, around["drone"][0], "drone")), atol=1e-5)
     assert "zoomed" not in found.describe()
 
 
@@ -164,6 +209,6 @@ def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path
 
 
 def test_what_is_found_does_not_depend_on_labels(model: Model, wide: Path, found: Calibration) -> None:
-    unlabelled = {view: [replace(one, label=0) for one in of] for view, of in sides(wide).items()}
+    unlabelled = {view: [[replace(one, label=0) for one in of[0]]] for view, of in sides(wide).items()}
     again = calibrate(model, unlabelled, temporary_descriptors)
     assert again.zooms == found.zooms
