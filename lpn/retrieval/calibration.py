@@ -104,8 +104,8 @@ class Calibration:
         zooms = np.array([self.zooms[view][picture.path] for picture in pictures])
         if change.scale * zooms.max(initial=1) > MAX_SCALE:
             raise InputError(
-                f"The scale is {change.scale:g}, and the calibration zooms {view} pictures by up to {zooms.max():.3g}; expected a "
-                f"scale of at most {MAX_SCALE / zooms.max():.3g}."
+                f"The scale is {change.scale:g}, and the calibration zooms {view} pictures by up to {zooms.max():.3g}; "
+                f"expected a scale of at most {MAX_SCALE / zooms.max():.3g}."
             )
         found = np.zeros((len(pictures), model.n_parts, model.embedding), np.float32)
         for zoom in np.unique(zooms):

@@ -115,7 +115,7 @@ def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: 
     turned = evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, rotate=90), calibrate=True))
     assert turned.recall["1"] < moved.recall["1"]
     with pytest.raises(
-        InputError, match=r"The scale is 12, and the calibration zooms drone pictures by up to .*expected a scale"
+        InputError, match=r"The scale is 12, and the calibration zooms drone pictures by up to .*expected"
     ):
         evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, scale=12), calibrate=True))
 
