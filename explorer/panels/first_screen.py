@@ -105,7 +105,10 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
 
 
 def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool) -> str:
-    """Say how often the model is right, and if it is calibrated; for one's own picture in a rendered city, that it has no right answer there."""
+    """Say how often the model is right, and if it is calibrated.
+
+    For one's own picture in a rendered city, say that it has no right answer there.
+    """
     if not analysis.state.upload:
         text = answer_text.overall(workspace.rankings[analysis.task.name].result)
         return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text
