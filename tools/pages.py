@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import statistics
 import sys
 import time
 from pathlib import Path
@@ -58,6 +59,7 @@ def render(page: str, docs: Path) -> str:
     environment.filters |= {
         "figure": _figure,
         "mean": _mean,
+        "mean_of": statistics.fmean,
         "cells": _cells,
         "verdicts": _verdicts,
         "origins": _origins,
