@@ -120,6 +120,7 @@ def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: 
         evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, scale=12), calibrate=True))
 
 
+@pytest.mark.slow
 def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.json"
     main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--json", str(table)])
@@ -155,6 +156,7 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
     np.testing.assert_allclose(changed.query.descriptor, expected_rows[0], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
     task = open_task(model, "model.onnx", dataset, TASK, calibration=calibrated(model, dataset))
@@ -165,6 +167,7 @@ def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Pat
     assert b"calibrated without labels on 48 drone and 48 satellite pictures" in report.build(task, [0])
 
 
+@pytest.mark.slow
 def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
     model_file: Path, one_part_model_file: Path, wide: Path
 ) -> None:
@@ -207,6 +210,7 @@ def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path
             evaluate(model, dataset, TASK, protocol)
 
 
+@pytest.mark.slow
 def test_what_is_found_does_not_depend_on_labels(model: Model, wide: Path, found: Calibration) -> None:
     unlabelled = {view: [[replace(one, label=0) for one in of[0]]] for view, of in sides(wide).items()}
     again = calibrate(model, unlabelled, temporary_descriptors)
