@@ -13,6 +13,7 @@ s(r STEP^k) - PRIOR k^2, k = -2 .. 2. No label enters.
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,10 +29,11 @@ from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model, normalise
+from lpn.retrieval.protocol import centred
 
 # The factor between tried ratios.
 STEP = 2**0.25
-# What one step from the ratio of all costs in cosine, so that a weak network does not follow its noise.
+# One step from the ratio of all costs this much cosine; without a cost, a weak network follows its noise.
 PRIOR = 0.02
 # Steps from 1 that the ratio of all may have, and from it that of one picture.
 _MOST_STEPS, _OWN_STEPS = 8, 2
@@ -155,7 +157,7 @@ class Calibration:
     def to_dict(self) -> dict[str, Any]:
         """The calibration as JSON values, without the means: pictures by zoom, and s(r) by ratio."""
         counts = {
-            view: {f"{zoom:.3f}": count for zoom, count in zip(*_counts(zooms), strict=True)}
+            view: {f"{zoom:.3f}": count for zoom, count in sorted(Counter(zooms.values()).items())}
             for view, zooms in self.zooms.items()
         }
         tried = {f"{ratio:.3f}": value for ratio, value in sorted(self.tried.items())}
@@ -266,8 +268,7 @@ def _step_of_all(drones: _Side, tiles: _Side) -> tuple[int, dict[float, float]]:
         ratio = STEP**step
         if ratio not in tried:
             query, gallery = drones.sample(_MOST_DRONES, max(step, 0)), tiles.sample(_MOST_TILES, max(-step, 0))
-            query, gallery = (normalise(side - side.mean(axis=0)) for side in (query, gallery))
-            tried[ratio] = float(_nearest(query, gallery).mean())
+            tried[ratio] = float(_nearest(centred(query), centred(gallery)).mean())
         return tried[ratio]
 
     best = 0
@@ -295,11 +296,6 @@ def _nearest(query: Float32Array, gallery: Float32Array) -> Float64Array:
     return np.concatenate(
         [(block.reshape(len(block), -1) @ flat).max(axis=1) for block in np.split(query, range(1000, len(query), 1000))]
     ).astype(np.float64)
-
-
-def _counts(zooms: Mapping[Path, float]) -> tuple[list[float], list[int]]:
-    values, counts = np.unique(list(zooms.values()), return_counts=True)
-    return values.tolist(), counts.tolist()
 
 
 def zoom_note(zoom: float) -> str:
