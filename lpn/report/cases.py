@@ -233,4 +233,4 @@ class Cases:
         ):
             points.append(point)
             on_step()
-        return SweepResult("rotation", tuple(points), change.for_picture(entry))
+        return SweepResult("rotation", tuple(points), replace(change.for_picture(entry), zoom=analysis.zoom))
