@@ -38,15 +38,14 @@ from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import metrics
+from lpn.retrieval.calibration import MIN_PICTURES, calibrate
 from lpn.retrieval.protocol import centred
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import Fold
 
 FORMAT = "lpn-cross-validation/1"
-_FOLD_FORMAT = "lpn-fold/1"
+_FOLD_FORMAT = "lpn-fold/2"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,39}")
-# How the descriptors of the held-out places are compared: as they are, or each view's mean subtracted first.
-READINGS = ("plain", "centred")
 # The seed of the bootstrap over places.
 _SEED = 0
 
@@ -226,7 +225,7 @@ class CrossValidation:
     def _trial(self, trial: RecipeTrial, found: Sequence[tuple[TrainingJob, _FoldFile]]) -> dict[str, Any]:
         job = next(job for job in self.jobs if job.training.name == trial.name)
         figures = {
-            task: {reading: _figures([file for _, file in found], task, reading) for reading in READINGS}
+            task: {reading: _figures([file for _, file in found], task, reading) for reading in found[0][1].first[task]}
             for task in (found[0][1].labels if found else ())
         }
         start = None if job.start is None else {"file": job.start.name, "fingerprint": fingerprint(job.start)}
@@ -306,7 +305,11 @@ def summary(values: Mapping[str, Any]) -> Table:
 
 
 def _measure(model: Model, held: Mapping[int, Mapping[str, Sequence[Path]]], fingerprint_of_model: str) -> _FoldFile:
-    """Rank the held-out places both ways, by drone or, without drones, by street pictures."""
+    """Rank the held-out places both ways, by drone or, without drones, by street pictures.
+
+    Descriptors are compared in two or three readings: as they are (plain), each view's mean subtracted first (centred), and
+    calibrated without labels, where there are as many pictures as that needs.
+    """
     first = next(iter(held.values()))
     views: tuple[View, View] = ("drone" if "drone" in first else "street", "satellite")
     pictures = {
@@ -315,6 +318,9 @@ def _measure(model: Model, held: Mapping[int, Mapping[str, Sequence[Path]]], fin
     plain = {view: descriptors.temporary_descriptors(model, pictures[view], view) for view in views}
     labels = {view: np.array([picture.label for picture in pictures[view]]) for view in views}
     read = {"plain": plain, "centred": {view: centred(plain[view]) for view in views}}
+    if min(map(len, pictures.values())) >= MIN_PICTURES:
+        found = calibrate(model, {view: [pictures[view]] for view in views}, descriptors.temporary_descriptors)
+        read["calibrated"] = {view: found.read(model, pictures[view], view, descriptors.temporary_descriptors) for view in views}
     made = _FoldFile(fingerprint_of_model, {}, {}, {}, here())
     for query, gallery in (views, views[::-1]):
         task = f"{query}-to-{gallery}"
@@ -358,7 +364,7 @@ def _differences(
     for task in pairs[0][0].labels if pairs else ():
         labels: Int64Array = np.concatenate([np.array(one.labels[task]) for one, _ in pairs])
         result[task] = {}
-        for reading in READINGS:
+        for reading in pairs[0][0].first[task]:
             values = [(_values(one, task, reading), _values(two, task, reading)) for one, two in pairs]
             names = list(values[0][0])
             rows = np.stack([np.concatenate([one[name] - two[name] for one, two in values]) for name in names])

@@ -53,7 +53,7 @@ def augment(
         angle += float(rng.uniform(-1, 1)) * recipe.rotation
         if view == "satellite":
             angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
-        picture = _warp(picture, angle, recipe, rng)
+        picture = _warp(picture, angle, _zoom(recipe, view), recipe, rng)
         if not on_canvas:
             picture = images.polar(picture, height, width) if unrolled else images.resize(picture, height, width)
             picture = _pad(picture, recipe.padding)
@@ -70,9 +70,16 @@ def _pad(picture: UInt8Array, pixels: int) -> UInt8Array:
     return cast(UInt8Array, cv2.copyMakeBorder(picture, *4 * (pixels,), cv2.BORDER_REPLICATE))
 
 
-def _warp(picture: UInt8Array, angle: float, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
+def _zoom(recipe: Recipe, view: View) -> float:
+    """Return the zoom at which a view's pictures show the ground that the other view's do, or less."""
+    return {"drone": max(recipe.ground_ratio, 1.0), "satellite": max(1 / recipe.ground_ratio, 1.0)}.get(view, 1.0)
+
+
+def _warp(
+    picture: UInt8Array, angle: float, zoom: float, recipe: Recipe, rng: np.random.Generator
+) -> UInt8Array:
     """Rotate, scale, and shift in one interpolation."""
-    scale = math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
+    scale = zoom * math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
     height, width = picture.shape[:2]
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), angle, scale)
     matrix[:, 2] = matrix[:, 2] + rng.uniform(-1, 1, 2) * recipe.shift * (width, height)

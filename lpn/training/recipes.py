@@ -64,6 +64,8 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     ),
     # A photo of a wide field of view shows the horizon above 45 degrees.
     "tilt": (0, 30, "a number from 0 to 30"),
+    # The range that a calibration searches.
+    "ground_ratio": (0.25, 4, "a number from 0.25 to 4"),
     "noise": (0, 255, "a number from 0 to 255"),
     # The networks take inputs of at most 4096 pixels.
     "padding": (0, 4096, "a whole number from 0 to 4096"),
@@ -190,6 +192,9 @@ class Recipe:
     """Random shift by any fraction of a pixel, up to this share of the size either way."""
     scale: float = 0.0
     """Random scale, from exp(-scale) to exp(scale)."""
+    ground_ratio: float = 1.0
+    """How much more ground a drone picture shows, side by side, than its tile. Drone pictures are zoomed by it, or tiles by its
+    inverse below 1, so that both show the same ground; lpn evaluate --calibrate finds it, and brings other pictures there."""
     colour: float = 0.0
     """Strength, from 0 to 1, of random brightness, contrast, colour cast, and grey."""
     compression: float = 0.0
@@ -270,6 +275,10 @@ class Recipe:
                 f"The recipe has part_dropout = {self.part_dropout} without a loss that compares whole descriptors; set infonce "
                 "above 0 or a metric, or part_dropout to 0."
             )
+        if self.polar and self.ground_ratio != 1:
+            raise InputError(
+                f"The recipe has ground_ratio = {self.ground_ratio:g} with polar, but an unrolled tile has no zoom; set it to 1."
+            )
         if self.sampling == "pictures":
             self._check_independent()
         if self.windows:
@@ -284,6 +293,7 @@ class Recipe:
             "pooling": (self.pooling, "average"),
             "polar": (self.polar, False),
             "width": (self.width or self.size, self.size),
+            "ground_ratio": (self.ground_ratio, 1.0),
         }
         for name, (value, expected) in needed.items():
             if value != expected:

@@ -105,6 +105,11 @@ class Trainer:
         else:
             self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.google)
             held = self.places.hold_out(validate, recipe.seed)
+            if recipe.ground_ratio != 1 and "drone" not in self.places.views:
+                raise InputError(
+                    f"The recipe has ground_ratio = {recipe.ground_ratio:g}, and {self.name} has no drone pictures to train on; "
+                    "set it to 1."
+                )
         there = [name for name in ("state.pt", "last.safetensors", "log.csv") if (out / name).exists()]
         if resume and there and "state.pt" not in there and _first_epoch_alone(out):
             self.console.print(f"The run in {out} was stopped during its first epoch, so it starts anew.")
