@@ -191,10 +191,11 @@ def copy_crossval(file: Path, docs: Path) -> None:
 def copy_trained(runs: Path, commit: str, docs: Path) -> None:
     """Take networks that were measured on the test split over into the data of docs/strong.md.
 
-    Each is a folder `<name>-seed<k>` of `lpn train --recipe small --init city-lpn` with the files `<task>.json` and
-    `<task>-calibrated.json` of `lpn evaluate`.
+    Each is a folder `<name>-seed<k>` of `lpn train --recipe small --init city-lpn` with the files `<task>.json`,
+    `<task>-calibrated.json`, and `<task>-csls.json` of `lpn evaluate`. Networks of other names stay.
     """
     tasks = ("drone-to-satellite", "satellite-to-drone")
+    readings = {"plain": "", "calibrated": "-calibrated", "calibrated, CSLS": "-csls"}
     trained: dict[str, Any] = {}
     for folder in sorted(runs.glob("*-seed*")):
         name, _, seed = folder.name.partition("-seed")
@@ -202,7 +203,7 @@ def copy_trained(runs: Path, commit: str, docs: Path) -> None:
             recipe = json.loads(file.metadata()["recipe"])
         changed = msgspec.to_builtins(recipes.RECIPES["small"]).items() - recipe.items()
         flags = [_flag(key, recipe[key]) for key, _ in sorted(changed) if key != "seed"]
-        network = trained.setdefault(name, {"seeds": [], "figures": [[] for _ in range(8)]})
+        network = trained.setdefault(name, {"seeds": [], "figures": {title: [[] for _ in range(4)] for title in readings}})
         start = f"lpn train --data university1652-mini --out runs/{folder.name} --recipe small --init city-lpn"
         network |= {
             "command": " ".join([start, *flags, f"--seed {seed}"]),
@@ -211,12 +212,14 @@ def copy_trained(runs: Path, commit: str, docs: Path) -> None:
             "date": time.strftime("%Y-%m-%d", time.gmtime((folder / "log.csv").stat().st_mtime)),
         }
         network["seeds"].append(int(seed))
-        files = [folder / f"{task}{reading}.json" for task in tasks for reading in ("", "-calibrated")]
-        values = [json.loads(file.read_bytes())[key] for file in files for key in ("recall@1", "ap")]
-        for column, value in zip(network["figures"], values, strict=True):
-            column.append(value)
+        for title, ending in readings.items():
+            files = [json.loads((folder / f"{task}{ending}.json").read_bytes()) for task in tasks]
+            values = [file[key] for file in files for key in ("recall@1", "ap")]
+            for column, value in zip(network["figures"][title], values, strict=True):
+                column.append(value)
     target = docs / "measured" / "strong.json"
-    write_json(target, json.loads(target.read_bytes()) | {"trained": trained})
+    data = json.loads(target.read_bytes())
+    write_json(target, data | {"trained": data.get("trained", {}) | trained})
 
 
 def _flag(name: str, value: object) -> str:

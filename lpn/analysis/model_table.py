@@ -28,7 +28,7 @@ from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.descriptors import Reader, cached_descriptors
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
-from lpn.retrieval import metrics
+from lpn.retrieval import csls, metrics
 from lpn.retrieval.calibration import calibrate
 from lpn.retrieval.evaluate import FULL, WITHOUT
 from lpn.retrieval.published_results import PublishedResult, truth_of_rows
@@ -226,11 +226,13 @@ def rank_model(
     gallery: GalleryChoice = "full",
     read: Reader = cached_descriptors,
     calibrated: bool = False,
+    neighbours: int = 0,
 ) -> RankedModel:
     """Rank a task by a model; queries whose truth is not known are left out.
 
     Args:
         calibrated: calibrate the model on the task's pictures first, see `lpn.retrieval.calibration`.
+        neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks by inner product alone.
 
     Raises:
         InputError: when the data set lacks the task, the model a view, the gallery has no distractors to leave out, or a
@@ -250,6 +252,8 @@ def rank_model(
         sides = calibration.read(model, queries, views[0], read), calibration.read(model, tiles, views[1], read)
     else:
         sides = read(model, queries, views[0], UNCHANGED), read(model, tiles, views[1], UNCHANGED)
+    if neighbours:
+        sides = csls.scaled(*sides, neighbours)
     return _ranked(name, dataset, task, gallery, (queries, tiles), sides, _labels(queries, tiles), dataset.truth(task))
 
 

@@ -33,6 +33,9 @@ class CompareCommand:
     """The gallery that all of them rank: full (as LPN and FSRA do), or without-distractors (as Sample4Geo and DAC do)."""
     calibrate: bool = False
     """Rank with each model calibrated on the pictures without labels as well (docs/evaluation.md); a row of its own."""
+    csls: int = 0
+    """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
+    (docs/evaluation.md); a row of its own. 0 for none."""
     seed: int = 0
     """Seed of the bootstrap."""
     resamples: int = 1000
@@ -60,18 +63,21 @@ class CompareCommand:
 
         for file in filter(None, (self.markdown, self.csv, self.json)):
             check_writable(file)
-        if len(self.models) < 2 - self.calibrate:
+        if self.csls < 0:
+            raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
+        if not self.models or (len(self.models) < 2 and not self.calibrate and not self.csls):
             raise InputError(
-                f"A comparison takes two models or more, or one with --calibrate; found {len(self.models)}."
+                f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(self.models)}."
             )
         if self.kind and len(self.kind) != len(self.models):
             raise InputError(
                 f"There are {len(self.kind)} kinds for {len(self.models)} models; give one for each in their order, or auto."
             )
         saved = [file.name for file in self.models if file.suffix.lower() == ".mat"]
-        if saved and self.calibrate:
+        if saved and (self.calibrate or self.csls):
             raise InputError(
-                f"{saved[0]} holds descriptors, not pictures, so it cannot be calibrated; leave it or --calibrate out."
+                f"{saved[0]} holds descriptors, not pictures, so it can be neither calibrated nor ranked anew; leave it, or "
+                "--calibrate and --csls, out."
             )
         kinds: list[Kind | None] = [None if kind == "auto" else kind for kind in self.kind]
         kinds = kinds or [None] * len(self.models)
@@ -87,10 +93,15 @@ class CompareCommand:
             else:
                 model = lpn.load(file, self.provider, kind=kind)
                 read = descriptor_reader(dataset.root)
-                ranked.append(rank_model(model, name, dataset, task, self.gallery, read))
+                rows = {name: (False, 0)}
                 if self.calibrate:
-                    moved = f"{name}, calibrated"
-                    ranked.append(rank_model(model, moved, dataset, task, self.gallery, read, calibrated=True))
+                    rows[f"{name}, calibrated"] = (True, 0)
+                if self.csls:
+                    rows[f"{list(rows)[-1]}, CSLS"] = (self.calibrate, self.csls)
+                ranked += [
+                    rank_model(model, title, dataset, task, self.gallery, read, calibrated, neighbours)
+                    for title, (calibrated, neighbours) in rows.items()
+                ]
         found = compare(ranked, self.seed, self.resamples)
         _print(found, wide_console())
         if self.markdown is not None:

@@ -74,6 +74,9 @@ class EvaluateCommand:
     calibrate: bool = False
     """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
     and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
+    csls: int = 0
+    """Number of nearest queries by which tiles that are near to all queries are moved away from each (CSLS), such as 3. It needs
+    no labels, but all queries together; see docs/evaluation.md. 0 for none."""
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     flight: Path | None = None
@@ -105,10 +108,10 @@ class EvaluateCommand:
         if self.kind is not None and self.model is None:
             raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
         if self.flight is not None or self.map is not None:
-            if self.centre or self.calibrate:
+            if self.centre or self.calibrate or self.csls:
                 raise InputError(
                     "The descriptors of a flight and of its map are always centred, and frames are cut to the ground of the "
-                    "windows; leave --centre and --calibrate out."
+                    "windows, each for itself; leave --centre, --calibrate, and --csls out."
                 )
             self._evaluate_flight()
             return
@@ -117,6 +120,8 @@ class EvaluateCommand:
                 "Priors, errors of a map, registration, and corrections belong to a flight; give --flight and --map with "
                 "--prior, --map-error, --no-register, and --no-corrections, or leave them out."
             )
+        if self.csls < 0:
+            raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
         parts = _numbers(self.parts)
         protocol = Protocol(
             Change(self.rotate, self.shift, self.scale),
@@ -126,6 +131,7 @@ class EvaluateCommand:
             self.whole,
             self.centre,
             self.calibrate,
+            self.csls,
         )
         if self.query is not None or self.gallery is not None or self.paths is not None:
             title, result = self._evaluate_arrays(protocol)

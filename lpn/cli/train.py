@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import tyro
 
+import lpn
 from lpn.core.errors import InputError
 from lpn.training import recipes
 from lpn.training.recipes import Recipe, RecipeName
@@ -56,6 +57,8 @@ class TrainCommand:
     and timm."""
     from_scratch: bool = False
     """Start from random weights instead of --init."""
+    calibrate: bool = False
+    """Measure ground_ratio first, on the training pictures without their labels, by the trained model of --init."""
     resume: bool = False
     """Resume the run in --out."""
     evaluate_every: int = 0
@@ -74,12 +77,13 @@ class TrainCommand:
             return
         trainer = import_module("lpn.training.trainer").Trainer
         source = self._source()
+        settings = self._calibrated(source) if self.calibrate else self.settings
         group = import_module("lpn.training.multi_process").join()
         run = group.run_on_all(
             lambda: trainer(
                 source,
                 self.out,
-                self.settings,
+                settings,
                 self.init,
                 self.resume,
                 self.evaluate_every,
@@ -91,11 +95,23 @@ class TrainCommand:
                 window_sizes=self.window_sizes,
             )
         )
-        run.console.print(f"Recipe {self.recipe}: {self.settings.to_json()}")
+        run.console.print(f"Recipe {self.recipe}: {settings.to_json()}")
         model = run.run()
         group.leave()
         if group.is_leader:
             print(f"The model is in {model}.")
+
+    def _calibrated(self, dataset: Any) -> Recipe:
+        """Return the settings with the ratio of ground that the model of --init finds."""
+        if self.init is None or self.map is not None or self.settings.ground_ratio != 1:
+            raise InputError(
+                "--calibrate measures ground_ratio by a trained model on the pictures of a data set; give --data and a model "
+                "with --init, and leave --ground-ratio out."
+            )
+        found = import_module("lpn.retrieval.calibration").ground_ratio(
+            lpn.load(self.init), dataset.train("drone"), dataset.train("satellite")
+        )
+        return replace(self.settings, ground_ratio=round(found, 2))
 
     def _source(self) -> Any:
         """Open the data set or the map."""

@@ -320,7 +320,9 @@ def _measure(model: Model, held: Mapping[int, Mapping[str, Sequence[Path]]], fin
     read = {"plain": plain, "centred": {view: centred(plain[view]) for view in views}}
     if min(map(len, pictures.values())) >= MIN_PICTURES:
         found = calibrate(model, {view: [pictures[view]] for view in views}, descriptors.temporary_descriptors)
-        read["calibrated"] = {view: found.read(model, pictures[view], view, descriptors.temporary_descriptors) for view in views}
+        read["calibrated"] = {
+            view: found.read(model, pictures[view], view, descriptors.temporary_descriptors) for view in views
+        }
     made = _FoldFile(fingerprint_of_model, {}, {}, {}, here())
     for query, gallery in (views, views[::-1]):
         task = f"{query}-to-{gallery}"

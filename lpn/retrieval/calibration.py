@@ -224,6 +224,36 @@ def calibrate(
     return Calibration(means, zooms, tried, STEP**of_all, levels, _sample(tiles, _MOST_TILES))
 
 
+def ground_ratio(
+    model: Model,
+    drones: Sequence[Picture],
+    tiles: Sequence[Picture],
+    read: descriptors.Reader = descriptors.cached_descriptors,
+) -> float:
+    """Return how much more ground drone pictures show, side by side, than tiles: the ratio of all, without labels.
+
+    It is sought as by `calibrate`, by at most 200 drone pictures and 1,000 tiles.
+
+    Raises:
+        InputError: if there are fewer than 20 pictures of a view, one is not a picture from above, or the model lacks a view.
+    """
+    model = model.for_task("drone", "satellite")
+    lists: dict[View, Sequence[Picture]] = {"drone": drones, "satellite": tiles}
+    sides = {view: _Side(model, view, [pictures], read) for view, pictures in lists.items()}
+    for view, side in sides.items():
+        model.check_view(view)
+        if len(side.pictures) < MIN_PICTURES:
+            raise InputError(
+                f"The ratio of ground is measured on {MIN_PICTURES} pictures of each view or more, and there are "
+                f"{len(side.pictures)} {view} pictures; set ground_ratio yourself."
+            )
+    if not _comparable(model, sides):
+        raise InputError(
+            "The ratio of ground is that of drone pictures and whole tiles, and these are panoramas or unrolled; leave it at 1."
+        )
+    return float(STEP ** _step_of_all(sides["drone"], sides["satellite"])[0])
+
+
 class _Side:
     """All pictures of a view, each file once."""
 

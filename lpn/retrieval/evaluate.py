@@ -148,6 +148,7 @@ class Result:
             "branch": self.protocol.branch,
             "averaged": self.protocol.average,
             "calibration": None if self.calibration is None else self.calibration.to_dict(),
+            "csls": self.protocol.csls,
             "cropped": self.cropped,
             "junk": "lists" if self.listed else "label -1",
             "protocol": self.sentence,
@@ -227,8 +228,7 @@ def evaluate(
     # Half-true matches of GTA-UAV are measured by distances; its paper has no hit rate.
     found = {} if truth is None or dataset.measured_by else _hit_rate(query, tiles, truth, protocol)
     if measured_by is not None and where is not None:
-        sides = protocol.select(query), protocol.select(tiles)
-        found |= field_figures(measured_by, *sides, *where)
+        found |= field_figures(measured_by, *protocol.compared(query, tiles), *where)
     groups = {
         name: _measure(
             query[query_rows],
@@ -303,7 +303,8 @@ def _hit_rate(query: Float32Array, tiles: Float32Array, truth: Sequence[Truth], 
     if not any(len(lists.semi) for lists in truth):
         return {}
     without = [replace(lists, junk=np.concatenate([lists.junk, lists.semi])) for lists in truth]
-    return {"hit rate": metrics.retrieve(protocol.select(query), None, protocol.select(tiles), None, without).recall(1)}
+    query, tiles = protocol.compared(query, tiles)
+    return {"hit rate": metrics.retrieve(query, None, tiles, None, without).recall(1)}
 
 
 def _groups(
@@ -408,12 +409,12 @@ def _measure(
     protocol: Protocol,
     clauses: list[str],
 ) -> tuple[Result, metrics.Retrieval]:
-    """Average queries and select parts as the protocol demands, and rank."""
+    """Average queries, select parts, and scale by CSLS as the protocol demands, and rank."""
     n, pictures = query.shape[1], len(query)
     chosen = protocol.chosen(n)
     if protocol.average:
         query, query_labels = averaged(query, query_labels)
-    query, gallery = protocol.select(query), protocol.select(gallery)
+    query, gallery = protocol.compared(query, gallery)
     retrieval = metrics.retrieve(query, query_labels, gallery, gallery_labels, truth)
     galleries = [_figures(FULL, retrieval, len(gallery))]
     if truth is None:
@@ -435,6 +436,7 @@ def _measure(
             pictures if protocol.average else None,
             truth is not None,
             truth is None or all(lists.trapezoid for lists in truth),
+            protocol.csls,
         ),
         seconds=0.0,
     )

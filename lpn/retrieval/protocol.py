@@ -12,6 +12,7 @@ from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import normalise
+from lpn.retrieval import csls
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Protocol:
         whole: ignore the boxes of queries (Oxford5k, Paris6k).
         centre: subtract the mean of the queries' descriptors from each query, and that of the gallery's from each tile.
         calibrate: subtract the mean of each view, and choose the zoom, see `lpn.retrieval.calibration`.
+        csls: nearest queries of a tile whose mean cosine is taken off its score, see `lpn.retrieval.csls`; 0 for none.
     """
 
     change: Change = UNCHANGED
@@ -35,6 +37,7 @@ class Protocol:
     whole: bool = False
     centre: bool = False
     calibrate: bool = False
+    csls: int = 0
 
     def chosen(self, n_parts: int) -> tuple[int, ...]:
         """The 1-based parts to use, without duplicates, in the given order.
@@ -53,6 +56,15 @@ class Protocol:
         if chosen == tuple(range(1, descriptors.shape[1] + 1)):
             return descriptors
         return descriptors[:, np.array(chosen) - 1]
+
+    def compared(self, query: Float32Array, tiles: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return what is ranked by inner product of descriptors (Q, n, D) and (G, n, D): the used parts, scaled by CSLS if asked.
+
+        Raises:
+            InputError: when CSLS wants more queries than there are.
+        """
+        sides = self.select(query), self.select(tiles)
+        return csls.scaled(*sides, self.csls) if self.csls else sides
 
 
 def centred(descriptors: Float32Array) -> Float32Array:
@@ -79,6 +91,7 @@ def sentence(
     averaged_from: int | None = None,
     listed: bool = False,
     trapezoid: bool = True,
+    neighbours: int = 0,
 ) -> str:
     """The protocol in words.
 
@@ -88,13 +101,18 @@ def sentence(
         averaged_from: number of pictures behind the averaged queries; None for queries that are not averaged.
         listed: True if true matches and junk come from lists rather than from labels.
         trapezoid: True if AP is integrated by the trapezoid rule; False if it is the mean precision at the true matches.
+        neighbours: of CSLS, see `Protocol.csls`.
     """
     clauses = [*clauses]
     if parts != tuple(range(1, n_parts + 1)):
         clauses.append(f"part{'s' if len(parts) > 1 else ''} {', '.join(map(str, parts))} of {n_parts} only")
     if averaged_from is not None:
         clauses.append(f"the {averaged_from} query pictures averaged to one query per place")
-    clauses.append("ranked by inner product")
+    clauses.append(
+        f"ranked by inner product less half of each tile's mean with its {neighbours} nearest queries (CSLS)"
+        if neighbours
+        else "ranked by inner product"
+    )
     clauses.append(
         "true matches and junk by the data set's lists, junk taken out of the ranking"
         if listed

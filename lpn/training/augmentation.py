@@ -75,9 +75,7 @@ def _zoom(recipe: Recipe, view: View) -> float:
     return {"drone": max(recipe.ground_ratio, 1.0), "satellite": max(1 / recipe.ground_ratio, 1.0)}.get(view, 1.0)
 
 
-def _warp(
-    picture: UInt8Array, angle: float, zoom: float, recipe: Recipe, rng: np.random.Generator
-) -> UInt8Array:
+def _warp(picture: UInt8Array, angle: float, zoom: float, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
     """Rotate, scale, and shift in one interpolation."""
     scale = zoom * math.exp(float(rng.uniform(-1, 1)) * recipe.scale)
     height, width = picture.shape[:2]

@@ -17,6 +17,7 @@ from lpn.datasets import open_dataset
 from lpn.datasets.university import University
 from lpn.reproduce import cross_validation
 from lpn.reproduce.cross_validation import CrossValidation, RecipeTrial, parse_trial, summary
+from lpn.retrieval import calibration
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold, TrainingSet
@@ -34,6 +35,21 @@ def validation(places: Path, out: Path, *trials: RecipeTrial, **options: Any) ->
     console = Console(file=io.StringIO(), width=200)
     options = {"folds": 2, "from_scratch": True, "console": console} | options
     return CrossValidation(open_dataset(places), out, QUICK, trials, **options)
+
+
+def test_held_out_places_are_read_calibrated_where_there_are_enough(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (cross_validation, calibration):
+        monkeypatch.setattr(module, "MIN_PICTURES", 4)
+    trials = (RecipeTrial("base", {}), RecipeTrial("wide", {"ground_ratio": 2.0}))
+    values = validation(places, tmp_path / "runs", *trials, run_folds=1).run(tmp_path / "table.json")
+    fold = json.loads((tmp_path / "runs/wide-seed0-fold0/fold.json").read_bytes())
+    task = "satellite-to-drone"
+    first = np.array(fold["first"][task]["calibrated"])
+    figures = values["trials"]["wide"]["figures"][task]["calibrated"]["R@1"]
+    assert figures["mean"] == pytest.approx(100 * np.mean(first == 0))
+    assert set(values["differences"]["wide"][task]) == {"plain", "centred", "calibrated"}
 
 
 def test_folds_share_the_places_out_evenly_whatever_the_recipe_s_seed(places: Path) -> None:
@@ -121,6 +137,8 @@ def test_trials_are_compared_place_by_place_on_training_pictures_alone(
         assert (differs["better"], differs["worse"]) == (int((one & ~other).sum()), int((other & ~one).sum()))
         assert differs["interval"][0] <= differs["difference"] <= differs["interval"][1]
     assert len(summary(values).rows) == 8
+    # Six places are too few to calibrate on.
+    assert list(values["trials"]["base"]["figures"][task]) == ["plain", "centred"]
     # A later command with one more trial trains nothing again.
     trained: list[str] = []
     original = Trainer.run

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors import safe_open
 
 import lpn
 from explorer.opening import open_model
@@ -26,7 +28,7 @@ from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
 from lpn.report import Options
 from lpn.report.cases import Cases
-from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate
+from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, ground_ratio
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
 from tests.conftest import MakeOnce
@@ -91,6 +93,34 @@ def test_tiles_are_zoomed_where_drone_pictures_show_less(model: Model, wide: Pat
     assert min(found.zooms["drone"].values()) == 1
 
 
+def test_a_training_takes_the_same_ratio(model: Model, wide: Path) -> None:
+    (drones,), (tiles,) = sides(wide).values()
+    assert ground_ratio(model, drones, tiles, temporary_descriptors) == pytest.approx(STEP**2)
+    assert ground_ratio(model, tiles, drones, temporary_descriptors) == pytest.approx(STEP**-2)
+    with pytest.raises(InputError, match=r"20 pictures of each view or more, and there are 19 drone pictures; set"):
+        ground_ratio(model, drones[:19], tiles, temporary_descriptors)
+    around = [replace(one, panorama=True) for one in drones]
+    with pytest.raises(InputError, match="these are panoramas or unrolled; leave it at 1"):
+        ground_ratio(model, around, tiles, temporary_descriptors)
+
+
+def test_a_training_measures_the_ratio_of_its_pictures_and_records_it(
+    model_file: Path, wide: Path, tmp_path: Path
+) -> None:
+    root = tmp_path / "places"
+    shutil.copytree(wide / "test/query_drone", root / "train/drone")
+    shutil.copytree(wide / "test/gallery_satellite", root / "train/satellite")
+    options = ["--data", str(root), "--recipe", "small", "--epochs", "1", "--warmup-epochs", "0", "--size", "32"]
+    start = ["--init", str(model_file.with_suffix(".safetensors")), "--calibrate", "--batch", "8"]
+    assert main(["train", *options, *start, "--out", str(tmp_path / "run")]) == 0
+    with safe_open(tmp_path / "run/last.safetensors", "np") as file:
+        recipe = json.loads(file.metadata()["recipe"])
+    assert recipe["ground_ratio"] == pytest.approx(STEP**2, abs=0.01)
+    assert main(["train", *options, *start, "--out", str(tmp_path / "twice"), "--ground-ratio", "2"]) == 2
+    assert main(["train", *options, "--from-scratch", "--calibrate", "--out", str(tmp_path / "none")]) == 2
+    assert not (tmp_path / "twice").exists()
+
+
 def test_descriptors_are_those_of_the_zoomed_pictures_without_the_mean(
     model: Model, wide: Path, found: Calibration
 ) -> None:
@@ -128,6 +158,14 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     assert [plain["name"], moved["name"]] == ["model.onnx", "model.onnx, calibrated"]
     assert moved["R@1"]["value"] > plain["R@1"]["value"]
     assert main(["compare", "saved.mat", str(model_file), "--data", str(wide), "--calibrate"]) == 2
+    main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--csls", "3", "--json", str(table)])
+    rows = json.loads(table.read_bytes())["models"]
+    assert [row["name"] for row in rows] == [plain["name"], moved["name"], "model.onnx, calibrated, CSLS"]
+    assert rows[1]["R@1"]["value"] == moved["R@1"]["value"]
+    alone = evaluate(lpn.load(model_file), open_dataset(wide), TASK, Protocol(calibrate=True, csls=3))
+    assert rows[2]["R@1"]["value"] == pytest.approx(alone.recall["1"])
+    assert "less half of each tile's mean with its 3 nearest queries (CSLS)" in alone.sentence
+    assert main(["compare", str(model_file), "--data", str(wide), "--csls", "-1"]) == 2
 
 
 def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:

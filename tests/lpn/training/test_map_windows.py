@@ -281,6 +281,7 @@ def test_the_default_sizes_follow_from_the_resolution_and_fit_the_map(town: Map)
         (["--data", "{data}", "--recipe", "map"], "give --map in place of --data"),
         (["--map", "{map}", "--recipe", "small"], "give --recipe map with --map"),
         (["--map", "{map}", "--validate", "0.1"], "leave --evaluate-every and --validate out"),
+        (["--map", "{map}", "--ground-ratio", "2"], "ground_ratio = 2.0; expected ground_ratio = 1.0"),
         (["--map", "{map}", "--instance", "1"], "windows = 512 of a map with instance = 1.0; expected instance = 0.0"),
         (["--map", "{map}", "--method", "lpn"], "leave --method lpn out"),
         (["--map", "{map}", "--window-sizes", "30", "500"], "too large for the map"),

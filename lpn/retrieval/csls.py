@@ -1,0 +1,60 @@
+"""Cross-domain similarity local scaling (CSLS): a tile that is near to all queries counts as less near to each.
+
+With r(t) the mean inner product of a tile with its K nearest queries, and r(q) that of a query with its K nearest tiles, CSLS
+ranks by 2 <q, t> - r(t) - r(q) (Conneau et al., "Word translation without parallel data", 2018, section 2.3). r(q) is the same
+for all tiles of a query. So with
+
+    h_i(t) = 1/2 mean of <q_i, t_i> over the K queries nearest to t
+
+the score is the sum over parts of <q_i, t_i> - h_i(t), and each part keeps an exact contribution.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+
+from lpn.core.arrays import Float32Array
+from lpn.core.errors import InputError
+
+# Numbers in a block of products, and in a block of the nearest queries' descriptors.
+_BLOCK = 2**25
+
+
+def hubness(query: Float32Array, tiles: Float32Array, neighbours: int) -> Float32Array:
+    """Return h_i(t) of each part of each tile, (G, n).
+
+    Args:
+        query, tiles: descriptors, (Q, n, D) and (G, n, D).
+        neighbours: K.
+
+    Raises:
+        InputError: unless K is from 1 to the number of queries.
+    """
+    if not 1 <= neighbours <= len(query):
+        raise InputError(
+            f"CSLS takes the mean over {neighbours} nearest queries, and there are {len(query)}; expected 1 to {len(query)}."
+        )
+    flat = query.reshape(len(query), -1)
+    found = np.empty(tiles.shape[:2], np.float32)
+    rows = max(1, _BLOCK // max(len(query), neighbours * flat.shape[1]))
+    for start in range(0, len(tiles), rows):
+        block = tiles[start : start + rows]
+        products = block.reshape(len(block), -1) @ flat.T
+        nearest = np.argpartition(products, len(query) - neighbours, axis=1)[:, -neighbours:]
+        found[start : start + rows] = np.einsum("gknd,gnd->gn", query[nearest], block) / (2 * neighbours)
+    return found
+
+
+def scaled(query: Float32Array, tiles: Float32Array, neighbours: int) -> tuple[Float32Array, Float32Array]:
+    """Return descriptors (Q, n, D + 1) and (G, n, D + 1), whose inner products are the scores of CSLS.
+
+    The last number of each part is 1 for a query, and -h_i(t) for a tile; see `hubness` for arguments and errors.
+    """
+    ones = np.ones((*query.shape[:2], 1), np.float32)
+    offsets = -hubness(query, tiles, neighbours)[..., None]
+    return (
+        cast(Float32Array, np.concatenate([query, ones], axis=2)),
+        cast(Float32Array, np.concatenate([tiles, offsets], axis=2)),
+    )
