@@ -203,7 +203,9 @@ def copy_trained(runs: Path, commit: str, docs: Path) -> None:
             recipe = json.loads(file.metadata()["recipe"])
         changed = msgspec.to_builtins(recipes.RECIPES["small"]).items() - recipe.items()
         flags = [_flag(key, recipe[key]) for key, _ in sorted(changed) if key != "seed"]
-        network = trained.setdefault(name, {"seeds": [], "figures": {title: [[] for _ in range(4)] for title in readings}})
+        network = trained.setdefault(
+            name, {"seeds": [], "figures": {title: [[] for _ in range(4)] for title in readings}}
+        )
         start = f"lpn train --data university1652-mini --out runs/{folder.name} --recipe small --init city-lpn"
         network |= {
             "command": " ".join([start, *flags, f"--seed {seed}"]),

@@ -59,7 +59,7 @@ class SweepRequest:
 
     def for_query(self, change: Change) -> Change:
         """Return a change for the picture of the query, which has a zoom of its own if it is calibrated."""
-        return replace(change.for_picture(self.query), zoom=self.analysis.zoom)
+        return change.for_picture(self.query, self.analysis.zoom)
 
     def applies_to(self, analysis: StateAnalysis) -> bool:
         """Return True when only the swept property of the query has changed since the request."""

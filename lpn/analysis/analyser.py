@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -163,7 +163,7 @@ class QueryAnalyser:
         source = self._source.get(source_key, lambda: own.picture if own else self._load_cropped(picture))
         zoom = picture.zoom if own is None else self._zoom.get((own, task.name), lambda: self._own_zoom(task, own))
         query_key = source_key, task.name, index, request.change
-        change = replace(request.change.for_picture(picture), zoom=zoom)
+        change = request.change.for_picture(picture, zoom)
         query = self._query.get(query_key, lambda: self._describe(task, index, source, change))
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.

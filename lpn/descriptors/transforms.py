@@ -62,9 +62,9 @@ class Change:
         turned = images.roll(picture, self.rotate) if self.around else images.rotate(picture, self.rotate)
         return images.zoom(turned, self.scale * self.zoom)
 
-    def for_picture(self, picture: Picture) -> Change:
-        """Return this transform for a picture, which may be a panorama, and may have a zoom of its own."""
-        return replace(self, around=picture.panorama, zoom=picture.zoom)
+    def for_picture(self, picture: Picture, zoom: float | None = None) -> Change:
+        """Return this transform for a picture, which may be a panorama; its zoom is its own unless another is given."""
+        return replace(self, around=picture.panorama, zoom=picture.zoom if zoom is None else zoom)
 
     def move(self, shaped: UInt8Array) -> UInt8Array:
         """Shift a picture of the network's input size: (height, width, 3) uint8 to the same shape; see `check`."""

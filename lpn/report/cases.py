@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 from lpn.analysis.analyser import Analysis, OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
@@ -217,7 +217,7 @@ class Cases:
             return None
         change = options.change
         entry = task.queries[index or 0]
-        turns = [replace(turn.for_picture(entry), zoom=analysis.zoom) for turn in self.turns]
+        turns = [turn.for_picture(entry, analysis.zoom) for turn in self.turns]
         follow = analysis.chosen.index if index is None else None
         points = []
         for point in sweeps.run_sweep(
@@ -233,4 +233,4 @@ class Cases:
         ):
             points.append(point)
             on_step()
-        return SweepResult("rotation", tuple(points), replace(change.for_picture(entry), zoom=analysis.zoom))
+        return SweepResult("rotation", tuple(points), change.for_picture(entry, analysis.zoom))

@@ -267,7 +267,10 @@ _SOURCES: dict[str, dict[str, str]] = {
         "cvusa-released": f"{_LPN} train_cvusa.py:97, 107: each picture on its own",
         "safa-released": f"{_SAFA}/input_data_cvusa.py: no augmentation",
     },
-    **{name: {"*": _OFF} for name in ("ground_ratio", "tilt", "season", "bands", "shadows", "occlusion", "blur", "noise")},
+    **{
+        name: {"*": _OFF}
+        for name in ("ground_ratio", "tilt", "season", "bands", "shadows", "occlusion", "blur", "noise")
+    },
     "precision": {
         "released": f"{_LPN} run.sh:11, train.py:430: Apex O1",
         "cvusa-released": f"{_LPN} run_cvusa.sh:10, train_cvusa.py:430: Apex O1",
