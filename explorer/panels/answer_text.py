@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from explorer.compute.ranking_job import TaskRanking
-from explorer.workspace import StateAnalysis
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance
 from lpn.drawing import verdicts
@@ -39,9 +38,9 @@ class Lead:
         return float(self.shares.sum())
 
     @property
-    def decisive(self) -> int:
-        """The part that makes most of it."""
-        return int(np.argmax(self.shares))
+    def decisive(self) -> list[int]:
+        """The parts that make most of it, see `verdicts.leading_parts`."""
+        return verdicts.leading_parts(self.shares)
 
 
 def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None, str, str]:
@@ -105,6 +104,23 @@ def lead(analysis: StateAnalysis) -> Lead | None:
     else:
         rival, name = analysis.positive, "the right picture"
     return None if rival is None else Lead(rival.shares - first.shares, name, rival.index)
+
+
+def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
+    """Say how the answer to a query as it is compares with those to all queries of the task; empty where that is not known.
+
+    Args:
+        total: the answer's lead over the best wrong picture, if it is right.
+    """
+    state, first = analysis.state, analysis.matches[0]
+    as_it_is = not state.upload and not state.change and not state.region and len(set(state.part_values())) == 1
+    known = workspace.outcomes(analysis.task) if as_it_is and first.true is not None else None
+    if known is None:
+        return ""
+    outcomes, table = known
+    if first.true:
+        return answer_context.describe_lead(outcomes, total)
+    return "" if workspace.has_flight else answer_context.describe_failure(outcomes, table, state.query)
 
 
 def overall(ranking: TaskRanking | None) -> str:

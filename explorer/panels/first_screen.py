@@ -93,6 +93,7 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         headline=headline,
         sentence=sentence,
         lead=lead,
+        context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),

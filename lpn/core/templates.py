@@ -7,11 +7,11 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lpn.core.numbers import signed
+from lpn.core.numbers import rounded_to_sum, signed
 
 
 def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
-    """Return the templates in the folder `templates` of a package, with the filter `signed`; an unknown name is an error.
+    """Return the templates in the folder `templates` of a package, with the filters `signed` and `rounded_to_sum`; an unknown name is an error.
 
     Args:
         finalize: applied to the value of each expression before it is escaped and written.
@@ -24,5 +24,5 @@ def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> E
         lstrip_blocks=True,
         finalize=finalize,
     )
-    templates.filters["signed"] = signed
+    templates.filters |= {"signed": signed, "rounded_to_sum": rounded_to_sum}
     return templates

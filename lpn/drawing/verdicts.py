@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
-from lpn.core.numbers import distance, signed
+from lpn.core.numbers import distance, rounded_to_sum, signed
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
@@ -19,6 +19,10 @@ _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bo
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 # Cells lie on one side if their mean is farther from the centre than this share of their mean distance from it.
 _ONE_SIDED = 0.25
+# Parts decide together if their differences are at least this share of the largest.
+_ALIKE = 0.9
+# Verbs after one part and after several.
+_LEADS, _COSTS = ("does most of it", "do most of it"), ("costs it most", "cost it most")
 
 
 def ordinal(rank: int) -> str:
@@ -100,7 +104,7 @@ def verdict(
 ) -> tuple[bool, str, str]:
     """Judge the answer to a query whose place is known.
 
-    The decisive part is the one with the largest difference of shares of the squared distance.
+    The decisive parts are those with the largest differences of shares of the squared distance, see `leading_parts`.
 
     Args:
         first: the top match.
@@ -120,12 +124,11 @@ def verdict(
                 "there is no other tile" if first.gap is None else f"the next tile is {first.gap:.3f} further away (d²)"
             )
             return True, "Found: the top match is true", f"No wrong tile is near; {gap}."
-        part, gain = _largest(negative.shares - positive.shares)
-        margin = negative.distance2 - positive.distance2
+        margin = negative.shares - positive.shares
         return (
             True,
             "Found: the top match is true",
-            f"It leads the best wrong tile by {margin:.3f} (d²); part {part_names[part]} does most of it ({signed(gain)}).",
+            f"It leads the best wrong tile by {float(margin.sum()):.3f} (d²); {_decisive(margin, part_names, _LEADS)}.",
         )
     if positive.beyond and positive.distance2 < first.distance2:
         lead = first.distance2 - positive.distance2
@@ -134,18 +137,17 @@ def verdict(
             "Missed: the search did not return the true tile",
             f"It would lead the top match by {lead:.3f} (d²): the index searches approximately.",
         )
-    part, loss = _largest(positive.shares - first.shares)
-    deficit = positive.distance2 - first.distance2
+    margin = first.shares - positive.shares
     off = "" if error_m is None else f" The answer is {distance(error_m)} off."
     return (
         False,
         f"Wrong: the true tile is {describe_rank(positive)}",
-        f"It is {deficit:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({signed(-loss)}).{off}",
+        f"It is {-float(margin.sum()):.3f} (d²) behind the top match; {_decisive(margin, part_names, _COSTS)}.{off}",
     )
 
 
 def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str = "the true tile") -> str:
-    """Say by how much a tile leads or trails another one, and which part decides it.
+    """Say by how much a tile leads or trails another one, and which parts decide it.
 
     Args:
         margin: each part's share of the margin in squared distance, (n,).
@@ -153,10 +155,8 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
     """
     total, name = float(margin.sum()), f"{name[0].upper()}{name[1:]}"
     if total >= 0:
-        part, gain = _largest(margin)
-        return f"{name} leads by {total:.3f} (d²); part {part_names[part]} does most of it ({signed(gain)})."
-    part, loss = _largest(-margin)
-    return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({signed(-loss)})."
+        return f"{name} leads by {total:.3f} (d²); {_decisive(margin, part_names, _LEADS)}."
+    return f"{name} is {-total:.3f} (d²) behind; {_decisive(margin, part_names, _COSTS)}."
 
 
 def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str = "the true tile") -> str:
@@ -232,10 +232,29 @@ def describe_heading(profile: SweepResult, views: tuple[View, View]) -> str:
     )
 
 
-def _largest(differences: FloatingArray) -> tuple[int, float]:
-    """Return the part with the largest difference, and that difference."""
-    part = int(np.argmax(differences))
-    return part, float(differences[part])
+def leading_parts(differences: FloatingArray) -> list[int]:
+    """Return the part with the largest difference, (n,), and those within 10 % of it, the largest first."""
+    order: list[int] = np.argsort(-differences, kind="stable").tolist()
+    least = _ALIKE * float(differences[order[0]])
+    return [part for part in order if part == order[0] or differences[part] >= least > 0]
+
+
+def listed(words: Sequence[str]) -> str:
+    """Join words as a sentence lists them: "a", "a and b", "a, b, and c"."""
+    *before, last = words
+    if not before:
+        return last
+    return f"{before[0]} and {last}" if len(before) == 1 else f"{', '.join(before)}, and {last}"
+
+
+def _decisive(margin: FloatingArray, part_names: Sequence[str], verbs: tuple[str, str]) -> str:
+    """Name the parts that make most of a margin, or, with `_COSTS`, that take most of it."""
+    parts = leading_parts(-margin if verbs is _COSTS else margin)
+    rounded = rounded_to_sum(margin.tolist())
+    names, figures = listed([part_names[part] for part in parts]), ", ".join(signed(rounded[part]) for part in parts)
+    if len(parts) == 1:
+        return f"part {names} {verbs[0]} ({figures})"
+    return f"parts {names} {verbs[1]}, alike ({figures})"
 
 
 def _place(picture: str, position: str) -> str:

@@ -75,7 +75,7 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     html = first_screen.page(analysis, workspace)
     assert html.count('class="track"') == 4
     assert f"{lead.total:+.3f}".replace("-", "−") in text(html)
-    assert f"ring {workspace.part_names[lead.decisive]}" in text(html).lower()
+    assert all(workspace.part_names[part] in text(html) for part in lead.decisive)
     # The places of the picture and the constants of both tiles make the same lead.
     cells = first_screen._lead_cells(analysis, lead)
     assert cells is not None
@@ -93,6 +93,23 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert "speak for this answer" in html
     assert "speak for this answer" not in plain
     assert re.findall(r'src="([^"]+)"', html)[:2] != re.findall(r'src="([^"]+)"', plain)[:2], "parts are not drawn"
+
+
+def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analyse(workspace, replace(query(workspace, True).state, why=True))
+    lead = answer_text.Lead(np.array([0.1, 0.312, 0.05, 0.309]), "the best wrong picture", 3)
+    monkeypatch.setattr(answer_text, "lead", lambda _: lead)
+    first, second = workspace.part_names[1], workspace.part_names[3]
+    shown = text(first_screen.page(analysis, workspace))
+    assert f"Rings {first} and {second} do most, alike, to put this answer before the best wrong picture." in shown
+
+
+def test_a_lead_is_set_beside_those_of_all_answers(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lpn.analysis.answer_context._FEWEST", 1)
+    analysis = analyse(workspace, replace(query(workspace, True).state, why=True))
+    assert "right answers." in text(first_screen.page(analysis, workspace))
+    turned = analyse(workspace, replace(analysis.state, angle=20.0))
+    assert answer_text.context(turned, workspace, 0.1) == "", "it is no lead of the picture as it is"
 
 
 def test_it_says_how_often_the_model_is_right(workspace: Workspace) -> None:

@@ -68,6 +68,15 @@ def test_the_margin_names_the_decisive_part() -> None:
     assert trails == "This tile is 0.200 (d²) behind; part b costs it most (−0.300)."
 
 
+def test_parts_that_lead_alike_are_named_together() -> None:
+    leads = verdicts.describe_margin(np.array([0.312, -0.1, 0.309]), ["a", "b", "c"])
+    assert leads == "The true tile leads by 0.521 (d²); parts a and c do most of it, alike (+0.312, +0.309)."
+    trails = verdicts.describe_margin(np.array([-0.28, -0.3, -0.29]), ["a", "b", "c"])
+    assert trails.endswith("parts b, c, and a cost it most, alike (−0.300, −0.290, −0.280).")
+    assert verdicts.leading_parts(np.array([0.3, 0.26])) == [0]
+    assert verdicts.leading_parts(np.array([-0.1, -0.1])) == [0], "no part leads"
+
+
 def match(rank: int, shares: tuple[float, float], true: bool, beyond: bool = False) -> Match:
     cosines = 1 - np.array(shares, np.float32)
     distance2 = float(sum(shares))
