@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
-from lpn.core.numbers import distance, rounded_to_sum, signed
+from lpn.core.numbers import distance, rounded_to_sum, signed, wrap_degrees
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
@@ -21,6 +21,8 @@ _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "
 _ONE_SIDED = 0.25
 # Parts decide together if their differences are at least this share of the largest.
 _ALIKE = 0.9
+# A guessed heading is right, or roughly so, within so many degrees; a sweep goes in steps of 15.
+_RIGHT_HEADING, _ROUGH_HEADING = 15.0, 45.0
 # Verbs after one part and after several.
 _LEADS, _COSTS = ("does most of it", "do most of it"), ("costs it most", "cost it most")
 
@@ -201,7 +203,7 @@ def describe_effect(effect: Effect) -> str:
 
 
 def describe_rotation(profile: SweepResult, views: tuple[View, View]) -> str:
-    """Say at which rotation of the query the followed tile ranks best, and what heading the top score suggests.
+    """Say at which rotation of the query the followed tile ranks best, and what heading the nearest tile suggests.
 
     Args:
         views: of the query and of the tiles.
@@ -217,19 +219,32 @@ def describe_rotation(profile: SweepResult, views: tuple[View, View]) -> str:
     return f"{text} {describe_heading(profile, views)}".strip()
 
 
-def describe_heading(profile: SweepResult, views: tuple[View, View]) -> str:
-    """Guess from the top score alone where the top of the query points.
+def describe_heading(profile: SweepResult, views: tuple[View, View], known: float | None = None) -> str:
+    """Guess from the nearest tile alone where the top of the query points, and judge the guess if the heading is known.
 
     The text is empty unless a drone's picture, which has one heading, is compared with north-up satellite tiles.
+
+    Args:
+        known: the true heading in degrees clockwise from north.
     """
     heading = profile.heading()
     if heading is None or views != ("drone", "satellite"):
         return ""
-    angle = signed_value("rotation", profile.best_top_match.change)
-    return (
-        f"The top score, seen without knowing the truth, is highest at {angle:g}°: by that, the picture's "
-        f"top points {heading:.0f}° clockwise from north, a rough guess."
+    best = profile.best_top_match
+    text = (
+        f"Without knowing the truth, any tile is nearest at {signed_value('rotation', best.change):g}° "
+        f"(d² {distance2(best.top_score):.3f}): by that, the picture's top points {heading:.0f}° clockwise from north"
     )
+    if known is None:
+        return f"{text}, a guess that may be wrong."
+    off = abs(wrap_degrees(heading - known))
+    judgement = "right" if off <= _RIGHT_HEADING else "roughly right" if off <= _ROUGH_HEADING else "wrong"
+    return f"{text}. That is {judgement}: it points {known % 360:.0f}°, {off:.0f}° from the guess."
+
+
+def distance2(score: float) -> float:
+    """Return the squared distance at a score."""
+    return 2.0 - 2.0 * score
 
 
 def leading_parts(differences: FloatingArray) -> list[int]:

@@ -53,12 +53,26 @@ def test_rotation_names_the_best_angle_and_the_heading() -> None:
         SweepResult("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
     )
     assert "turned 90°: 2nd instead of 5th" in turned
-    assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
+    assert "nearest at 0° (d² 1.200): by that, the picture's top points 0° clockwise from north, a guess that may" in turned
     same = verdicts.describe_rotation(
         SweepResult("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
     )
     assert "ranks best with the query as it is (1st)" in same
     assert "north" not in same
+
+
+@pytest.mark.parametrize(
+    ("known", "judged"),
+    [
+        (350.0, "That is right: it points 350°, 10° from the guess."),
+        (30.0, "That is roughly right: it points 30°, 30° from the guess."),
+        (200.0, "That is wrong: it points 200°, 160° from the guess."),
+    ],
+)
+def test_a_guessed_heading_is_judged_by_the_known_one(known: float, judged: str) -> None:
+    point = Point(Change(), 0, True, 0.2, 1, np.zeros(4, np.float32), 1, 0.4)
+    sweep = SweepResult("rotation", (point,))
+    assert verdicts.describe_heading(sweep, ("drone", "satellite"), known).endswith(judged)
 
 
 def test_the_margin_names_the_decisive_part() -> None:
