@@ -157,7 +157,15 @@ class ClientSession:
             self._panels.navigation.order = self._lab.order
             self._panels.query.compare_models = self._explain_window.compare_models
             glossary = Glossary(client.gui)
-            self._first_screen = FirstScreen(client.gui, workspace, self._panels.navigation, self.change)
+            own = self._panels.query.own
+            self._first_screen = FirstScreen(
+                client.gui,
+                workspace,
+                self._panels.navigation,
+                self.change,
+                self._lab.restore,
+                (lambda _: None) if own is None else own.position,
+            )
             handlers = {
                 "viewport": viewport.update,
                 "hello": self._on_greeting,

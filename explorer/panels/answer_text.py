@@ -15,6 +15,9 @@ from lpn.retrieval import Match
 
 # From here on a picture's GPS tag is that of another region than the tiles'.
 _ELSEWHERE_M = 10_000.0
+# The shapes of an own picture and of the network's input differ visibly from here on.
+_PRESSED = 1.05
+OWN_KEPT = "Your picture stays in this server's memory until you close this page, and goes nowhere else."
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 
 
@@ -78,6 +81,19 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
+
+
+def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say that an own picture is pressed into the shape of the network's input; empty if it has that shape."""
+    picture = analysis.state.upload
+    if picture is None:
+        return ""
+    (height, width), (rows, columns) = picture.picture.shape[:2], workspace.contract.input_size
+    stretched = (width / height) / (columns / rows)
+    if 1 / _PRESSED < stretched < _PRESSED:
+        return ""
+    shape = "a square" if rows == columns else f"{columns} × {rows} pixels"
+    return f"Your picture is {width} × {height} pixels; the model sees it pressed into {shape}."
 
 
 def _elsewhere(analysis: StateAnalysis) -> str:

@@ -80,7 +80,7 @@
       done = copyFromField(link);
     }
     if (!done) lpn.say("This browser does not let pages copy: take the link from the address bar.");
-    else if (own) lpn.say("Link copied. Your own picture is not in it: it stays in this browser.");
+    else if (own) lpn.say("Link copied. Your own picture is not in it.");
     else lpn.say("Link copied: it opens what you see.");
   };
 })();
