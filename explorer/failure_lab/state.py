@@ -344,13 +344,7 @@ def select_bin(findings: Findings, lab: LabState, name: str, index: int, bin_nam
     if column is None or not 0 <= index < len(bins) or bins[index].name != bin_name:
         return None
     rate = bins[index]
-    if not rate.known:
-        inside = ~column.known
-    elif column.kind == "number":
-        inside = (column.values >= rate.low) & (column.values <= rate.high)
-    else:
-        inside = column.values == rate.name
-    return Selection(selection_kind(column), f"{column.name} {rate.name}", np.flatnonzero(inside))
+    return Selection(selection_kind(column), f"{column.name} {rate.name}", np.flatnonzero(rate.holds(column)))
 
 
 def select_pair(findings: Findings, lab: LabState, place: int, answered: int) -> Selection | None:

@@ -12,7 +12,7 @@ import viser
 from explorer import session_state
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
-from explorer.session_state import SessionState, StateChange
+from explorer.session_state import SessionState, StateChange, Tab
 from explorer.stage.pictures import draw_parts
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
@@ -27,6 +27,7 @@ from lpn.datasets.rendered import is_rendered, is_rendered_flight
 from lpn.drawing import overlays
 from lpn.retrieval import DescribedPicture
 
+_ALONE = "Here each picture is searched by itself (retrieval); the flight's window adds its neighbours and registration."
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 
@@ -62,8 +63,8 @@ class FirstScreen:
             "data": session_state.leave_upload,
             "all": lambda state: replace(state, first_screen=False, why=False),
             "cells": lambda state: replace(state, first_screen=False, why=True),
-            "lab": lambda state: replace(state, lab=True, why=False),
-            "fails": self._to_breakdown,
+            "lab": lambda state: self._to_lab(state, "table"),
+            "fails": lambda state: self._to_lab(state, "breakdown"),
             "map": lambda state: replace(state, map=True, why=False),
             "apart": lambda state: replace(state, exploded=True, why=False),
             "flight": lambda state: replace(state, flight=True, why=False),
@@ -84,8 +85,8 @@ class FirstScreen:
         self._html.show(run(call("first", content, not elsewhere)))
 
 
-    def _to_breakdown(self, state: SessionState) -> SessionState:
-        state = replace(state, lab=True, why=False, laboratory=replace(state.laboratory, tab="breakdown"))
+    def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
+        state = replace(state, lab=True, why=False, laboratory=replace(state.laboratory, tab=tab))
         self._show_lab(state)
         return state
 
@@ -140,7 +141,9 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool) -> s
     """Say how often the model is right, and if it is calibrated; of one's own picture, what becomes of it."""
     if not analysis.state.upload:
         text = answer_text.overall(workspace.rankings[analysis.task.name].result)
-        return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text
+        if text and analysis.task.calibration:
+            text += " The model is calibrated on these pictures."
+        return f"{text} {_ALONE}" if text and workspace.has_flight else text
     city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
     return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace), answer_text.OWN_KEPT)))
 

@@ -60,11 +60,7 @@ def _rate_of(outcomes: Outcomes, column: Column, query: int) -> Rate | None:
     rates: Sequence[Rate] = breakdown.rates(outcomes.failed, column, rows=np.flatnonzero(outcomes.known))
     if not 1 < len(rates) <= max(len(outcomes) // 2, 2):
         return None
-    value = column.values[query]
-    number = column.kind == "number"
-    return next(
-        (one for one in rates if one.known and (one.low <= value <= one.high if number else one.name == value)), None
-    )
+    return next(one for one in rates if one.holds(column)[query])
 
 
 def _in_words(share: float) -> str:
