@@ -27,7 +27,9 @@ from lpn.datasets.rendered import is_rendered, is_rendered_flight
 from lpn.drawing import overlays
 from lpn.retrieval import DescribedPicture
 
-_ALONE = "Here each picture is searched by itself (retrieval); the flight's window adds its neighbours and registration."
+_ALONE = (
+    "Here each picture is searched by itself (retrieval); the flight's window adds its neighbours and registration."
+)
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 
@@ -83,7 +85,6 @@ class FirstScreen:
             content = page(analysis, self._workspace, stories, self._own_position(state.upload))
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
         self._html.show(run(call("first", content, not elsewhere)))
-
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         state = replace(state, lab=True, why=False, laboratory=replace(state.laboratory, tab=tab))

@@ -14,7 +14,12 @@ from lpn.core.tables import Column, Table
 # A share of fewer right answers says little.
 _FEWEST = 20
 # From each share on, the words for it.
-_SHARES = ((0.97, "almost all"), (0.83, "about nine tenths"), (0.71, "about three quarters"), (0.58, "about two thirds"))
+_SHARES = (
+    (0.97, "almost all"),
+    (0.83, "about nine tenths"),
+    (0.71, "about three quarters"),
+    (0.58, "about two thirds"),
+)
 # Columns that tell of the answer, or of one picture alone.
 _NOT_OF_A_KIND = ("latitude", "longitude", "overlap", "semi")
 

@@ -108,7 +108,8 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     """Return the failure rate for each bin of a column: quantile bins of numbers, or distinct texts.
 
     Bins of numbers are ascending, and have about the same number of queries; queries of equal value are always in the same
-    bin. Headings have a bin for each of the four directions, the first around north. Texts are sorted by descending rate. The queries of unknown value are the last bin.
+    bin. Headings have a bin for each of the four directions, the first around north. Texts are sorted by descending rate. The
+    queries of unknown value are the last bin.
 
     Args:
         failed: True for queries that failed, (Q,).

@@ -30,8 +30,9 @@ def own_file(folder: Path, name: str) -> Path:
 
 
 def own_file_place(folder: Path, name: str, what: str) -> str:
-    """Return the place of `own_file` in words, without folders of this machine, such as "notes.csv, beside the data, on the computer
-    that runs this page", which a visitor of a served page understands.
+    """Return the place of `own_file` in words that a visitor of a served page understands, without folders of this machine.
+
+    Such as "notes.csv, beside the data, on the computer that runs this page".
 
     Args:
         what: the noun for `folder`.

@@ -11,7 +11,9 @@ from lpn.core.numbers import rounded_to_sum, signed
 
 
 def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
-    """Return the templates in the folder `templates` of a package, with the filters `signed` and `rounded_to_sum`; an unknown name is an error.
+    """Return the templates in the folder `templates` of a package; an unknown name is an error.
+
+    They have the filters `signed` and `rounded_to_sum`.
 
     Args:
         finalize: applied to the value of each expression before it is escaped and written.

@@ -139,7 +139,8 @@ def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
 def waterfall(margin: FloatingArray) -> list[Markup]:
     """Draw a margin, (n,), as steps: one drawing for each part, and a last one for the sum; stacked, they join.
 
-    The numbers are rounded so that they add up. Bars to the right of the zero line speak for the positive, bars to its left for the hardest negative.
+    Bars to the right of the zero line speak for the positive, bars to its left for the hardest negative. The numbers are rounded
+    so that they add up.
     """
     ends = np.concatenate([[0.0], np.cumsum(margin)])
     scale = (100 - 2 * _LABEL_ROOM) / max(float(np.ptp(ends)), 1e-9)
@@ -147,7 +148,9 @@ def waterfall(margin: FloatingArray) -> list[Markup]:
     zero, total = places[0], float(ends[-1])
     drawn = [
         _draw("step", zero, begin, end, value, part_colour(part), begin, end)
-        for part, (value, (begin, end)) in enumerate(zip(rounded_to_sum(margin.tolist()), pairwise(places), strict=True))
+        for part, (value, (begin, end)) in enumerate(
+            zip(rounded_to_sum(margin.tolist()), pairwise(places), strict=True)
+        )
     ]
     verdict = "var(--chart-true, #ffc81e)" if total >= 0 else "var(--chart-false, #4678f0)"
     return [*drawn, _draw("step", zero, zero, places[-1], total, verdict, places[-1], None)]

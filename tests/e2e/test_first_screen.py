@@ -71,6 +71,21 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
 
 
 @pytest.mark.slow
+def test_the_theme_is_the_system_s_until_somebody_chooses(app: RunningApp, fresh: Page) -> None:
+    root = fresh.locator("html")
+    fresh.emulate_media(color_scheme="light")
+    fresh.goto(app.url)
+    expect(fresh.locator("#lpn-first .sentence")).to_be_visible()
+    expect(root).to_have_attribute("data-mantine-color-scheme", "light")
+    fresh.locator("#lpn-first [data-act=dark]").click()
+    expect(root).to_have_attribute("data-mantine-color-scheme", "dark")
+    fresh.wait_for_function("localStorage.getItem('lpn-theme') === 'dark'")
+    fresh.goto(app.url)
+    expect(fresh.locator("#lpn-first .sentence")).to_be_visible()
+    expect(root).to_have_attribute("data-mantine-color-scheme", "dark")
+
+
+@pytest.mark.slow
 def test_windows_and_the_tour_lead_back_to_where_they_were_begun(app: RunningApp, fresh: Page) -> None:
     first = fresh.locator("#lpn-first")
     fresh.goto(app.url)

@@ -18,7 +18,9 @@ def test_angles_are_wrapped_to_half_a_turn() -> None:
     np.testing.assert_array_equal(wrap_degrees(np.array([190.0, 20.0])), [-170, 20])
 
 
-@pytest.mark.parametrize("values", [[0.1004, 0.2004, 0.3004], [-0.0005, 0.3125, -0.3125], [1 / 3] * 3, [], [0.5745, -0.1495]])
+@pytest.mark.parametrize(
+    "values", [[0.1004, 0.2004, 0.3004], [-0.0005, 0.3125, -0.3125], [1 / 3] * 3, [], [0.5745, -0.1495]]
+)
 def test_rounded_numbers_add_up_to_their_rounded_sum(values: list[float]) -> None:
     rounded = rounded_to_sum(values)
     assert sum(rounded) == pytest.approx(round(sum(values), 3), abs=1e-9)

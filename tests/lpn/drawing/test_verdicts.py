@@ -53,7 +53,10 @@ def test_rotation_names_the_best_angle_and_the_heading() -> None:
         SweepResult("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
     )
     assert "turned 90°: 2nd instead of 5th" in turned
-    assert "nearest at 0° (d² 1.200): by that, the picture's top points 0° clockwise from north, a guess that may" in turned
+    assert (
+        "nearest at 0° (d² 1.200): by that, the picture's top points 0° clockwise from north, a guess that may"
+        in turned
+    )
     same = verdicts.describe_rotation(
         SweepResult("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
     )
