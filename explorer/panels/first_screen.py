@@ -27,9 +27,8 @@ from lpn.datasets.rendered import is_rendered, is_rendered_flight
 from lpn.drawing import overlays
 from lpn.retrieval import DescribedPicture
 
-_ALONE = (
-    "Here each picture is searched by itself (retrieval); the flight's window adds its neighbours and registration."
-)
+# The figure of a flight is that of retrieval alone.
+_ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 
@@ -142,9 +141,9 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool) -> s
     """Say how often the model is right, and if it is calibrated; of one's own picture, what becomes of it."""
     if not analysis.state.upload:
         text = answer_text.overall(workspace.rankings[analysis.task.name].result)
-        if text and analysis.task.calibration:
-            text += " The model is calibrated on these pictures."
-        return f"{text} {_ALONE}" if text and workspace.has_flight else text
+        if text and workspace.has_flight:
+            text = f"{text[:-1]}, {_ALONE}."
+        return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text
     city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
     return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace), answer_text.OWN_KEPT)))
 
