@@ -157,7 +157,15 @@ class ClientSession:
             self._panels.navigation.order = self._lab.order
             self._panels.query.compare_models = self._explain_window.compare_models
             glossary = Glossary(client.gui)
-            self._first_screen = FirstScreen(client.gui, workspace, self._panels.navigation, self.change)
+            own = self._panels.query.own
+            self._first_screen = FirstScreen(
+                client.gui,
+                workspace,
+                self._panels.navigation,
+                self.change,
+                self._lab.restore,
+                (lambda _: None) if own is None else own.position,
+            )
             handlers = {
                 "viewport": viewport.update,
                 "hello": self._on_greeting,
@@ -207,6 +215,8 @@ class ClientSession:
                 return
             if state.dark != self._state.dark:
                 self._set_theme(state)
+                if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
+                    self._bridge.call("keepTheme", "dark" if state.dark else "light")
             if state.shows_reasons and not self._state.shows_reasons:
                 self._explain_window.announce()
                 self._bridge.call("reveal", "#lpn-why")
@@ -308,7 +318,7 @@ class ClientSession:
                 self._show_other(self, other, search)
                 return
             before = self._state
-        state, problems = self._url_state.read(search, before)
+        state, problems = self._url_state.read(search, replace(before, dark=value.get("light") is not True))
         state = plain_state(state, value.get("first"), self._url_state.names_a_state(search))
         if self._workspace.has_flight and self._url_state.names_only_a_workspace(search):
             state = replace(state, flight=True, first_screen=False)

@@ -19,6 +19,8 @@ from lpn.core.errors import InputError, LPNError
 from lpn.locate.task import stage_columns
 from lpn.models.base import Model
 
+# Seconds for which the page tells that a file is made.
+_TOLD = 6.0
 # A function that makes a report with a model and returns the file's name and contents.
 MakeReport = Callable[[ReportProgress, QueuedModel | None], tuple[str, bytes]]
 
@@ -130,5 +132,7 @@ class Reporter:
                 text = str(error)
             notification.title, notification.body, notification.loading = f"No {noun}", text, False
             raise
-        notification.remove()
+        # The page may ignore a removal that follows an update at once, so the notification closes by itself.
+        notification.title, notification.body = f"The {noun} is made", f"The browser saves {name}."
+        notification.loading, notification.auto_close_seconds = False, _TOLD
         self._client.send_file_download(name, contents, save_immediately=True)

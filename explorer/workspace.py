@@ -20,11 +20,13 @@ from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.layout import layout_for
 from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
+from lpn.analysis.query_outcomes import Outcomes
 from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
-from lpn.core.errors import InputError, PictureError
+from lpn.core.errors import InputError, LPNError, PictureError
 from lpn.core.resources import yield_cores
+from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
@@ -49,6 +51,8 @@ TILE_AREAS = 1024
 _THUMBNAIL = 64
 # The grey that stands for a picture that cannot be read.
 _UNREADABLE = 60
+# The outcomes of up to so many queries are computed at once, when an answer is explained.
+_QUICK_OUTCOMES = 20_000
 
 
 class Workspace:
@@ -102,6 +106,7 @@ class Workspace:
         )
         self._tile_areas: SingleFlightCache[tuple[str, int], PartAreas] = SingleFlightCache(TILE_AREAS)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
+        self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
         # The map that windows are cut from; None without one.
@@ -157,6 +162,12 @@ class Workspace:
             model: describes a tile that is not in the cache; by default the workspace's model.
         """
         return self._tiles.get((task.name, index), lambda: describe_tile(task, index, model or self.model))
+
+    def outcomes(self, task: Task) -> tuple[Outcomes, Table] | None:
+        """Return the outcomes of all queries and their table; None until they are ranked, and where they take long."""
+        ranked = self.rankings[task.name].result is not None
+        quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
+        return self._outcomes(task.name) if ranked and quick else None
 
     @property
     def has_flight(self) -> bool:
@@ -265,6 +276,16 @@ class Workspace:
         """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
         names = [self.contract.names(view) for view in self.contract.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
+
+    def _make_outcomes(self, name: str) -> tuple[Outcomes, Table] | None:
+        job = self.rankings[name]
+        assert job.result is not None
+        task = job.task.current()
+        try:
+            outcomes = task.outcomes_of(job.result.ranking)
+            return outcomes, task.tabulate(outcomes, self.part_names)
+        except LPNError:  # damaged metadata, which the failure laboratory tells
+            return None
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.tasks[name]

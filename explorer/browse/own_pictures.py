@@ -129,6 +129,10 @@ class OwnPictures:
         self._feed: tuple[int, str, str] = -1, "", ""
         self._shell, self._data, self._go = Html(gui), Html(gui), Html(gui)
 
+    def run_scripts_in(self, gui: viser.GuiApi) -> None:
+        """Have the page run the scripts in the panel that is being filled: it runs none in a folded panel."""
+        self._go = Html(gui)
+
     def handlers(self) -> Mapping[str, Callable[[Any], None]]:
         """Return a handler for each kind of message about one's own pictures."""
         return {
@@ -173,6 +177,12 @@ class OwnPictures:
         """Return the position of a picture that is shown among those held; None if it is none of them."""
         opened, index = self._opened
         return index if picture is not None and picture is opened else None
+
+    def position(self, picture: OwnPicture | None) -> tuple[int, int] | None:
+        """Return the position of a picture that is shown, and how many are held; None if it is none of them."""
+        with self._lock:
+            index = self.index_of(picture)
+            return None if index is None else (index, len(self._held))
 
     def step(self, state: SessionState, by: int) -> SessionState | None:
         """Return the state of another own picture; None unless one is shown and there are several."""

@@ -114,8 +114,7 @@ def changes(first: RankingJob, second: RankingJob) -> Changes | None:
     ranks, others = first.ranks, second.ranks
     known = (ranks >= 0) & (others >= 0)
     alone = int(((ranks == 0) & (others != 0)).sum()), int(((others == 0) & (ranks != 0)).sum())
-    # On a logarithmic scale, from 2nd to 1st is as much as from 200th to 100th.
-    change = np.log(np.where(known, ranks + 1.0, 1.0) / np.where(known, others + 1.0, 1.0))
+    change = np.where(known, ranks - others, 0)
     order = np.argsort(-change, kind="stable")
 
     def rows(queries: Int64Array) -> list[tuple[int, int, int]]:

@@ -50,7 +50,7 @@ def page(
         region=analysis.state.region,
         charts=charts.profile_charts(profile, names, _WIDTH, current, _attributes),
         followed=_followed(profile),
-        sentences=_sentences(profile, analysis),
+        sentences=_sentences(profile, analysis) if stopped or len(profile.points) >= total else [],
         claim=analysis.task.contract.claim,
     )
 
@@ -68,7 +68,7 @@ def _followed(profile: SweepResult) -> str:
 def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
     over, best, ranked, blind = profile.over, profile.best, profile.best_rank, profile.best_top_match
     sentences = [
-        f"Best for {_followed(profile)}: {_place(over, best)}, score {best.score:.3f}, {ordinal(best.rank)}"
+        f"Best for {_followed(profile)}: {_place(over, best)}, {_figures(best.score)}, {ordinal(best.rank)}"
         f"{_before(profile, best)}."
     ]
     if (depth := analysis.task.depth) is not None:
@@ -79,9 +79,9 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
         sentences.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
     if best.true is not None and over != "rotation":
         place = _place(over, blind)
-        sentences.append(f"Without knowing it, the highest score of any tile is at {place} ({blind.top_score:.3f}).")
-    if guess := verdicts.describe_heading(profile, (analysis.task.query_view, analysis.task.gallery_view)):
-        sentences.append(f"{guess}{_known_heading(analysis)}")
+        sentences.append(f"Without knowing it, any tile is nearest at {place} ({_figures(blind.top_score)}).")
+    if guess := verdicts.describe_heading(profile, analysis.task.views, _known_heading(analysis)):
+        sentences.append(guess)
     if over in ("shift", "shift-down"):
         sentences.append(
             "LPN assumes that the target is in the middle: its rings stay where they are while the target moves."
@@ -98,11 +98,14 @@ def _before(profile: SweepResult, point: Point) -> str:
     before = profile.unchanged
     if before is None:
         return ""
-    return ", as it is" if point is before else f" ({ordinal(before.rank)} with {before.score:.3f} as it is)"
+    return ", as it is" if point is before else f" ({ordinal(before.rank)} with {_figures(before.score)} as it is)"
 
 
-def _known_heading(analysis: StateAnalysis) -> str:
+def _figures(score: float) -> str:
+    return f"d² {verdicts.distance2(score):.3f} (score {score:.3f})"
+
+
+def _known_heading(analysis: StateAnalysis) -> float | None:
     places = analysis.task.geometry
     place = None if places is None or analysis.state.upload else places.queries[analysis.state.query]
-    heading = None if place is None else place.heading
-    return "" if heading is None else f" It is known to be {heading:.0f}°."
+    return None if place is None else place.heading

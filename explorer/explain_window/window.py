@@ -163,6 +163,7 @@ class ExplainWindow:
             "effect": self._request_effect,
             "report": self._report,
             "sweep": self._request_sweep,
+            "turns": lambda _: self._command(_SWEEP, self._request_sweep, "rotation")(),
             "cancel": self._cancel_sweep,
             "take": self._apply_sweep_point,
             "region": self._search_region,

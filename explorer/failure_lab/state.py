@@ -192,6 +192,7 @@ def to_view(findings: Findings, lab: LabState, name: str) -> NamedView:
         chosen,
         _sort_column(findings, lab),
         lab.descending,
+        lab.tab,
         lab.map,
         lab.colour,
     )
@@ -207,8 +208,10 @@ def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
         label = f"{one.label} ({missing} no longer there)" if missing else one.label
         selections.append(Selection(one.kind, label, rows))
     maps: tuple[MapKind, ...] = get_args(MapKind)
+    tabs: tuple[Tab, ...] = get_args(Tab)
     shown = replace(
         choices(lab),
+        tab=next((tab for tab in tabs if tab == view.tab), lab.tab),
         outcome=next((outcome for outcome in get_args(OutcomeFilter) if outcome == view.outcome), "all"),
         filter=view.filter,
         name_search=view.search,
@@ -341,13 +344,7 @@ def select_bin(findings: Findings, lab: LabState, name: str, index: int, bin_nam
     if column is None or not 0 <= index < len(bins) or bins[index].name != bin_name:
         return None
     rate = bins[index]
-    if not rate.known:
-        inside = ~column.known
-    elif column.kind == "number":
-        inside = (column.values >= rate.low) & (column.values <= rate.high)
-    else:
-        inside = column.values == rate.name
-    return Selection(selection_kind(column), f"{column.name} {rate.name}", np.flatnonzero(inside))
+    return Selection(selection_kind(column), f"{column.name} {rate.name}", np.flatnonzero(rate.holds(column)))
 
 
 def select_pair(findings: Findings, lab: LabState, place: int, answered: int) -> Selection | None:

@@ -26,7 +26,8 @@ from lpn.report.page import MOST
 
 _HINTS = {
     "rank": "Rank of the nearest true tile",
-    "margin": "d² of the hardest negative minus that of the nearest true tile; negative where the query failed",
+    "margin": "d² of the hardest negative minus that of the nearest true tile; negative where the query failed. "
+    "It is of the stored descriptors, which may be rounded: an answer that is computed anew may differ in the third digit",
     "part": "The part that decides: it lowers the margin most in a failure, and raises it most in a success",
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",

@@ -17,6 +17,7 @@ from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays, score_map, theme
 from lpn.locate.pipeline import LocatedFrame, StageRecord
+from lpn.locate.summary import describe_flight
 
 # The part whose cosines are painted, or all parts under the current weights.
 Painted = int | Literal["all", "off"]
@@ -194,6 +195,12 @@ def progress(registration: BackgroundJob[None] | None, frames: int) -> str:
     if registration.wait(0):
         return "" if registration.error is None else f"Registration failed: {registration.error}"
     return f"Registering {registration.done}/{registration.total or frames}"
+
+
+def sentence(view: FlightView, running: bool) -> str:
+    """Say how the flight's photos were placed; `running` says that a registration goes on."""
+    more = " Registration is still running, so these numbers change." if running else ""
+    return f"{describe_flight(view.flight.frames, view.beliefs)}{more}"
 
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:

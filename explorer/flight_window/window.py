@@ -208,7 +208,12 @@ class FlightWindow:
         failed = analysis.matches[0].true is False
         message = self._message_of(shown)
         self._progress.show(
-            page.calls({"status": (message and message.text) or page.progress(job, len(view.flight.frames))})
+            page.calls(
+                {
+                    "sentence": page.sentence(view, running),
+                    "status": (message and message.text) or page.progress(job, len(view.flight.frames)),
+                }
+            )
         )
         self._chosen.show(
             page.calls(

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from explorer.compute.ranking_job import TaskRanking
-from explorer.workspace import StateAnalysis
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance
 from lpn.drawing import verdicts
@@ -16,6 +15,9 @@ from lpn.retrieval import Match
 
 # From here on a picture's GPS tag is that of another region than the tiles'.
 _ELSEWHERE_M = 10_000.0
+# The shapes of an own picture and of the network's input differ visibly from here on.
+_PRESSED = 1.05
+OWN_KEPT = "Your picture stays in this server's memory until you close this page, and goes nowhere else."
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 
 
@@ -39,9 +41,9 @@ class Lead:
         return float(self.shares.sum())
 
     @property
-    def decisive(self) -> int:
-        """The part that makes most of it."""
-        return int(np.argmax(self.shares))
+    def decisive(self) -> list[int]:
+        """The parts that make most of it, see `verdicts.leading_parts`."""
+        return verdicts.leading_parts(self.shares)
 
 
 def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None, str, str]:
@@ -81,6 +83,19 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
 
 
+def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say that an own picture is pressed into the shape of the network's input; empty if it has that shape."""
+    picture = analysis.state.upload
+    if picture is None:
+        return ""
+    (height, width), (rows, columns) = picture.picture.shape[:2], workspace.contract.input_size
+    stretched = (width / height) / (columns / rows)
+    if 1 / _PRESSED < stretched < _PRESSED:
+        return ""
+    shape = "a square" if rows == columns else f"{columns} × {rows} pixels"
+    return f"Your picture is {width} × {height} pixels; the model sees it pressed into {shape}."
+
+
 def _elsewhere(analysis: StateAnalysis) -> str:
     """Say that no tile is near the GPS tag of one's own picture; "" if one is, or without a tag."""
     if analysis.state.upload is None or analysis.errors_m is None:
@@ -105,6 +120,23 @@ def lead(analysis: StateAnalysis) -> Lead | None:
     else:
         rival, name = analysis.positive, "the right picture"
     return None if rival is None else Lead(rival.shares - first.shares, name, rival.index)
+
+
+def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
+    """Say how the answer to a query as it is compares with those to all queries of the task; empty where that is not known.
+
+    Args:
+        total: the answer's lead over the best wrong picture, if it is right.
+    """
+    state, first = analysis.state, analysis.matches[0]
+    as_it_is = not state.upload and not state.change and not state.region and len(set(state.part_values())) == 1
+    known = workspace.outcomes(analysis.task) if as_it_is and first.true is not None else None
+    if known is None:
+        return ""
+    outcomes, table = known
+    if first.true:
+        return answer_context.describe_lead(outcomes, total)
+    return "" if workspace.has_flight else answer_context.describe_failure(outcomes, table, state.query)
 
 
 def overall(ranking: TaskRanking | None) -> str:

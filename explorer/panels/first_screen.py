@@ -12,12 +12,13 @@ import viser
 from explorer import session_state
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
-from explorer.session_state import SessionState, StateChange
+from explorer.session_state import SessionState, StateChange, Tab
 from explorer.stage.pictures import draw_parts
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis, Workspace
 from lpn import explain
+from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import PictureError
@@ -26,6 +27,8 @@ from lpn.datasets.rendered import is_rendered, is_rendered_flight
 from lpn.drawing import overlays
 from lpn.retrieval import DescribedPicture
 
+# The figure of a flight is that of retrieval alone.
+_ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 
@@ -35,22 +38,34 @@ class FirstScreen:
 
     Args:
         change: updates the browser's state with a function.
+        show_lab: has the laboratory show what a state says of it.
+        own_position: returns the position of an own picture among those held, and their number; None if it is none of them.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, workspace: Workspace, navigation: Navigation, change: Callable[[StateChange], None]
+        self,
+        gui: viser.GuiApi,
+        workspace: Workspace,
+        navigation: Navigation,
+        change: Callable[[StateChange], None],
+        show_lab: Callable[[SessionState], None],
+        own_position: Callable[[OwnPicture | None], tuple[int, int] | None],
     ) -> None:
         self._workspace, self._change = workspace, change
+        self._show_lab, self._own_position = show_lab, own_position
         self._html = Html(gui)
         self._actions: dict[str, StateChange] = {
             "next": navigation.random,
+            "own-previous": navigation.previous,
+            "own-next": navigation.next,
             "failure": navigation.failure,
             "why": session_state.flip_why,
             "start": session_state.to_first_screen,
             "data": session_state.leave_upload,
             "all": lambda state: replace(state, first_screen=False, why=False),
             "cells": lambda state: replace(state, first_screen=False, why=True),
-            "lab": lambda state: replace(state, lab=True, why=False),
+            "lab": lambda state: self._to_lab(state, "table"),
+            "fails": lambda state: self._to_lab(state, "breakdown"),
             "map": lambda state: replace(state, map=True, why=False),
             "apart": lambda state: replace(state, exploded=True, why=False),
             "flight": lambda state: replace(state, flight=True, why=False),
@@ -64,13 +79,29 @@ class FirstScreen:
     def show(self, analysis: StateAnalysis, stories: Sequence[str]) -> None:
         """Show an analysis and the names of stories, or close the screen, as the state says."""
         state = analysis.state
-        content = page(analysis, self._workspace, stories) if state.first_screen else ""
+        content = ""
+        if state.first_screen:
+            content = page(analysis, self._workspace, stories, self._own_position(state.upload))
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
         self._html.show(run(call("first", content, not elsewhere)))
 
+    def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
+        state = replace(state, lab=True, why=False, laboratory=replace(state.laboratory, tab=tab))
+        self._show_lab(state)
+        return state
 
-def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] = ()) -> str:
-    """Return the screen's content as HTML."""
+
+def page(
+    analysis: StateAnalysis,
+    workspace: Workspace,
+    stories: Sequence[str] = (),
+    own_position: tuple[int, int] | None = None,
+) -> str:
+    """Return the screen's content as HTML.
+
+    Args:
+        own_position: of the own picture that is shown, and the number of those held; None without one.
+    """
     state, task = analysis.state, analysis.task
     rendered = is_rendered(workspace.root) or is_rendered_flight(workspace.root)
     right, headline, sentence = answer_text.plain_verdict(analysis)
@@ -93,10 +124,12 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
         headline=headline,
         sentence=sentence,
         lead=lead,
+        context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
+        own_position=own_position,
         heat=cells is not None,
         overall=_overall(analysis, workspace, rendered),
         rendered=rendered,
@@ -105,14 +138,14 @@ def page(analysis: StateAnalysis, workspace: Workspace, stories: Sequence[str] =
 
 
 def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool) -> str:
-    """Say how often the model is right, and if it is calibrated.
-
-    For one's own picture in a rendered city, say that it has no right answer there.
-    """
+    """Say how often the model is right, and if it is calibrated; of one's own picture, what becomes of it."""
     if not analysis.state.upload:
         text = answer_text.overall(workspace.rankings[analysis.task.name].result)
+        if text and workspace.has_flight:
+            text = f"{text[:-1]}, {_ALONE}."
         return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text
-    return "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
+    city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
+    return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace), answer_text.OWN_KEPT)))
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:

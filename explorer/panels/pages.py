@@ -80,7 +80,9 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
         verdict=right,
         headline=headline,
         reason=reason,
-        note=f"The query: {note}." if note else "",
+        note=" ".join(
+            filter(None, (f"The query: {note}." if note else "", answer_text.own_shape(analysis, workspace)))
+        ),
         all_parts_off=all_parts_off,
         alterations=session_state.alterations(analysis.state, math.prod(workspace.map_sizes[analysis.task.query_view])),
     )

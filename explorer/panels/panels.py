@@ -46,6 +46,7 @@ class Panels:
         gui.main_panel.set_width(_RIGHT)
         self.answer = AnswerPanel(gui, workspace, change)
         if self.query.own is not None:  # in the panel that is there on every screen: the left one may be folded
+            self.query.own.run_scripts_in(gui)
             UploadControl(gui, self.query.own.take, self.notify_error)
 
     def write(self, state: SessionState) -> None:

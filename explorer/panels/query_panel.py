@@ -66,6 +66,8 @@ class QueryPanel:
             compare = gui.add_button(f"Compare with {workspace.second.label}", icon=viser.Icon.COLUMNS_2)
             compare.on_click(lambda _: self.compare_models())
         controls.slider("Rotate", "angle", -180, 180, 1, visible=has_model)
+        if has_model:
+            gui.add_html(render("panels/turn_note"))
         with gui.add_folder("Shift and zoom", expand_by_default=False, visible=has_model):
             controls.slider("Shift right", "shift", -(width // 2), width // 2, 1, whole=True)
             controls.slider("Shift down", "down", -(height // 2), height // 2, 1, whole=True)

@@ -22,6 +22,7 @@ from explorer.stage.map_view import GalleryMap
 from explorer.stage.viewport import Viewport
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
+from lpn.core.numbers import rounded_to_sum
 from lpn.core.views import View
 from lpn.drawing import captions, overlays, theme
 from lpn.drawing.part_areas import PartAreas
@@ -312,7 +313,7 @@ class Stage:
         size, small, middle = self._lettering.part, self._lettering.share, (left + right) / 2
         colour, name = theme.part_colour(part), self._workspace.part_names[part]
         off = chosen.shares[part] == 0 and chosen.cosines[part] < 1
-        share = "off" if off else f"{chosen.shares[part]:.3f}"
+        share = "off" if off else f"{rounded_to_sum(chosen.shares.tolist())[part]:.3f}"
         one_line = size + small + 31 > room
         if one_line:
             y = max(y, size + 4)

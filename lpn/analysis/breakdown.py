@@ -13,6 +13,8 @@ from lpn.core.tables import Column
 
 # The two-sided 95 % quantile of the normal distribution.
 _NORMAL_95 = 1.959963984540054
+# Columns of degrees around the full circle, and the number of their bins: north, east, south, and west.
+_CIRCULAR, _SECTORS = ("heading",), 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class Rate:
 
     Attributes:
         name: the bin in words.
-        low, high: smallest and largest value in the bin; NaN for texts.
+        low, high: smallest and largest value in the bin; NaN for texts. In the bin around north, `low` is above `high`.
         queries, failures: numbers of queries and of failures in the bin.
         known: False for the bin of unknown values.
     """
@@ -58,6 +60,15 @@ class Rate:
     def share(self) -> float:
         """Failures among the queries, 0 .. 1."""
         return self.failures / self.queries
+
+    def holds(self, column: Column) -> BoolArray:
+        """Return a mask of the values of the bin's column that are in the bin, (N,)."""
+        if not self.known:
+            return ~column.known
+        if column.kind == "text":
+            return np.asarray(column.values == self.name, bool)
+        above, below = column.values >= self.low, column.values <= self.high
+        return np.asarray(above & below if self.low <= self.high else above | below, bool)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -97,7 +108,8 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     """Return the failure rate for each bin of a column: quantile bins of numbers, or distinct texts.
 
     Bins of numbers are ascending, and have about the same number of queries; queries of equal value are always in the same
-    bin. Texts are sorted by descending rate. The queries of unknown value are the last bin.
+    bin. Headings have a bin for each of the four directions, the first around north. Texts are sorted by descending rate. The
+    queries of unknown value are the last bin.
 
     Args:
         failed: True for queries that failed, (Q,).
@@ -119,12 +131,17 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     result: list[Rate] = []
     if len(known):
         distinct, which = np.unique(values, return_inverse=True)
-        which = which if column.kind == "text" else _quantile_bins(which, bins)
+        circular = column.kind == "number" and column.name in _CIRCULAR and len(distinct) > bins
+        if circular:
+            _, sectors = np.unique(_sectors(distinct), return_inverse=True)
+            which = sectors[which]
+        elif column.kind == "number":
+            which = _quantile_bins(which, bins)
         totals, missed = np.bincount(which), np.bincount(which, failed[known])
         if column.kind == "text":
             spans, names = [(np.nan, np.nan)] * len(totals), [str(value) for value in distinct]
         else:
-            spans = [(float(values[which == i].min()), float(values[which == i].max())) for i in range(len(totals))]
+            spans = [_ends(values[which == i], circular) for i in range(len(totals))]
             names = _span_names(spans, column.unit)
         for name, (low, high), total, fails in zip(names, spans, totals, missed, strict=True):
             result.append(Rate(name, low, high, int(total), int(fails)))
@@ -158,6 +175,19 @@ def wilson(hits: int, trials: int) -> tuple[float, float]:
 
 def _rows(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:
     return np.arange(len(outcomes)) if rows is None else rows
+
+
+def _sectors(degrees: Float64Array) -> Int64Array:
+    """Return the sector of each heading, 0 for the one around north, which goes from -45 up to 45 degrees."""
+    return ((degrees.astype(np.float64) + 180 / _SECTORS) % 360 // (360 / _SECTORS)).astype(np.int64)
+
+
+def _ends(values: Float64Array, circular: bool) -> tuple[float, float]:
+    """Return the first and the last value of a bin, clockwise if it is a sector."""
+    if circular and _sectors(values[:1])[0] == 0:
+        values = (values.astype(np.float64) + 180) % 360 - 180
+        return float(values.min()) % 360, float(values.max()) % 360
+    return float(values.min()), float(values.max())
 
 
 def _quantile_bins(which: Int64Array, bins: int) -> Int64Array:

@@ -46,6 +46,7 @@ class NamedView(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         filter: see `lpn.core.tables`.
         search: text that the names contain.
         chosen: a query must be in all of them.
+        tab: the laboratory's tab; empty, as in files of earlier versions, for the one that is open.
         map: the map that is shown.
         colour: the column that colours it; empty for the outcome.
     """
@@ -58,6 +59,7 @@ class NamedView(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     chosen: tuple[ChosenQueries, ...] = ()
     sort: _Text = "margin"
     descending: bool = False
+    tab: _Text = ""
     map: _Text = "pca"
     colour: _Text = ""
 

@@ -30,12 +30,14 @@ def own_file(folder: Path, name: str) -> Path:
 
 
 def own_file_place(folder: Path, name: str, what: str) -> str:
-    """Return the place of `own_file` in words, without folders of this machine, such as "notes.csv, beside the data".
+    """Return the place of `own_file` in words that a visitor of a served page understands, without folders of this machine.
+
+    Such as "notes.csv, beside the data, on the computer that runs this page".
 
     Args:
         what: the noun for `folder`.
     """
     file = own_file(folder, name)
-    return (
-        f"{name}, beside the {what}" if file.parent == folder else f"{'/'.join(file.parts[-3:])}, in your data folder"
-    )
+    beside = file.parent == folder
+    place = f"{name}, beside the {what}" if beside else f"{'/'.join(file.parts[-3:])}, in the user's data folder"
+    return f"{place}, on the computer that runs this page"

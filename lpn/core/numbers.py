@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
@@ -14,6 +16,18 @@ def signed(value: float, digits: int = 3) -> str:
     """Return a number with its sign, "+" or the minus sign "−" (U+2212), and some digits; zero is positive."""
     text = f"{value:+.{digits}f}"
     return text.replace("-", "−") if float(text) else f"+{0:.{digits}f}"
+
+
+def rounded_to_sum(values: Sequence[float], digits: int = 3) -> list[float]:
+    """Round finite numbers so that they add up to their rounded sum, by the largest remainders."""
+    scale = 10**digits
+    exact = [float(value) * scale for value in values]
+    rounded = [math.floor(value) for value in exact]
+    total = round(round(math.fsum(map(float, values)), digits) * scale)
+    by_remainder = sorted(range(len(exact)), key=lambda i: rounded[i] - exact[i])
+    for i in by_remainder[: total - sum(rounded)]:
+        rounded[i] += 1
+    return [value / scale for value in rounded]
 
 
 def distance(metres: float) -> str:

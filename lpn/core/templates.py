@@ -7,11 +7,13 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lpn.core.numbers import signed
+from lpn.core.numbers import rounded_to_sum, signed
 
 
 def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
-    """Return the templates in the folder `templates` of a package, with the filter `signed`; an unknown name is an error.
+    """Return the templates in the folder `templates` of a package; an unknown name is an error.
+
+    They have the filters `signed` and `rounded_to_sum`.
 
     Args:
         finalize: applied to the value of each expression before it is escaped and written.
@@ -24,5 +26,5 @@ def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> E
         lstrip_blocks=True,
         finalize=finalize,
     )
-    templates.filters["signed"] = signed
+    templates.filters |= {"signed": signed, "rounded_to_sum": rounded_to_sum}
     return templates

@@ -18,7 +18,7 @@ import numpy as np
 from markupsafe import Markup
 
 from lpn.core.arrays import FloatingArray
-from lpn.core.numbers import signed
+from lpn.core.numbers import rounded_to_sum, signed
 from lpn.core.templates import environment
 from lpn.drawing import theme
 from lpn.explain import Evidence
@@ -139,15 +139,18 @@ def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
 def waterfall(margin: FloatingArray) -> list[Markup]:
     """Draw a margin, (n,), as steps: one drawing for each part, and a last one for the sum; stacked, they join.
 
-    Bars to the right of the zero line speak for the positive, bars to its left for the hardest negative.
+    Bars to the right of the zero line speak for the positive, bars to its left for the hardest negative. The numbers are rounded
+    so that they add up.
     """
     ends = np.concatenate([[0.0], np.cumsum(margin)])
     scale = (100 - 2 * _LABEL_ROOM) / max(float(np.ptp(ends)), 1e-9)
     places = [round(float(place), 2) for place in _LABEL_ROOM + (ends - ends.min()) * scale]
     zero, total = places[0], float(ends[-1])
     drawn = [
-        _draw("step", zero, begin, end, float(margin[part]), part_colour(part), begin, end)
-        for part, (begin, end) in enumerate(pairwise(places))
+        _draw("step", zero, begin, end, value, part_colour(part), begin, end)
+        for part, (value, (begin, end)) in enumerate(
+            zip(rounded_to_sum(margin.tolist()), pairwise(places), strict=True)
+        )
     ]
     verdict = "var(--chart-true, #ffc81e)" if total >= 0 else "var(--chart-false, #4678f0)"
     return [*drawn, _draw("step", zero, zero, places[-1], total, verdict, places[-1], None)]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
-from lpn.core.numbers import distance, signed
+from lpn.core.numbers import distance, rounded_to_sum, signed, wrap_degrees
 from lpn.core.views import View
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
@@ -19,6 +19,12 @@ _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bo
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 # Cells lie on one side if their mean is farther from the centre than this share of their mean distance from it.
 _ONE_SIDED = 0.25
+# Parts decide together if their differences are at least this share of the largest.
+_ALIKE = 0.9
+# A guessed heading is right, or roughly so, within so many degrees; a sweep goes in steps of 15.
+_RIGHT_HEADING, _ROUGH_HEADING = 15.0, 45.0
+# Verbs after one part and after several.
+_LEADS, _COSTS = ("does most of it", "do most of it"), ("costs it most", "cost it most")
 
 
 def ordinal(rank: int) -> str:
@@ -100,7 +106,7 @@ def verdict(
 ) -> tuple[bool, str, str]:
     """Judge the answer to a query whose place is known.
 
-    The decisive part is the one with the largest difference of shares of the squared distance.
+    The decisive parts are those with the largest differences of shares of the squared distance, see `leading_parts`.
 
     Args:
         first: the top match.
@@ -120,12 +126,11 @@ def verdict(
                 "there is no other tile" if first.gap is None else f"the next tile is {first.gap:.3f} further away (d²)"
             )
             return True, "Found: the top match is true", f"No wrong tile is near; {gap}."
-        part, gain = _largest(negative.shares - positive.shares)
-        margin = negative.distance2 - positive.distance2
+        margin = negative.shares - positive.shares
         return (
             True,
             "Found: the top match is true",
-            f"It leads the best wrong tile by {margin:.3f} (d²); part {part_names[part]} does most of it ({signed(gain)}).",
+            f"It leads the best wrong tile by {float(margin.sum()):.3f} (d²); {_decisive(margin, part_names, _LEADS)}.",
         )
     if positive.beyond and positive.distance2 < first.distance2:
         lead = first.distance2 - positive.distance2
@@ -134,18 +139,17 @@ def verdict(
             "Missed: the search did not return the true tile",
             f"It would lead the top match by {lead:.3f} (d²): the index searches approximately.",
         )
-    part, loss = _largest(positive.shares - first.shares)
-    deficit = positive.distance2 - first.distance2
+    margin = first.shares - positive.shares
     off = "" if error_m is None else f" The answer is {distance(error_m)} off."
     return (
         False,
         f"Wrong: the true tile is {describe_rank(positive)}",
-        f"It is {deficit:.3f} (d²) behind the top match; part {part_names[part]} costs it most ({signed(-loss)}).{off}",
+        f"It is {-float(margin.sum()):.3f} (d²) behind the top match; {_decisive(margin, part_names, _COSTS)}.{off}",
     )
 
 
 def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str = "the true tile") -> str:
-    """Say by how much a tile leads or trails another one, and which part decides it.
+    """Say by how much a tile leads or trails another one, and which parts decide it.
 
     Args:
         margin: each part's share of the margin in squared distance, (n,).
@@ -153,10 +157,8 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
     """
     total, name = float(margin.sum()), f"{name[0].upper()}{name[1:]}"
     if total >= 0:
-        part, gain = _largest(margin)
-        return f"{name} leads by {total:.3f} (d²); part {part_names[part]} does most of it ({signed(gain)})."
-    part, loss = _largest(-margin)
-    return f"{name} is {-total:.3f} (d²) behind; part {part_names[part]} costs it most ({signed(-loss)})."
+        return f"{name} leads by {total:.3f} (d²); {_decisive(margin, part_names, _LEADS)}."
+    return f"{name} is {-total:.3f} (d²) behind; {_decisive(margin, part_names, _COSTS)}."
 
 
 def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str = "the true tile") -> str:
@@ -201,7 +203,7 @@ def describe_effect(effect: Effect) -> str:
 
 
 def describe_rotation(profile: SweepResult, views: tuple[View, View]) -> str:
-    """Say at which rotation of the query the followed tile ranks best, and what heading the top score suggests.
+    """Say at which rotation of the query the followed tile ranks best, and what heading the nearest tile suggests.
 
     Args:
         views: of the query and of the tiles.
@@ -217,25 +219,57 @@ def describe_rotation(profile: SweepResult, views: tuple[View, View]) -> str:
     return f"{text} {describe_heading(profile, views)}".strip()
 
 
-def describe_heading(profile: SweepResult, views: tuple[View, View]) -> str:
-    """Guess from the top score alone where the top of the query points.
+def describe_heading(profile: SweepResult, views: tuple[View, View], known: float | None = None) -> str:
+    """Guess from the nearest tile alone where the top of the query points, and judge the guess if the heading is known.
 
     The text is empty unless a drone's picture, which has one heading, is compared with north-up satellite tiles.
+
+    Args:
+        known: the true heading in degrees clockwise from north.
     """
     heading = profile.heading()
     if heading is None or views != ("drone", "satellite"):
         return ""
-    angle = signed_value("rotation", profile.best_top_match.change)
-    return (
-        f"The top score, seen without knowing the truth, is highest at {angle:g}°: by that, the picture's "
-        f"top points {heading:.0f}° clockwise from north, a rough guess."
+    best = profile.best_top_match
+    text = (
+        f"Without knowing the truth, any tile is nearest at {signed_value('rotation', best.change):g}° "
+        f"(d² {distance2(best.top_score):.3f}): by that, the picture's top points {heading:.0f}° clockwise from north"
     )
+    if known is None:
+        return f"{text}, a guess that may be wrong."
+    off = abs(wrap_degrees(heading - known))
+    judgement = "right" if off <= _RIGHT_HEADING else "roughly right" if off <= _ROUGH_HEADING else "wrong"
+    return f"{text}. That is {judgement}: it points {known % 360:.0f}°, {off:.0f}° from the guess."
 
 
-def _largest(differences: FloatingArray) -> tuple[int, float]:
-    """Return the part with the largest difference, and that difference."""
-    part = int(np.argmax(differences))
-    return part, float(differences[part])
+def distance2(score: float) -> float:
+    """Return the squared distance at a score."""
+    return 2.0 - 2.0 * score
+
+
+def leading_parts(differences: FloatingArray) -> list[int]:
+    """Return the part with the largest difference, (n,), and those within 10 % of it, the largest first."""
+    order: list[int] = np.argsort(-differences, kind="stable").tolist()
+    least = _ALIKE * float(differences[order[0]])
+    return [part for part in order if part == order[0] or differences[part] >= least > 0]
+
+
+def listed(words: Sequence[str]) -> str:
+    """Join words as a sentence lists them: "a", "a and b", "a, b, and c"."""
+    *before, last = words
+    if not before:
+        return last
+    return f"{before[0]} and {last}" if len(before) == 1 else f"{', '.join(before)}, and {last}"
+
+
+def _decisive(margin: FloatingArray, part_names: Sequence[str], verbs: tuple[str, str]) -> str:
+    """Name the parts that make most of a margin, or, with `_COSTS`, that take most of it."""
+    parts = leading_parts(-margin if verbs is _COSTS else margin)
+    rounded = rounded_to_sum(margin.tolist())
+    names, figures = listed([part_names[part] for part in parts]), ", ".join(signed(rounded[part]) for part in parts)
+    if len(parts) == 1:
+        return f"part {names} {verbs[0]} ({figures})"
+    return f"parts {names} {verbs[1]}, alike ({figures})"
 
 
 def _place(picture: str, position: str) -> str:

@@ -71,9 +71,28 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
 
 
 @pytest.mark.slow
+def test_the_theme_is_the_system_s_until_somebody_chooses(app: RunningApp, fresh: Page) -> None:
+    root = fresh.locator("html")
+    fresh.emulate_media(color_scheme="light")
+    fresh.goto(app.url)
+    expect(fresh.locator("#lpn-first .sentence")).to_be_visible()
+    expect(root).to_have_attribute("data-mantine-color-scheme", "light")
+    fresh.locator("#lpn-first [data-act=dark]").click()
+    expect(root).to_have_attribute("data-mantine-color-scheme", "dark")
+    fresh.wait_for_function("localStorage.getItem('lpn-theme') === 'dark'")
+    fresh.goto(app.url)
+    expect(fresh.locator("#lpn-first .sentence")).to_be_visible()
+    expect(root).to_have_attribute("data-mantine-color-scheme", "dark")
+
+
+@pytest.mark.slow
 def test_windows_and_the_tour_lead_back_to_where_they_were_begun(app: RunningApp, fresh: Page) -> None:
     first = fresh.locator("#lpn-first")
     fresh.goto(app.url)
+    first.get_by_role("button", name="Where it fails").click()
+    expect(fresh.locator("#lpn-lab-breakdown")).to_be_visible()
+    fresh.keyboard.press("b")
+    expect(first).to_be_visible()
     first.get_by_role("button", name="All pictures in a table").click()
     expect(fresh.locator("#lpn-lab-table")).to_be_visible()
     expect(first).to_have_count(0)
@@ -107,6 +126,21 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     expect(first.locator(".reason")).to_be_visible()
     fresh.keyboard.press("Escape")
     expect(first.locator(".reason")).to_have_count(0)
+    link = first.get_by_role("button", name="Link", exact=True)
+    expect(link).to_be_disabled()
+    expect(link).to_have_accessible_description("A link cannot carry your own picture")
+    expect(first.locator(".overall")).to_contain_text("stays in this server's memory")
+
+    # Several at once are stepped through.
+    for index in (6, 7):
+        small_worlds.write(tmp_path / f"{index}.png", small_worlds.place(index))
+    with fresh.expect_file_chooser() as chooser:
+        first.get_by_text("Your own picture").click()
+    chooser.value.set_files([tmp_path / "6.png", tmp_path / "7.png"])
+    expect(first.locator(".steps")).to_contain_text("2 of 3")
+    first.get_by_role("button", name="Next picture of yours").click()
+    expect(first.locator(".steps")).to_contain_text("3 of 3")
+    expect(first.locator("figcaption").first).to_contain_text("7.png")
 
 
 @pytest.mark.slow

@@ -433,7 +433,9 @@ def test_tags_and_notes_survive_a_restart(
                 note.fill("Looks like the twin <i>next door</i>.")
                 note.blur()
                 message = lab.page.locator("#lpn-lab-message")
-                expect(message).to_have_text("Saved in notes.csv, beside the data.")
+                expect(message).to_have_text(
+                    "Saved in notes.csv, beside the data, on the computer that runs this page."
+                )
                 tags.fill("what/ever")
                 tags.blur()
                 expect(message).to_contain_text("Not saved. The tag 'what/ever' is not a word")

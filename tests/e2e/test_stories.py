@@ -55,7 +55,9 @@ def test_two_steps_are_recorded_told_saved_and_exported(
     page.get_by_label("Move step 1 down").click()
     expect(captions.first).to_have_value("<i>The first</i> picture")
     page.locator("#lpn-stories .acts a", has_text="Save").click()
-    expect(page.locator("#lpn-story-message")).to_have_text("Saved in stories.json, beside the data.")
+    expect(page.locator("#lpn-story-message")).to_have_text(
+        "Saved in stories.json, beside the data, on the computer that runs this page."
+    )
     (saved,) = json.loads((story_app.data / "stories.json").read_text("utf-8"))
     assert saved == {
         "name": "Two & more",

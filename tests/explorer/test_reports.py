@@ -15,7 +15,7 @@ def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
     told, sent = [], threading.Event()
 
     def add_notification(title: str, body: str, **_: Any) -> Any:
-        shown.append(SimpleNamespace(title=title, body=body, remove=lambda: None))
+        shown.append(SimpleNamespace(title=title, body=body, loading=True))
         return shown[-1]
 
     def work(progress: ReportProgress, _: object) -> tuple[str, bytes]:
@@ -27,4 +27,9 @@ def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
     client = SimpleNamespace(add_notification=add_notification, send_file_download=lambda *_, **__: sent.set())
     Reporter(client, None).make(work, "story", "Export")  # type: ignore[arg-type]
     assert sent.wait(10)
+    assert (shown[0].title, shown[0].body, shown[0].loading) == (
+        "The story is made",
+        "The browser saves story.html.",
+        False,
+    )
     assert told == ["Press “Export” again to cancel.", "1 of 2 done. Press “Export” again to cancel."]

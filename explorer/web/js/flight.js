@@ -390,6 +390,7 @@
     if (!same) view = null;
     refresh();
   };
+  flight.sentence = (text) => ((flight.words = text), refresh());
   flight.status = (text) => ((flight.state = text), refresh());
   flight.lists = (given) => ((flight.html = { ...flight.html, ...given }), refresh());
   flight.follow = (given) => {
@@ -444,6 +445,7 @@
     if (!root || !data) return;
     const html = flight.html || {};
     fill(find(".legend"), legend());
+    find(".sentence").textContent = flight.words || "";
     find(".status").textContent = flight.state || "";
     fill(find(".lists"), html.counts || "");
     fill(find(".listed"), html[list] || '<p class="dim">Shift and click on the map: the frames that show the spot.</p>');

@@ -473,7 +473,8 @@
         one.append(" " + words);
         return one;
       };
-      const entries = labels.map((label, code) => entry(data.palette[code], label + " " + counts[code].toLocaleString("en"), data.colour || code === 0 ? "●" : "✕"));
+      const crosses = order[3].length > 0; // of queries that share their place there are none
+      const entries = labels.map((label, code) => entry(data.palette[code], label + ": " + counts[code].toLocaleString("en"), data.colour || code === 0 || !crosses ? "●" : "✕"));
       if (ends) {
         const bar = document.createElement("i");
         bar.className = "scale";
@@ -483,8 +484,9 @@
         entries.push(one);
       }
       const none = counts[counts.length - 1];
-      if (none) entries.push(entry(GREY, (data.colour ? "no value " : "place not known ") + none.toLocaleString("en")));
-      if (data.colour) entries.push(entry("currentColor", "failed", "✕"));
+      if (none) entries.push(entry(GREY, (data.colour ? "no value: " : "place not known: ") + none.toLocaleString("en")));
+      if (data.colour && crosses) entries.push(entry("currentColor", "failed", "✕"));
+      if (groups?.length) entries.push(entry("currentColor", "a pie: the queries of one place", "◕"));
       if (!data.ground) entries.push(entry(TILE, "tiles", "■"));
       if (data.axes) entries.push(data.axes);
       if (data.query) entries.push("ringed: the query");

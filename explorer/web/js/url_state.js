@@ -29,13 +29,18 @@
     history.back();
   };
 
+  // The theme that was chosen in this browser, else the system's.
+  const THEME = "lpn-theme";
+  lpn.keepTheme = (name) => lpn.store("local", THEME, name);
+  const light = () => (lpn.stored("local", THEME) || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark")) === "light";
+
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {
     clearInterval(greeting);
     begun = true;
     const first = lpn.prefersFirst() && ![...new URLSearchParams(search).keys()].some((key) => key !== "theme" && lpn.keys.includes(key));
     if (first) lpn.opening();
-    const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, viewport: lpn.stageSize() });
+    const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), viewport: lpn.stageSize() });
     greeting = setInterval(hello, 500);
     hello();
   };
@@ -80,7 +85,7 @@
       done = copyFromField(link);
     }
     if (!done) lpn.say("This browser does not let pages copy: take the link from the address bar.");
-    else if (own) lpn.say("Link copied. Your own picture is not in it: it stays in this browser.");
+    else if (own) lpn.say("Link copied. Your own picture is not in it.");
     else lpn.say("Link copied: it opens what you see.");
   };
 })();

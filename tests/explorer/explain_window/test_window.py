@@ -156,11 +156,16 @@ def test_a_profile_is_drawn_from_its_first_point(workspace: Workspace) -> None:
     one = sweep_page.page(analysis, "rotation", sweeps.SweepResult("rotation", tuple(points)), 8, workspace.part_names)
     assert 'data-done="1" data-of="8"' in one
     assert "Cancel" in one
+    assert "The conclusions follow when all 8 steps are there" in one
+    assert "clockwise from north" not in one
     points += list(steps)
     whole = sweep_page.page(
         analysis, "rotation", sweeps.SweepResult("rotation", tuple(points)), 8, workspace.part_names
     )
     assert "Cancel" not in whole
+    assert "conclusions follow" not in whole
+    assert re.search(r"Best for the true tile: .*, d² [\d.]+ \(score [\d.]+\)", whole)
+    assert "Positive turns are counter-clockwise" in whole
     assert whole.count('class="point"') == 2 * (8 + 1)
     assert "clockwise from north" in whole
     assert "Choose what to change" in sweep_page.page(analysis, None, None, 0, workspace.part_names)

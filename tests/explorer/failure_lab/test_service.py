@@ -43,8 +43,14 @@ def test_notes_on_the_demo_are_the_user_s_own(
     service.set_note(findings.table.paths[2], "night", "")
     assert not (workspace.root / "notes.csv").exists()
     assert notes.read_notes(tmp_path / "home" / "lpn-explorer" / "places" / "notes.csv") == service._read_notes()[0]
-    assert service.notes_place == "lpn-explorer/places/notes.csv, in your data folder"
-    assert own_file_place(tmp_path, "notes.csv", "data") == "notes.csv, beside the data"
+    assert (
+        service.notes_place
+        == "lpn-explorer/places/notes.csv, in the user's data folder, on the computer that runs this page"
+    )
+    assert (
+        own_file_place(tmp_path, "notes.csv", "data")
+        == "notes.csv, beside the data, on the computer that runs this page"
+    )
     for name in ("XDG_DATA_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", lambda: (_ for _ in ()).throw(RuntimeError))

@@ -117,8 +117,10 @@ def test_the_page_names_the_models_and_shows_both_ranks_in_place_of_one(
     assert two.second.workspace is not None
     names = two.model_name, two.second.workspace.model_name
     bar = table.bar(findings, lab, 3)
-    for letter, count in zip("AB", ((ranks[0] == 0) & (ranks[1] > 0), (ranks[1] == 0) & (ranks[0] > 0)), strict=True):
-        assert f"only {letter} {count.sum()}" in " ".join(bar.split())
+    for letter, name, count in zip(
+        "AB", names, ((ranks[0] == 0) & (ranks[1] > 0), (ranks[1] == 0) & (ranks[0] > 0)), strict=True
+    ):
+        assert f"only {letter} ({name}) {count.sum()}" in " ".join(bar.split())
     assert f"A: {names[0]}, B: {names[1]}" in table.summary(findings, lab, findings.table.rows())
     html = table.table(findings, lab, 13, 1, 300)
     heads = [head.strip() for head in re.findall(r'click to sort"><span[^>]*>([^<▲▼]*)', html)]

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -57,6 +58,7 @@ def busy(lab: LabState) -> LabState:
         selections=(Selection("in pca", "lasso on the PCA", np.array([1, 4, 6])),),
         sort_column="name",
         descending=True,
+        tab="maps",
         map="ground",
         colour="weather",
     )
@@ -77,7 +79,10 @@ def test_a_view_brings_back_what_was_chosen(findings: Findings, lab: LabState) -
     assert view.name == "roofs"
     again = state.from_view(findings, lab, view)
     assert state.sorted_rows(findings, again).tolist() == state.sorted_rows(findings, before).tolist()
-    assert (again.map, again.colour, again.outcome) == ("ground", "weather", "failed")
+    assert (again.tab, again.map, again.colour, again.outcome) == ("maps", "ground", "weather", "failed")
+    assert state.from_view(findings, before, msgspec.structs.replace(view, tab="")).tab == "maps", (
+        "an earlier version's view has no tab"
+    )
     assert state.to_view(findings, again, "roofs") == view
     assert again.text_revision > lab.text_revision
 

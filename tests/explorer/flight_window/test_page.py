@@ -41,6 +41,14 @@ def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
     return SimpleNamespace(ranking=ranking, chosen=SimpleNamespace(index=tile))
 
 
+def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
+    text = page.sentence(view, running=False)
+    assert text.startswith("A drone flew over this map and took 3 photos. Placed: 2 by laying the photo over the map")
+    assert "1 by the photos before and after (sequence)" in text
+    assert text.endswith("m of their GPS tags.")
+    assert page.sentence(view, running=True).endswith("Registration is still running, so these numbers change.")
+
+
 def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightView) -> None:
     data = json.loads(json.dumps(page.data(view, "pictures/x/"), allow_nan=False))
     assert list(data["tracks"]) == ["tag", "retrieval", "sequence", "registration"]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ import pytest
 from explorer import session_state
 from explorer.opening import open_model, open_saved
 from explorer.panels import answer_text, first_screen
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, StateChange
 from explorer.url_state import UrlState
 from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
@@ -44,7 +46,7 @@ def query(workspace: Workspace, found: bool) -> StateAnalysis:
 
 
 def text(html: str) -> str:
-    return " ".join(re.sub(r"<[^>]*>", " ", html).split())
+    return unescape(" ".join(re.sub(r"<[^>]*>", " ", html).split()))
 
 
 @pytest.mark.parametrize("found", [True, False])
@@ -75,7 +77,7 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     html = first_screen.page(analysis, workspace)
     assert html.count('class="track"') == 4
     assert f"{lead.total:+.3f}".replace("-", "−") in text(html)
-    assert f"ring {workspace.part_names[lead.decisive]}" in text(html).lower()
+    assert all(workspace.part_names[part] in text(html) for part in lead.decisive)
     # The places of the picture and the constants of both tiles make the same lead.
     cells = first_screen._lead_cells(analysis, lead)
     assert cells is not None
@@ -95,13 +97,64 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert re.findall(r'src="([^"]+)"', html)[:2] != re.findall(r'src="([^"]+)"', plain)[:2], "parts are not drawn"
 
 
-def test_it_says_how_often_the_model_is_right(workspace: Workspace) -> None:
+def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analyse(workspace, replace(query(workspace, True).state, why=True))
+    lead = answer_text.Lead(np.array([0.1, 0.312, 0.05, 0.309]), "the best wrong picture", 3)
+    monkeypatch.setattr(answer_text, "lead", lambda _: lead)
+    first, second = workspace.part_names[1], workspace.part_names[3]
+    shown = text(first_screen.page(analysis, workspace))
+    assert f"Rings {first} and {second} do most, alike, to put this answer before the best wrong picture." in shown
+
+
+def test_a_lead_is_set_beside_those_of_all_answers(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lpn.analysis.answer_context._FEWEST", 1)
+    analysis = analyse(workspace, replace(query(workspace, True).state, why=True))
+    assert "right answers." in text(first_screen.page(analysis, workspace))
+    turned = analyse(workspace, replace(analysis.state, angle=20.0))
+    assert answer_text.context(turned, workspace, 0.1) == "", "it is no lead of the picture as it is"
+
+
+def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     result = workspace.rankings[TASK].result
     assert result is not None
     right = sum(analyse(workspace, SessionState(TASK, 4, query=i)).matches[0].true is True for i in range(14))
     assert f"Over all 14 pictures its first answer is right {right} times" in answer_text.overall(result)
     assert answer_text.overall(result) in text(first_screen.page(query(workspace, True), workspace))
     assert answer_text.overall(None) == ""
+    monkeypatch.setattr(Workspace, "has_flight", True)
+    assert "each searched by itself; the flight's window adds" in text(
+        first_screen.page(query(workspace, True), workspace)
+    )
+
+
+def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
+    own = OwnPicture("mine.png", small_worlds.place(3)[:48])
+    analysis = analyse(workspace, SessionState(TASK, 4, upload=own, first_screen=True))
+    html = first_screen.page(analysis, workspace, own_position=(1, 3))
+    assert "pixels; the model sees it pressed into a square." in text(html)
+    assert answer_text.OWN_KEPT in text(html)
+    assert "2 of 3" in text(html)
+    assert 'aria-disabled="true" class="off" title="A link cannot carry your own picture"' in html
+    square = replace(analysis, state=replace(analysis.state, upload=OwnPicture("mine.png", small_worlds.place(3))))
+    assert answer_text.own_shape(square, workspace) == ""
+
+
+def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
+    state, shown = SessionState(TASK, 4, first_screen=True), []
+    gui, navigation = SimpleNamespace(add_html=lambda _: None), SimpleNamespace()
+    for name in ("random", "previous", "next", "failure"):
+        setattr(navigation, name, lambda state: state)
+
+    def change(function: StateChange) -> None:
+        shown.append(function(state))
+
+    restored: list[SessionState] = []
+    screen = first_screen.FirstScreen(gui, workspace, navigation, change, restored.append, lambda _: None)  # type: ignore[arg-type]
+    for action, tab in (("fails", "breakdown"), ("lab", "table")):
+        screen.act(action)
+        assert shown[-1] == restored[-1]
+        assert shown[-1] is not None
+        assert (shown[-1].lab, shown[-1].laboratory.tab) == (True, tab)
 
 
 def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

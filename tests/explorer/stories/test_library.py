@@ -22,7 +22,7 @@ def test_what_is_saved_is_read_back_and_can_be_read_by_people(tmp_path: Path) ->
     assert library.read_all(tmp_path) == library.Stories({ONE.name: ONE, "Other": OTHER})
     text = (tmp_path / "stories.json").read_text("utf-8")
     assert '    "name": "Ünë <b>",\n' in text
-    assert library.place(tmp_path) == "stories.json, beside the data"
+    assert library.place(tmp_path) == "stories.json, beside the data, on the computer that runs this page"
 
 
 def test_a_saved_story_takes_the_place_of_the_one_that_was_opened(tmp_path: Path) -> None:

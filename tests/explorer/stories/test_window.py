@@ -172,7 +172,7 @@ def test_a_story_is_edited_saved_and_told(page: Page) -> None:
     page.send("save")
     saved = library.read_all(page.workspace.root).by_name["Mine"]
     assert [(step.caption, step.notes) for step in saved.steps] == [("<b>second</b>", "say it"), ("", "")]
-    assert "Saved in stories.json, beside the data." in page.text
+    assert "Saved in stories.json, beside the data, on the computer that runs this page." in page.text
     assert "Not saved yet" not in page.text
     assert "Tell this story" in page.text
 

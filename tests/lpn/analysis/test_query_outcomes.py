@@ -325,6 +325,16 @@ def test_failure_rates_are_counted_in_quantile_bins() -> None:
     # Equal values stay together, and few values have a bin each.
     tilt = np.repeat([-90.0, -50, -45], [5, 90, 5])
     assert [r.name for r in breakdown.rates(failed, number_column("tilt", tilt, "°"))] == ["-90°", "-50°", "-45°"]
+    heading = number_column("heading", np.arange(0.0, 360.0, 10.0), "°")
+    sectors = breakdown.rates(np.arange(36) < 3, heading)
+    assert [(r.name, r.queries) for r in sectors] == [
+        ("320 to 40°", 9),
+        ("50 to 130°", 9),
+        ("140 to 220°", 9),
+        ("230 to 310°", 9),
+    ]
+    assert [int(r.holds(heading).sum()) for r in sectors] == [9] * 4
+    assert sectors[0].failures == 3
     heavy = np.concatenate([np.zeros(80), np.arange(1, 21)])
     assert [r.queries for r in breakdown.rates(failed, number_column("x", heavy))] == [80, 20]
     chosen = np.arange(10)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lpn.core.numbers import signed, wrap_degrees
+from lpn.core.numbers import rounded_to_sum, signed, wrap_degrees
 
 
 @pytest.mark.parametrize(
@@ -16,3 +16,12 @@ def test_a_sign_is_plus_or_the_minus_sign(value: float, digits: int, text: str) 
 def test_angles_are_wrapped_to_half_a_turn() -> None:
     assert [wrap_degrees(degrees) for degrees in (-540.0, -180.0, -10.0, 180.0, 350.0)] == [-180, -180, -10, -180, -10]
     np.testing.assert_array_equal(wrap_degrees(np.array([190.0, 20.0])), [-170, 20])
+
+
+@pytest.mark.parametrize(
+    "values", [[0.1004, 0.2004, 0.3004], [-0.0005, 0.3125, -0.3125], [1 / 3] * 3, [], [0.5745, -0.1495]]
+)
+def test_rounded_numbers_add_up_to_their_rounded_sum(values: list[float]) -> None:
+    rounded = rounded_to_sum(values)
+    assert sum(rounded) == pytest.approx(round(sum(values), 3), abs=1e-9)
+    assert all(abs(one - value) < 0.001 for one, value in zip(rounded, values, strict=True))

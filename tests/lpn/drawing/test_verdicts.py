@@ -53,7 +53,10 @@ def test_rotation_names_the_best_angle_and_the_heading() -> None:
         SweepResult("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
     )
     assert "turned 90°: 2nd instead of 5th" in turned
-    assert "highest at 0°: by that, the picture's top points 0° clockwise" in turned
+    assert (
+        "nearest at 0° (d² 1.200): by that, the picture's top points 0° clockwise from north, a guess that may"
+        in turned
+    )
     same = verdicts.describe_rotation(
         SweepResult("rotation", (point(0, 1, 0.2, 0.4), point(90, 1, 0.3, 0.3))), ("satellite", "drone")
     )
@@ -61,11 +64,34 @@ def test_rotation_names_the_best_angle_and_the_heading() -> None:
     assert "north" not in same
 
 
+@pytest.mark.parametrize(
+    ("known", "judged"),
+    [
+        (350.0, "That is right: it points 350°, 10° from the guess."),
+        (30.0, "That is roughly right: it points 30°, 30° from the guess."),
+        (200.0, "That is wrong: it points 200°, 160° from the guess."),
+    ],
+)
+def test_a_guessed_heading_is_judged_by_the_known_one(known: float, judged: str) -> None:
+    point = Point(Change(), 0, True, 0.2, 1, np.zeros(4, np.float32), 1, 0.4)
+    sweep = SweepResult("rotation", (point,))
+    assert verdicts.describe_heading(sweep, ("drone", "satellite"), known).endswith(judged)
+
+
 def test_the_margin_names_the_decisive_part() -> None:
     leads = verdicts.describe_margin(np.array([0.3, -0.1]), ["a", "b"])
     assert leads == "The true tile leads by 0.200 (d²); part a does most of it (+0.300)."
     trails = verdicts.describe_margin(np.array([0.1, -0.3]), ["a", "b"], "this tile")
     assert trails == "This tile is 0.200 (d²) behind; part b costs it most (−0.300)."
+
+
+def test_parts_that_lead_alike_are_named_together() -> None:
+    leads = verdicts.describe_margin(np.array([0.312, -0.1, 0.309]), ["a", "b", "c"])
+    assert leads == "The true tile leads by 0.521 (d²); parts a and c do most of it, alike (+0.312, +0.309)."
+    trails = verdicts.describe_margin(np.array([-0.28, -0.3, -0.29]), ["a", "b", "c"])
+    assert trails.endswith("parts b, c, and a cost it most, alike (−0.300, −0.290, −0.280).")
+    assert verdicts.leading_parts(np.array([0.3, 0.26])) == [0]
+    assert verdicts.leading_parts(np.array([-0.1, -0.1])) == [0], "no part leads"
 
 
 def match(rank: int, shares: tuple[float, float], true: bool, beyond: bool = False) -> Match:
