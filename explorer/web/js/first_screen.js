@@ -28,7 +28,8 @@
       pressed.classList.add("waiting");
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
-    if (!explained) page.querySelector(".reason")?.scrollIntoView({ block: "nearest" });
+    const reason = explained ? null : page.querySelector(".reason")?.getBoundingClientRect();
+    if (reason) page.scrollTop += Math.max(Math.min(reason.bottom - page.clientHeight, reason.top), 0);
     if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
     document.getElementById("root")?.setAttribute("inert", "");
   };

@@ -162,6 +162,17 @@
     const panel = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]');
     if (panel) sheet.observe(panel);
   };
+  // The page itself never scrolls: a finger could not scroll it back. Focus and scrollIntoView may scroll what only hides its overflow.
+  const unscroll = ({ target }) => {
+    const box = target === document ? document.scrollingElement : target;
+    if (box.matches(".mantine-ScrollArea-root") || (lpn.canvas() && box.contains(lpn.canvas()))) box.scrollTo({ left: 0, top: 0, behavior: "instant" });
+  };
+  document.addEventListener("scroll", unscroll, { capture: true, passive: true });
+  // Scroll the panel around an element to it, and nothing else.
+  const scrollPanel = (target) => {
+    const panel = target.closest(".mantine-ScrollArea-viewport");
+    panel?.scrollBy({ top: target.getBoundingClientRect().top - panel.getBoundingClientRect().top, behavior: "smooth" });
+  };
   // A part of the sheet that opens lies below its visible part: scroll to it. Its contents come later and move it, so it is
   // followed until the person acts.
   const ACTS = ["pointerdown", "wheel", "keydown"];
@@ -179,7 +190,7 @@
       const top = target.getBoundingClientRect().top;
       const sheet = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]')?.getBoundingClientRect();
       const seen = sheet && top >= sheet.top && top < sheet.top + sheet.height / 2;
-      if (!seen) target.scrollIntoView({ block: "start", behavior: "smooth" });
+      if (!seen) scrollPanel(target);
     }, 500);
   };
   // Open a tab of a window by its name, as soon as the window is in the page.
@@ -189,7 +200,7 @@
     if (!tab) return tries && setTimeout(() => lpn.tab(name, tries - 1), 250);
     tab.click(); // viser's tabs take it on a phone only, and a key elsewhere only
     tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
-    if (phone.matches) setTimeout(() => tab.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
+    if (phone.matches) setTimeout(() => scrollPanel(tab), 300);
   };
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
 })();
