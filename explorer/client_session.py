@@ -168,6 +168,7 @@ class ClientSession:
                 "undo": lambda kind: self.change(lambda state: session_state.undo(state, kind)),
                 "glossary": lambda _: glossary.show(),
                 "show": self._on_other,
+                "straighten": lambda _: self._stage.straighten(),
                 "map-close": lambda _: self.change(lambda state: replace(state, map=False)),
                 "screen": self._first_screen.act,
             }

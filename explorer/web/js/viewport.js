@@ -119,16 +119,6 @@
     event.target.click();
   });
 
-  // The glossary is a dialog of viser, which only its button closes.
-  const closing = (event) => {
-    if (event.key !== "Escape") return;
-    const close = [...document.querySelectorAll(".mantine-Modal-content button")].find((one) => one.textContent.trim() === "Close");
-    if (!close) return;
-    event.stopImmediatePropagation();
-    close.click();
-  };
-  window.addEventListener("keydown", closing, true);
-
   lpn.small = matchMedia("(max-width: 1100px)");
   lpn.small.addEventListener("change", () => lpn.send("small", lpn.small.matches));
 
