@@ -3,19 +3,21 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.refocus) return;
-  const PERIOD = 150;
+  // Milliseconds between two looks, and until an element that is gone is given up.
+  const PERIOD = 150, WAIT = 3000;
   const DIALOG = ".mantine-Modal-content, .mantine-Spotlight-content";
   // What shows that a window is open, and what of it takes the focus.
   const WINDOWS = [
-    ["#lpn-first", "[data-act=why], h1"],
-    ["#lpn-told", ".next"],
-    ["#lpn-lab-table", "#lpn-lab-rows"],
-    ["#lpn-flight", "[tabindex='0'], button"],
-    ["#lpn-stage-map", "button"],
-    ["#lpn-why", "[tabindex='0'], button"],
+    ["#lpn-first", "#lpn-first [data-act=why]"],
+    ["#lpn-told", "#lpn-told .next"],
+    [".lab-bar", "#lpn-lab-rows, .lab-bar .seg .chosen"],
+    ["#lpn-flight", "#lpn-flight [tabindex='0']"],
+    ["#lpn-stage-map", "#lpn-stage-map button"],
+    ["#lpn-why", "#lpn-why [tabindex='0']"],
   ];
   const openers = new Map(); // what had the focus when a window was opened, by window
   let last = null; // what had the focus last, outside dialogs
+  let gone = 0; // since when the element of the focus is gone
   let acted = false; // a window of the page's address opens by itself, and leaves the focus where it is
   const there = (element) => element?.isConnected && element.getClientRects().length > 0;
   const lost = () => !document.activeElement || document.activeElement === document.body;
@@ -43,8 +45,9 @@
     for (const [selector, inside] of WINDOWS) {
       const root = document.querySelector(selector), open = there(root);
       if (open && !openers.has(selector)) {
-        const target = root.querySelector(inside);
-        if (!target) continue; // its content is still to come
+        // The table, if that is shown; its content may be still to come.
+        const found = inside.split(", ").map((one) => document.querySelector(one)), target = found.find(there);
+        if (!target) continue;
         openers.set(selector, last);
         const typing = document.activeElement?.matches("input, textarea, select");
         if (acted && !typing && !document.querySelector(DIALOG) && !root.contains(document.activeElement)) target.focus({ preventScroll: true });
@@ -54,7 +57,19 @@
         if (lost()) lpn.refocus(opener);
       }
     }
-    if (lost() && last && !last.isConnected && !document.querySelector(DIALOG)) lpn.refocus(last);
+    if (!lost() || !last || last.isConnected) return void (gone = 0);
+    gone ||= performance.now();
+    if (performance.now() - gone > WAIT) last = null;
+    else if (!document.querySelector(DIALOG)) lpn.refocus(last);
   };
   setInterval(follow, PERIOD);
+
+  const skip = document.body.insertBefore(document.createElement("a"), document.body.firstChild);
+  skip.id = "lpn-skip";
+  skip.href = "#lpn-matches";
+  skip.textContent = "Skip to the answer";
+  skip.onclick = (event) => {
+    event.preventDefault();
+    document.querySelector('#lpn-header [tabindex="0"]')?.focus();
+  };
 })();

@@ -183,6 +183,11 @@
       if (!seen) scrollPanel(target);
     }, 500);
   };
+  // A window that takes a phone's whole screen, or gives it back, is what one goes on to read.
+  document.addEventListener("click", ({ target }) => {
+    const whole = target.closest?.("#lpn-flight-tall, #lpn-lab-tall");
+    if (whole) lpn.reveal(whole.id === "lpn-flight-tall" ? "#lpn-flight" : ".lab-bar");
+  });
   // Open a tab of a window by its name, as soon as the window is in the page.
   lpn.tab = (name, tries = 40) => {
     const tabs = [...document.querySelectorAll('[role="tab"]')];
