@@ -10,7 +10,7 @@
   const WINDOWS = [
     ["#lpn-first", "#lpn-first [data-act=why]"],
     ["#lpn-told", "#lpn-told .next"],
-    [".lab-bar", "#lpn-lab-rows, .lab-bar .seg .chosen"],
+    [".lab-bar", "#lpn-lab-rows, .lab-map .marks, #lpn-lab-breakdown [tabindex]"],
     ["#lpn-flight", "#lpn-flight [tabindex='0']"],
     ["#lpn-stage-map", "#lpn-stage-map button"],
     ["#lpn-why", "#lpn-why [tabindex='0']"],
@@ -45,7 +45,7 @@
     for (const [selector, inside] of WINDOWS) {
       const root = document.querySelector(selector), open = there(root);
       if (open && !openers.has(selector)) {
-        // The table, if that is shown; its content may be still to come.
+        // Its content may be still to come.
         const found = inside.split(", ").map((one) => document.querySelector(one)), target = found.find(there);
         if (!target) continue;
         openers.set(selector, last);
