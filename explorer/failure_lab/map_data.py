@@ -120,7 +120,7 @@ def flags(findings: Findings, rows: Int64Array, chosen: Int64Array) -> bytes:
     failed = findings.outcomes.failed
     selected = np.isin(np.arange(len(failed)), rows)
     marked = np.isin(np.arange(len(failed)), chosen)
-    return (SELECTED * selected + FAILED * failed + CHOSEN * marked).astype(np.uint8).tobytes()
+    return bytes((SELECTED * selected + FAILED * failed + CHOSEN * marked).astype(np.uint8).tobytes())
 
 
 def lines(findings: Findings, points: MapPoints, rows: Int64Array) -> list[list[int]]:

@@ -509,7 +509,7 @@ def test_nothing_scrolls_a_phones_page(app: RunningApp, contexts: Callable[..., 
     explorer = ExplorerPage(context.new_page())
     explorer.open(app.url)
     scroll = """() => {
-      const boxes = [document.querySelector(".mantine-ScrollArea-root"), document.getElementById("root"), document.scrollingElement];
+      const boxes = [".mantine-ScrollArea-root", "#root", "html"].map((one) => document.querySelector(one));
       const filler = boxes.map((box) => box.appendChild(document.createElement("div")));
       filler.forEach((one) => (one.style = "height: 2000px; flex: none"));
       boxes.forEach((box) => box.scrollTo(0, 419));
