@@ -176,6 +176,7 @@ class ClientSession:
                 "undo": lambda kind: self.change(lambda state: session_state.undo(state, kind)),
                 "glossary": lambda _: glossary.show(),
                 "show": self._on_other,
+                "straighten": self._straighten,
                 "map-close": lambda _: self.change(lambda state: replace(state, map=False)),
                 "screen": self._first_screen.act,
             }
@@ -238,6 +239,9 @@ class ClientSession:
     def fit_camera(self) -> None:
         """Fit the stage to the page's window, whose camera has changed."""
         self._stage.fit()
+
+    def _straighten(self, _: object) -> None:
+        self._stage.straighten()
 
     def leave(self) -> None:
         """Stop all threads and computations of this browser; it has disconnected."""

@@ -14,7 +14,6 @@ from lpn.drawing import heatmaps
 from lpn.drawing.heatmaps import PictureActivation
 from lpn.explain.part_activation import part_activation
 
-HINT = "Move over a cell to read its value."
 _SIZE = 300, 900
 
 
@@ -33,7 +32,6 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         heatmaps=heatmaps.draw(pictures, workspace.part_names, same_scale, _attributes) if pictures else None,
         same_scale=same_scale,
         note=heatmaps.NOTE,
-        hint=HINT,
         without_cells=workspace.without_cells,
     )
 

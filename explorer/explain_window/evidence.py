@@ -15,7 +15,6 @@ from lpn.drawing import charts, overlays, verdicts
 from lpn.explain import Correspondences
 from lpn.retrieval import DescribedPicture
 
-HINT = "Move over a cell to see what it adds and which cell of the other picture it agrees with; click to keep it."
 _SIZE = 300, 1000
 
 
@@ -49,7 +48,6 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         sentence=verdicts.describe_evidence(evidence, workspace.part_names, *views),
         region=analysis.state.region,
         stacked=workspace.layout.stacked,
-        hint=HINT,
         maps=[_map(workspace, limit, *side) for side in sides],
         part=part,
         part_names=workspace.part_names,

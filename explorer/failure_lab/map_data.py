@@ -19,7 +19,7 @@ OUTCOME = ""
 # The code of a query without a value, and that of all values beyond the most frequent ones.
 UNKNOWN, OTHER = 255, 8
 # Flags of a query, from the lowest bit on.
-SELECTED, FAILED = 1, 2
+SELECTED, FAILED, CHOSEN = 1, 2, 4
 # The ends of a numbers' scale, in percent of the queries: a few far values do not take all colours.
 _ENDS = 2.0, 98.0
 # The largest number of failures that are joined with their answers.
@@ -115,11 +115,12 @@ def degrees(points: MapPoints, origin: Position) -> list[tuple[float, float]]:
     ]
 
 
-def flags(findings: Findings, rows: Int64Array) -> bytes:
-    """Return one byte for each query, of `SELECTED` and `FAILED`; `rows` are the selected queries."""
+def flags(findings: Findings, rows: Int64Array, chosen: Int64Array) -> bytes:
+    """Return one byte for each query, of `SELECTED`, `FAILED`, and `CHOSEN`, given the selected queries and the chosen rows."""
     failed = findings.outcomes.failed
     selected = np.isin(np.arange(len(failed)), rows)
-    return (SELECTED * selected + FAILED * failed).astype(np.uint8).tobytes()
+    marked = np.isin(np.arange(len(failed)), chosen)
+    return bytes((SELECTED * selected + FAILED * failed + CHOSEN * marked).astype(np.uint8).tobytes())
 
 
 def lines(findings: Findings, points: MapPoints, rows: Int64Array) -> list[list[int]]:

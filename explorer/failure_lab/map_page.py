@@ -12,7 +12,7 @@ from explorer.browse.feeds import Feeds
 from explorer.failure_lab import map_data, table
 from explorer.failure_lab.messages import OpenPoint, SelectLasso, ShowTip
 from explorer.failure_lab.service import FailureLab, Findings, MapPoints
-from explorer.failure_lab.state import LabState, Selection, add_selection
+from explorer.failure_lab.state import LabState, Selection, add_selection, chosen_rows
 from explorer.web.render import call, render, run
 from lpn.analysis import embedding_map
 from lpn.core import images
@@ -32,7 +32,7 @@ class MapPage:
     def __init__(self, service: FailureLab, feeds: Feeds, client: object) -> None:
         self._service, self._feeds, self._client = service, feeds, client
         self._points: MapPoints | None = None
-        self._rows = np.zeros(0, np.int64)
+        self._rows = self._chosen = np.zeros(0, np.int64)
         # Published feeds by name, each with the object that it was made of.
         self._published: dict[str, tuple[object, str]] = {}
 
@@ -90,8 +90,9 @@ class MapPage:
     def _data(
         self, findings: Findings, lab: LabState, query: int | None, rows: Int64Array, points: MapPoints
     ) -> dict[str, Any]:
-        if rows is not self._rows:
-            self._rows = rows
+        chosen = chosen_rows(lab, rows)
+        if rows is not self._rows or not np.array_equal(chosen, self._chosen):
+            self._rows, self._chosen = rows, chosen
             self._published.pop("flags", None)
         colour = lab.colour if lab.colour in findings.table.columns else map_data.OUTCOME
         shown = map_data.colours(findings, colour)
@@ -103,7 +104,7 @@ class MapPage:
             "queries": len(points.queries),
             "tiles": len(points.tiles),
             "plane": self._publish("plane", points, lambda: map_data.plane(points)),
-            "flags": self._publish("flags", findings.outcomes, lambda: map_data.flags(findings, rows)),
+            "flags": self._publish("flags", findings.outcomes, lambda: map_data.flags(findings, rows, chosen)),
             "codes": self._publish("codes", (findings, colour), shown.codes.tobytes),
             "colour": colour,
             "palette": shown.palette,
@@ -111,6 +112,8 @@ class MapPage:
             "lines": map_data.lines(findings, points, rows),
             "axes": points.axes,
             "selected": len(rows),
+            "chosen": len(chosen),
+            "lasso": any(one.kind == f"in {lab.map}" for one in lab.selections),
             "ground": None,
         }
         if points.ground is not None and points.origin is not None:

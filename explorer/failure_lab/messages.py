@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from explorer.failure_lab import state
 from explorer.failure_lab.service import Findings
-from explorer.failure_lab.state import Drawer, LabState
+from explorer.failure_lab.state import Drawer, LabState, RowChange
 from explorer.session_state import MapKind, OutcomeFilter, Tab
 from explorer.web import messages
 
@@ -72,6 +72,23 @@ class SelectPair(LabMessage):
     answered: int
 
 
+class ChooseRows(LabMessage):
+    """Choose all rows of the table from one query's to another's, or toggle or drop them."""
+
+    first: Index
+    last: Index
+    how: RowChange
+
+
+class ChooseAllRows(LabMessage): ...
+
+
+class ChooseNoRows(LabMessage): ...
+
+
+class ShowChosenRows(LabMessage): ...
+
+
 class SelectBin(LabMessage):
     column: str
     index: Index
@@ -126,7 +143,7 @@ class SaveNote(LabMessage):
 
 
 class TagChosen(LabMessage):
-    """Add tags to all selected queries."""
+    """Add tags to the chosen rows, or to all that are shown if none is chosen."""
 
     tags: Annotated[str, Meta(max_length=1000)]
 
@@ -174,6 +191,10 @@ MESSAGES: dict[str, type[LabMessage]] = {
     "lab-clear": ClearSelections,
     "lab-part": SelectPart,
     "lab-pair": SelectPair,
+    "lab-rows": ChooseRows,
+    "lab-rows-all": ChooseAllRows,
+    "lab-rows-none": ChooseNoRows,
+    "lab-rows-only": ShowChosenRows,
     "lab-bin": SelectBin,
     "lab-map": ShowMap,
     "lab-colour": ColourBy,
@@ -238,6 +259,14 @@ def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> L
             return replace(lab, map=kind, paused=lab.paused - {kind})
         case ColourBy(column) if not column or column in findings.table.columns:
             return replace(lab, colour=column)
+        case ChooseRows(first, last, how):
+            return state.choose_rows(findings, lab, first, last, how)
+        case ChooseAllRows():
+            return replace(lab, rows=frozenset(state.selected_rows(findings, lab).tolist()))
+        case ChooseNoRows():
+            return replace(lab, rows=frozenset())
+        case ShowChosenRows():
+            return state.show_chosen_rows(findings, lab)
         case SelectPart(part) if part < len(findings.part_names):
             selection = state.select_part(findings, part)
         case SelectPair(place, answered):

@@ -21,6 +21,7 @@ from lpn.locate.task import REASON
 
 # The part of the page that is open below the summary.
 Drawer = Literal["", "columns", "tag", "views"]
+RowChange = Literal["add", "drop", "toggle"]
 _FIXED_COLUMNS = ("name", "rank", "margin", "part", "answer", "distance")
 # Columns shown until the user chooses others. A column without any value is left out.
 _DEFAULT_COLUMNS = ("altitude", "district", "verdict", "tags")
@@ -60,6 +61,7 @@ class LabState:
         filter_error: why `filter_typed` is invalid; empty if it is valid.
         name_search: text that the names of the queries contain.
         selections: a query must be in all of them.
+        rows: queries whose rows are chosen in the table; those that are not shown do not count.
         sort_column, descending: the order of the table.
         columns: shown beside `fixed_columns`; None for the default ones.
         drawer: what is open below the summary.
@@ -78,6 +80,7 @@ class LabState:
     filter_error: str = ""
     name_search: str = ""
     selections: tuple[Selection, ...] = ()
+    rows: frozenset[int] = frozenset()
     sort_column: str = "margin"
     descending: bool = False
     columns: tuple[str, ...] | None = None
@@ -163,8 +166,39 @@ def remove_selection(lab: LabState, kind: str) -> LabState:
     return replace(lab, selections=tuple(one for one in lab.selections if one.kind != kind))
 
 
+def choose_rows(findings: Findings, lab: LabState, first: int, last: int, how: RowChange) -> LabState:
+    """Choose, drop, or toggle the rows from one query's to another's; a query that is not shown changes nothing."""
+    order = sorted_rows(findings, lab)
+    ends = np.flatnonzero((order == first) | (order == last))
+    if len(ends) != len({first, last}):
+        return lab
+    between = frozenset(order[ends[0] : ends[-1] + 1].tolist())
+    changed = {"add": lab.rows | between, "drop": lab.rows - between, "toggle": lab.rows ^ between}
+    return replace(lab, rows=changed[how])
+
+
+def chosen_rows(lab: LabState, shown: Int64Array) -> Int64Array:
+    """Return the shown queries whose rows are chosen, in the order of the shown ones."""
+    return shown[np.isin(shown, list(lab.rows))]
+
+
+def chosen_or_shown(lab: LabState, shown: Int64Array) -> Int64Array:
+    """Return the queries that an action is about: those of the chosen rows, or all shown ones if none is chosen."""
+    chosen = chosen_rows(lab, shown)
+    return chosen if len(chosen) else shown
+
+
+def show_chosen_rows(findings: Findings, lab: LabState) -> LabState:
+    """Turn the chosen rows into a selection, which leaves no other query."""
+    rows = chosen_rows(lab, selected_rows(findings, lab))
+    if not len(rows):
+        return lab
+    label = "1 chosen row" if len(rows) == 1 else f"{len(rows):,} chosen rows"
+    return replace(add_selection(lab, Selection("rows", label, rows)), rows=frozenset())
+
+
 def clear(lab: LabState) -> LabState:
-    """Select all queries again."""
+    """Select all queries again, and choose no row."""
     return replace(
         lab,
         outcome="all",
@@ -173,6 +207,7 @@ def clear(lab: LabState) -> LabState:
         filter_error="",
         name_search="",
         selections=(),
+        rows=frozenset(),
         text_revision=lab.text_revision + 1,
     )
 

@@ -18,7 +18,7 @@ from lpn.analysis.named_views import LONGEST_NAME, NamedView
 from lpn.analysis.notes import Note
 from lpn.analysis.query_outcomes import RANK_A, RANK_B
 from lpn.analysis.task import Task
-from lpn.core.arrays import Int64Array
+from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.numbers import signed
 from lpn.core.tables import Column
 from lpn.drawing import theme
@@ -48,12 +48,19 @@ class _Cell(NamedTuple):
     bar: tuple[float, float, str] | None = None
 
 
-def bar(findings: Findings, lab: LabState, selected: int) -> str:
-    """Return the bar of tabs, outcomes, and actions on the selected queries, given their number."""
+def bar(findings: Findings, lab: LabState, selected: int, chosen: int = 0) -> str:
+    """Return the bar of tabs, outcomes, and actions, given the numbers of selected queries and of chosen rows."""
     counts = {outcome: int(mask.sum()) for outcome, mask in outcome_masks(findings).items()}
     names = None if findings.second is None else findings.second.names
     return render(
-        "failure_lab/bar", lab=lab, tabs=get_args(Tab), counts=counts, names=names, selected=selected, most=MOST
+        "failure_lab/bar",
+        lab=lab,
+        tabs=get_args(Tab),
+        counts=counts,
+        names=names,
+        number=chosen or selected,
+        what="chosen" if chosen else "shown",
+        most=MOST,
     )
 
 
@@ -65,12 +72,13 @@ def search_boxes(findings: Findings, lab: LabState) -> str:
     return render("failure_lab/search_boxes", lab=lab, example=f"{first}{example}")
 
 
-def summary(findings: Findings, lab: LabState, rows: Int64Array) -> str:
-    """Return the number of selected queries, the selections, and errors of the filter and the notes."""
+def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0) -> str:
+    """Return the numbers of selected queries and of chosen rows, the selections, and errors of the filter and the notes."""
     return render(
         "failure_lab/summary",
         lab=lab,
         selected=len(rows),
+        chosen=chosen,
         queries=len(findings.table),
         failed=int(findings.outcomes.failed[rows].sum()),
         narrowed=bool(lab.selections or lab.filter or lab.name_search.strip() or lab.outcome != "all"),
@@ -93,7 +101,12 @@ def second_progress(progress: SecondProgress) -> str:
 
 
 def drawer(
-    findings: Findings, lab: LabState, selected: int, views: Sequence[NamedView], message: tuple[str, bool] | None
+    findings: Findings,
+    lab: LabState,
+    selected: int,
+    views: Sequence[NamedView],
+    message: tuple[str, bool] | None,
+    chosen: int = 0,
 ) -> str:
     """Return what is open below the summary.
 
@@ -101,13 +114,14 @@ def drawer(
         selected: number of selected queries.
         views: of the task.
         message: the result of the last change made there, and whether it succeeded.
+        chosen: number of selected queries whose rows are chosen.
     """
     if lab.drawer not in _drawers(lab, selected):
         return ""
     if lab.drawer == "columns":
         return column_choice(findings, lab)
     if lab.drawer == "tag":
-        return render("failure_lab/tag", selected=selected, message=message)
+        return render("failure_lab/tag", selected=selected, chosen=chosen, message=message)
     return render("failure_lab/views", views=views, message=message, longest=LONGEST_NAME)
 
 
@@ -155,6 +169,12 @@ def publish(feeds: Feeds, owner: object, findings: Findings, lab: LabState, rows
         return lines(findings, columns, feeds, rows[start:end])
 
     return feeds.publish_list(owner, "rows", len(rows), entries)
+
+
+def runs(chosen: BoolArray) -> list[tuple[int, int]]:
+    """Return the first and the last position of each run of chosen rows."""
+    steps = np.diff(chosen.astype(np.int8), prepend=0, append=0)
+    return list(zip(np.flatnonzero(steps == 1).tolist(), (np.flatnonzero(steps == -1) - 1).tolist(), strict=True))
 
 
 class Thumbnails(Protocol):

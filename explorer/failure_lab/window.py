@@ -183,14 +183,14 @@ class FailureLabWindow:
             case _:
                 self._update(message)
 
-    def _drawn_drawer(self, findings: Findings, lab: LabState, selected: int) -> str:
+    def _drawn_drawer(self, findings: Findings, lab: LabState, selected: int, chosen: int) -> str:
         views: tuple[NamedView, ...] = ()
         if lab.drawer == "views":
             try:
                 views = self._service.views(lab.task)
             except LPNError as error:
                 self._drawer_message = str(error), False
-        return table.drawer(findings, lab, selected, views, self._drawer_message)
+        return table.drawer(findings, lab, selected, views, self._drawer_message, chosen)
 
     def _change_drawer(self, message: LabMessage, findings: Findings) -> None:
         """Tag the selected queries, or save, open, or remove a view; tell the result in the drawer."""
@@ -199,7 +199,7 @@ class FailureLabWindow:
         try:
             match message:
                 case messages.TagChosen(tags):
-                    rows = self._rows(findings, lab)
+                    rows = state.chosen_or_shown(lab, self._rows(findings, lab))
                     self._service.add_tags([findings.table.paths[row] for row in rows.tolist()], tags)
                     told = f"{len(rows):,} queries are tagged in {self._service.notes_place}."
                 case messages.SaveView(name):
@@ -284,12 +284,13 @@ class FailureLabWindow:
         elif self._workspace.second is not None:
             self._second_worker.wake()
         rows = self._rows(findings, lab)
-        self._bar.show(table.bar(findings, lab, len(rows)))
+        chosen = state.chosen_rows(lab, rows)
+        self._bar.show(table.bar(findings, lab, len(rows), len(chosen)))
         if lab.text_revision != self._text_revision:  # sending the boxes discards what the user is typing
             self._text_revision = lab.text_revision
             self._boxes.show(table.search_boxes(findings, lab))
-        self._summary.show(table.summary(findings, lab, rows))
-        self._drawer.show(self._drawn_drawer(findings, lab, len(rows)))
+        self._summary.show(table.summary(findings, lab, rows, len(chosen)))
+        self._drawer.show(self._drawn_drawer(findings, lab, len(rows), len(chosen)))
         if lab.tab == "table":
             self._show_table(findings, lab, view.query, rows)
         elif lab.tab == "breakdown":
@@ -362,6 +363,7 @@ class FailureLabWindow:
             "address": self._feeds.address,
             "feed": feed,
             "total": len(rows),
+            "marked": table.runs(np.isin(rows, list(lab.rows))),
         }
         self._data.show(run(call("list", "lpn-lab-rows", {**data, "chosen": chosen, "height": height})))
 
@@ -402,7 +404,7 @@ class FailureLabWindow:
         if findings is None:
             self._say_no_table()
             return
-        rows = self._rows(findings, self._lab)
+        rows = state.chosen_or_shown(self._lab, self._rows(findings, self._lab))
         name = re.sub(r"[^\w-]+", "-", f"{self._workspace.data_name}-{findings.task.name}-{len(rows)}-queries")
         self._client.send_file_download(f"{name}.csv", findings.table.to_csv(rows), save_immediately=True)
 
@@ -416,8 +418,10 @@ class FailureLabWindow:
         if findings is None:
             self._say_no_table()
             return
-        rows, task = [int(row) for row in self._rows(findings, lab)], findings.task
-        description = f"{state.describe(findings, lab)} (failure laboratory)"
+        shown = self._rows(findings, lab)
+        rows, task = state.chosen_or_shown(lab, shown).tolist(), findings.task
+        chosen = f"{len(rows):,} chosen rows of: " if len(rows) < len(shown) else ""
+        description = f"{chosen}{state.describe(findings, lab)} (failure laboratory)"
         self._reporter.make(
             lambda progress, model: reports.of_selection(self._workspace, task, rows, description, progress, model)
         )

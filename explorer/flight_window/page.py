@@ -41,9 +41,9 @@ _MAX_LISTED = 200
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
-def shell(part_names: Sequence[str], height: int) -> str:
-    """Return the elements that the script fills; `height` is that of the window's content in pixels."""
-    return render("flight/shell", part_names=part_names, height=height)
+def shell(part_names: Sequence[str], height: int, tall: bool = False) -> str:
+    """Return the elements that the script fills, of a height in pixels; on a phone a `tall` window takes the whole screen."""
+    return render("flight/shell", part_names=part_names, height=height, tall=tall)
 
 
 def data(view: FlightView, address: str) -> dict[str, Any]:

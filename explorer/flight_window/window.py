@@ -203,7 +203,7 @@ class FlightWindow:
             self._view = view
             self._data.show(page.calls({"show": page.data(view, self._pictures.address), "lists": page.lists(view)}))
         names = self._workspace.part_names
-        self._shell.show(page.shell(names, self._panel_height))
+        self._shell.show(page.shell(names, self._panel_height, choices.full_height))
         shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
         failed = analysis.matches[0].true is False
         message = self._message_of(shown)

@@ -191,6 +191,11 @@ class Stage:
                 self._aspect = aspect
                 self._point_camera()
 
+    def straighten(self) -> None:
+        """Undo the user's orbit."""
+        with self._framing:
+            self._point_camera()
+
     def _point_camera(self) -> None:
         """Point the camera at the pair and the ranked tiles, or at the map."""
         if not self._aspect:

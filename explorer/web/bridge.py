@@ -26,6 +26,9 @@ _SCRIPT = ";".join(
     for name in (
         "page.js",
         "viewport.js",
+        "focus.js",
+        "glossary.js",
+        "straighten.js",
         "lists.js",
         "own.js",
         "pointer.js",

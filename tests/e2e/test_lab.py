@@ -360,6 +360,57 @@ def test_the_map_of_the_ground_has_a_scale_bar_north_and_the_position_under_the_
     expect(position).to_be_hidden()
 
 
+@pytest.mark.slow
+def test_single_rows_are_chosen_by_mouse_and_keys(lab: LabPage, truth: tuple[Outcomes, Table]) -> None:
+    _, table = truth
+    order = table.sort(table.rows(), "margin")
+    said, marked = lab.page.locator("#lpn-lab-chosen"), lab.page.locator("#lpn-lab-table tr.marked")
+    lab.page.get_by_role("button", name="Tag", exact=True).click()
+    button = lab.page.locator("#lpn-lab-tag .button")
+    expect(button).to_have_text("Tag all 40 shown")
+    lab.rows_of_table.nth(1).click(modifiers=["Control"])
+    expect(said).to_have_text("1 chosen")
+    expect(button).to_have_text("Tag the 1 chosen")
+    lab.rows_of_table.nth(3).click(modifiers=["Shift"])
+    expect(said).to_have_text("3 chosen")
+    lab.rows_of_table.nth(2).locator(".mark").click()
+    expect(said).to_have_text("2 chosen")
+    expect(marked).to_have_count(2)
+    grid = lab.page.locator("#lpn-lab-rows")
+    grid.focus()
+    lab.page.keyboard.press("Escape")
+    expect(said).to_be_empty()
+    lab.page.keyboard.press("Home")
+    lab.page.keyboard.press("Space")
+    expect(said).to_have_text("1 chosen")
+    for count, key in ((2, "ArrowDown"), (3, "ArrowDown"), (2, "ArrowUp")):
+        lab.page.keyboard.press("Shift+" + key)
+        expect(said).to_have_text(f"{count} chosen")
+    lab.page.get_by_text("show only these").click()
+    expect(lab.count).to_contain_text("2 of 40 queries")
+    expect_rows(lab, order[:2])
+    expect(button).to_have_text("Tag all 2 shown")
+    lab.page.get_by_text("show all").first.click()
+    expect(lab.count).to_contain_text("40 of 40 queries")
+    grid.focus()
+    lab.page.keyboard.press("Control+a")
+    expect(said).to_have_text("40 chosen")
+
+
+@pytest.mark.slow
+def test_the_queries_in_sight_of_a_map_are_chosen_by_keys(lab: LabPage) -> None:
+    lab.choose("Maps")
+    expect(lab.page.locator(".lab-map .counted")).to_have_text("40 of 40")
+    marks = lab.page.locator(".lab-map .marks")
+    for _ in range(40):  # no arrow pushes all points out of sight
+        marks.press("ArrowRight")
+    marks.press("Enter")
+    expect(lab.page.locator(".lab-summary .pick")).to_contain_text("lasso on the PCA")
+    expect(lab.count).not_to_contain_text(re.compile("^(0|40) of"))
+    marks.press("Escape")
+    expect(lab.count).to_contain_text("40 of 40 queries")
+
+
 def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes, Table], tmp_path: Path) -> None:
     _, table = truth
     lab.page.locator("#lpn-lab-where").fill("weather = sun")

@@ -444,3 +444,79 @@ def test_the_glossary_opens_over_the_page_and_closes(explorer: ExplorerPage) -> 
         expect(term).to_be_visible(timeout=60_000)
         close()
         expect(term).to_have_count(0, timeout=60_000)
+
+
+@pytest.mark.slow
+def test_the_glossary_is_searched_and_closed_by_back(explorer: ExplorerPage) -> None:
+    link = explorer.page.locator("#lpn-header").get_by_text("Glossary", exact=True)
+    link.focus()
+    explorer.page.keyboard.press("Enter")
+    bar = explorer.page.locator("#lpn-glossary")
+    box, count = bar.get_by_label("Search"), bar.get_by_role("status")
+    expect(box).to_be_focused()
+    box.fill("d2 squared")
+    expect(count).to_have_text("1 term")
+    expect(explorer.page.locator(".mantine-Modal-content tbody tr:visible")).to_contain_text("d²")
+    box.fill("no such word")
+    expect(count).to_have_text("No term has that.")
+    query = explorer.status.get_attribute("data-query") or ""
+    explorer.page.go_back()
+    expect(bar).to_have_count(0)
+    expect(link).to_be_focused()
+    explorer.expect_status("query", query)
+
+
+@pytest.mark.slow
+def test_a_turned_stage_is_straightened(explorer: ExplorerPage) -> None:
+    button, box = explorer.page.locator("#lpn-straighten"), explorer.canvas.bounding_box()
+    assert box is not None
+    expect(button).to_have_count(0)
+    angle = "() => window.__viserMutable.camera.quaternion.toArray().map(Math.abs)"
+    straight = explorer.page.evaluate(angle)
+    explorer.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + 20)
+    explorer.page.mouse.down()
+    explorer.page.mouse.move(box["x"] + box["width"] / 2 + 120, box["y"] + 160, steps=6)
+    explorer.page.mouse.up()
+    button.click()
+    expect(button).to_have_count(0)
+    explorer.eventually(lambda: np.testing.assert_allclose(explorer.page.evaluate(angle), straight, atol=0.01))
+
+
+@pytest.mark.slow
+def test_the_focus_follows_windows(explorer: ExplorerPage) -> None:
+    opener = explorer.page.locator("#lpn-header").get_by_text("Glossary", exact=True)
+    opener.focus()
+    explorer.page.keyboard.press("b")
+    expect(explorer.page.locator("#lpn-lab-rows")).to_be_focused()
+    explorer.page.locator("#lpn-lab-table th [role=button]").first.focus()
+    explorer.page.keyboard.press("Enter")
+    head = explorer.page.locator("#lpn-lab-table th[aria-sort=ascending] [role=button]")
+    expect(head).to_contain_text("name")
+    expect(head).to_be_focused()
+    tab = explorer.page.locator(".lab-bar .seg a", has_text="Breakdown")
+    tab.focus()
+    explorer.page.keyboard.press("Enter")
+    expect(explorer.page.locator("#lpn-lab-breakdown")).to_be_visible()
+    expect(tab).to_be_focused()
+    explorer.page.keyboard.press("b")
+    expect(tab).to_have_count(0)
+    expect(opener).to_be_focused()
+
+
+@pytest.mark.slow
+def test_nothing_scrolls_a_phones_page(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
+    context = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    explorer = ExplorerPage(context.new_page())
+    explorer.open(app.url)
+    scroll = """() => {
+      const boxes = [".mantine-ScrollArea-root", "#root", "html"].map((one) => document.querySelector(one));
+      const filler = boxes.map((box) => box.appendChild(document.createElement("div")));
+      filler.forEach((one) => (one.style = "height: 2000px; flex: none"));
+      boxes.forEach((box) => box.scrollTo(0, 419));
+    }"""
+    explorer.page.evaluate(scroll)
+    tops = "() => ['.mantine-ScrollArea-root', '#root', 'html'].map((one) => document.querySelector(one).scrollTop)"
+    explorer.page.wait_for_function(f"({tops})().every((top) => top === 0)")
+    explorer.key("y")
+    expect(explorer.page.get_by_text("Tap a cell to see")).to_be_visible()
+    expect(explorer.page.get_by_text("Move over a cell to see")).to_be_hidden()

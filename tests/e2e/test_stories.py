@@ -178,6 +178,7 @@ def test_a_story_begun_on_the_first_screen_ends_there_and_no_tour_covers_it(
     page.keyboard.press("ArrowRight")
     explorer.expect_status("name", "0012")
     page.keyboard.press("Escape")
+    assert page.evaluate("document.getElementById('lpn-first') !== null")  # at once
     expect(told(page)).to_have_count(0)
     expect(first.locator("figcaption").first).to_contain_text("0007")  # what was shown before
     context.close()

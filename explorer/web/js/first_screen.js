@@ -4,6 +4,7 @@
   if (lpn.first) return;
   const STORAGE_KEY = "lpn-screen";
   const AT_ONCE = ["copy", "dark", "glossary", "upload"]; // these need no answer
+  let newest = ""; // the screen's content when it was last shown
   let shown = ""; // "first", "all", or nothing before the first answer
 
   lpn.screen = () => shown;
@@ -28,7 +29,8 @@
       pressed.classList.add("waiting");
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
-    if (!explained) page.querySelector(".reason")?.scrollIntoView({ block: "nearest" });
+    const reason = explained ? null : page.querySelector(".reason")?.getBoundingClientRect();
+    if (reason) page.scrollTop += Math.max(Math.min(reason.bottom - page.clientHeight, reason.top), 0);
     if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
     document.getElementById("root")?.setAttribute("inert", "");
   };
@@ -44,12 +46,15 @@
   // Until the first answer the page says that it is coming.
   lpn.opening = () => document.getElementById("lpn-first") || open('<p class="wait"><span class="busy"></span>Looking at the first picture …</p>');
 
+  // Show the screen at once as it was last; the server will send it again.
+  lpn.firstAgain = () => newest && open(newest);
+
   // Show the screen, or close it for an empty text; a tour comes only to the plain stage (`free`).
   lpn.first = (html, free) => {
     const now = html ? "first" : "all";
     if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
-    if (html) return open(html);
+    if (html) return open((newest = html));
     close();
     if (free && !lpn.telling()) lpn.welcome();
   };

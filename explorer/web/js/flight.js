@@ -448,7 +448,7 @@
     find(".sentence").textContent = flight.words || "";
     find(".status").textContent = flight.state || "";
     fill(find(".lists"), html.counts || "");
-    fill(find(".listed"), html[list] || '<p class="dim">Shift and click on the map: the frames that show the spot.</p>');
+    fill(find(".listed"), html[list] || '<p class="dim"><span class="for-mouse">Shift and click on the map</span><span class="for-touch">Tap Who saw? and then the map</span>: the frames that show the spot.</p>');
     if (followed && followed.frame === chosen) fill(find(".about"), followed.card);
     find(".about").classList.toggle("late", chosen >= 0 && followed?.frame !== chosen);
     if (chosen < 0) fill(find(".about"), "<p>Your own picture is not a frame of this flight.</p>");

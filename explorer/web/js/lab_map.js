@@ -3,7 +3,7 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.labMap) return;
-  const SELECTED = 1, FAILED = 2, UNKNOWN = 255;
+  const SELECTED = 1, FAILED = 2, CHOSEN = 4, UNKNOWN = 255;
   // Pixels within which the mouse points at a query, and milliseconds that it rests before a tip is asked for.
   const REACH = 9, REST = 120;
   // Corners of a lasso that the server takes, and pixels between them.
@@ -290,6 +290,7 @@
         }
         ring(pen, query, data.ground ? 13 : 9, "#fff", 2.5);
       }
+      for (let i = 0; data.chosen && data.chosen < MANY && i < data.queries; i++) if (flags[i] & CHOSEN && x(i) === x(i)) ring(pen, i, data.ground ? 12 : 7, "#e69f00", 2);
       if (hovered >= 0) ring(pen, hovered, data.ground ? 13 : 8, "#56b4e9", 2);
       if (lasso && lasso.length > 1) {
         pen.beginPath();
@@ -397,6 +398,17 @@
       lpn.mouse = [event.clientX, event.clientY];
       rest = setTimeout(() => lpn.send("lab-tip", [data.map, found]), REST);
     });
+    const sendLasso = (pixels) => {
+      const step = Math.ceil(pixels.length / CORNERS);
+      const places = pixels.filter((_, i) => i % step === 0).map(toPlane);
+      lpn.send("lab-lasso", [data.map, places.map((place) => place.map((value) => +value.toFixed(6)))]);
+    };
+    // The corners of the map in pixels, and the number of selected queries between them.
+    const corners = () => {
+      const [right, down] = size();
+      return [[0, 0], [right, 0], [right, down], [0, down]];
+    };
+    const inSight = () => inLasso(corners().map(toPlane));
     const release = (event) => {
       const known = fingers.delete(event.pointerId);
       if (!known || !ready()) return;
@@ -405,13 +417,11 @@
       soon();
       if (event.type !== "pointerup") return tell(data.selected);
       const chosen = drawn && dragged > 12 ? enclosed(drawn) : null;
-      if (chosen) {
-        const step = Math.ceil(chosen.length / CORNERS);
-        const corners = chosen.filter((_, i) => i % step === 0).map(toPlane);
-        lpn.send("lab-lasso", [data.map, corners.map((corner) => corner.map((value) => +value.toFixed(6)))]);
-      } else if (dragged <= 4 && !fingers.size) {
+      if (chosen) sendLasso(chosen);
+      else if (dragged <= 4 && !fingers.size) {
         const found = near(at(event));
-        if (found >= 0) lpn.send("lab-point", [data.map, found]);
+        const toggles = event.ctrlKey || event.metaKey;
+        if (found >= 0) toggles ? lpn.send("lab-rows", [found, found, "toggle"]) : lpn.send("lab-point", [data.map, found]);
         tell(data.selected);
       } else tell(data.selected);
     };
@@ -452,9 +462,16 @@
       if (!ready() || event.ctrlKey || event.metaKey || event.altKey) return;
       const steps = { ArrowLeft: [60, 0], ArrowRight: [-60, 0], ArrowUp: [0, 60], ArrowDown: [0, -60] };
       const keys = { "+": "in", "=": "in", "-": "out", 0: "all" };
-      if (event.key in steps) pan(...steps[event.key]);
+      if (event.key in steps) {
+        const before = view, seen = inSight();
+        view = { ...view };
+        pan(...steps[event.key]);
+        if (seen && !inSight()) (view = before), lpn.say("No point lies further that way.", 2);
+        views.set(data.view, view);
+      } else if (event.key === "Enter") sendLasso(corners());
       else if (event.key in keys) acts[keys[event.key]]();
       else if (event.key === "Escape" && lasso) (lasso = null), tell(data.selected), soon();
+      else if (event.key === "Escape" && data.lasso) lpn.send("lab-unpick", "in " + data.map);
       else return;
       read(null);
       event.preventDefault();

@@ -117,7 +117,7 @@
         const node = document.createElement("tr");
         node.dataset.row = row;
         node.setAttribute("role", "row");
-        node.innerHTML = html;
+        node.innerHTML = '<td class="mark" role="gridcell" title="Choose (also Ctrl or Shift and click)"><i></i></td>' + html;
         return node;
       },
       blank: (root) => {
@@ -143,12 +143,14 @@
       },
       extent: () => {},
       pick: (entry) => lpn.send("lab-open", entry[0]),
+      choose: (how, first, last = first) => lpn.send("lab-rows", [first[0], last[0], how]),
+      chooseAll: (all) => lpn.send(all ? "lab-rows-all" : "lab-rows-none"),
     },
   };
 
   const List = (root, kind) => {
     const layout = KINDS[kind], nodes = new Map();
-    let data = null, source = null, cursor = -1, frame = 0, last = { top: 0, fast: 0 }, key = "";
+    let data = null, source = null, cursor = -1, anchor = null, frame = 0, last = { top: 0, fast: 0 }, key = "";
     const rows = (columns) => Math.ceil(data.total / columns);
     // A list longer than a browser's longest element scrolls in proportion.
     const heights = (columns, height) => {
@@ -200,7 +202,10 @@
       for (const [index, node] of nodes) {
         node.classList.toggle("chosen", index === data.chosen);
         node.classList.toggle("cursor", index === cursor);
-        node.setAttribute("aria-selected", index === data.chosen);
+        const marked = !!data.marked?.some(([first, end]) => index >= first && index <= end);
+        node.classList.toggle("marked", marked);
+        node.setAttribute("aria-selected", layout.choose ? marked : index === data.chosen);
+        if (layout.choose) node.setAttribute("aria-current", index === data.chosen);
         node.setAttribute(kind === "table" ? "aria-rowindex" : "aria-posinset", index + (kind === "table" ? 2 : 1));
         if (kind === "queries") node.setAttribute("aria-setsize", data.total);
       }
@@ -227,19 +232,46 @@
       const entry = source.entry(index);
       if (entry) (cursor = index), layout.pick(entry, data);
     };
+    // Choose the row at an index by itself, or all rows from the anchor, which is the row that was last chosen by itself.
+    const choose = (index, extend) => {
+      const entry = source.entry(index);
+      if (!entry) return;
+      if (!extend || !anchor) anchor = { index, entry };
+      layout.choose(extend ? "add" : "toggle", anchor.entry, entry);
+      cursor = index;
+      draw();
+    };
+    // Shift and an arrow choose all rows from the anchor to the cursor; the row that the cursor leaves on its way back is dropped.
+    const extend = (from, to) => {
+      if (!anchor) anchor = source.entry(from) && { index: from, entry: source.entry(from) };
+      go(to);
+      const [left, reached] = [source.entry(from), source.entry(cursor)];
+      if (!anchor || !left || !reached) return;
+      const back = Math.abs(cursor - anchor.index) < Math.abs(from - anchor.index);
+      if (back) layout.choose("drop", left, source.entry(cursor - Math.sign(cursor - from)) || left);
+      layout.choose("add", anchor.entry, reached);
+    };
     root.addEventListener("scroll", soon, { passive: true });
     root.addEventListener("click", (event) => {
       const node = event.target.closest(".thumb, tbody tr");
-      for (const [index, one] of nodes) if (one === node) pick(index);
+      const chooses = layout.choose && (event.ctrlKey || event.metaKey || event.shiftKey || event.target.closest(".mark"));
+      for (const [index, one] of nodes) if (one === node) chooses ? choose(index, event.shiftKey) : pick(index);
     });
+    if (layout.choose) root.addEventListener("mousedown", (event) => event.shiftKey && event.preventDefault()); // it would select text
     root.addEventListener("keydown", (event) => {
-      if (!data || !data.total || event.target !== root || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (!data || !data.total || event.target !== root || event.altKey) return;
+      const control = event.ctrlKey || event.metaKey;
+      if (control && !(layout.choose && event.key.toLowerCase() === "a")) return;
       const [columns, height] = layout.measure(root);
       const page = Math.max(Math.floor(root.clientHeight / height) - 1, 1) * columns;
       const steps = { ArrowUp: -columns, ArrowDown: columns, PageUp: -page, PageDown: page };
       if (kind === "queries") Object.assign(steps, { ArrowLeft: -1, ArrowRight: 1 });
       const from = cursor < 0 ? Math.max(data.chosen, 0) : cursor;
-      if (event.key in steps) go(cursor < 0 && data.chosen < 0 ? 0 : from + steps[event.key]);
+      if (control) layout.chooseAll(true);
+      else if (layout.choose && event.key === "Escape" && data.marked?.length) layout.chooseAll(false);
+      else if (layout.choose && event.key === " ") choose(from, event.shiftKey);
+      else if (layout.choose && event.shiftKey && event.key in steps) extend(from, from + steps[event.key]);
+      else if (event.key in steps) go(cursor < 0 && data.chosen < 0 ? 0 : from + steps[event.key]);
       else if (event.key === "Home") go(0);
       else if (event.key === "End") go(data.total - 1);
       else if (event.key === "Enter" || event.key === " ") pick(from);
@@ -258,6 +290,7 @@
           source?.close();
           source = feed(next.address + next.feed, soon);
           cursor = -1;
+          anchor = null;
           clear();
         }
         if (data && other && data.title !== next.title) root.scrollTop = 0;

@@ -85,6 +85,13 @@
   const other = (map) => [...map.closest(".lpn-pair").querySelectorAll(".lpn-map")].find((one) => one !== map);
   const signed = (value) => (value < 0 ? "\u2212" : "+") + Math.abs(value).toFixed(4);
 
+  // Write a text in a line in place of its hint, and bring the hint back.
+  const tell = (line, text) => {
+    line._hint ??= line.innerHTML;
+    line.textContent = text;
+  };
+  const untell = (line) => line._hint && (line.innerHTML = line._hint);
+
   lpn.hover = (map, event, held) => {
     const pair = map.closest(".lpn-pair");
     if (pair.dataset.held && !held) return;
@@ -99,14 +106,14 @@
     let text = map.dataset.side + ", " + place(cell, columns) + ": " + signed(numbers(map, "cells")[cell]) + " of the score";
     if (mate >= 0)
       text += "; with the " + other(map).dataset.side + "\u2019s " + place(mate, sized(other(map))[1]) + " " + signed(numbers(map, "shares")[cell]);
-    pair.parentElement.querySelector(".lpn-read").textContent = text;
+    tell(pair.parentElement.querySelector(".lpn-read"), text);
   };
 
   lpn.leave = (map) => {
     const pair = map.closest(".lpn-pair");
     if (pair.dataset.held) return;
     for (const shown of [map, other(map)]) for (const name of ["here", "there"]) mark(shown, name, -1);
-    pair.parentElement.querySelector(".lpn-read").textContent = pair.dataset.hint;
+    untell(pair.parentElement.querySelector(".lpn-read"));
   };
 
   // A click keeps a pair of cells marked until the next click on the same cell.
@@ -128,7 +135,8 @@
     const [, columns] = sized(map);
     const value = event.type === "mouseleave" ? null : numbers(map, "cells")[cell];
     const place = ", row " + (Math.floor(cell / columns) + 1) + ", column " + ((cell % columns) + 1) + ": ";
-    read.textContent = value === null ? read.dataset.hint : map.alt + place + String(value).replaceAll("-", "\u2212");
+    if (value === null) untell(read);
+    else tell(read, map.alt + place + String(value).replaceAll("-", "\u2212"));
   };
 
   // The first cell of a stroke decides whether the stroke paints or erases; the server receives whole strokes.

@@ -12,7 +12,7 @@
   box.id = "lpn-stage-map";
   box.className = "num";
   box.innerHTML =
-    '<div class="read"></div><button type="button" title="Back to the pair (M or Escape)">✕ Close the map (M)</button><canvas role="img" aria-label="Scale and north"></canvas>';
+    '<div class="read"></div><button type="button" title="Back to the pair (M or Escape)">✕ Close the map<span class="for-mouse">&nbsp;(M)</span></button><canvas role="img" aria-label="Scale and north"></canvas>';
   const [read, close, canvas] = box.children;
   close.onclick = () => lpn.send("map-close");
 

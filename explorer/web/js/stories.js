@@ -143,6 +143,7 @@
     if (document.fullscreenElement) document.exitFullscreen();
     wasFull = false;
     if (pushed && !stay && !byBack) lpn.backQuietly();
+    if (before === "first" && !stay) lpn.firstAgain();
     if (moved) lpn.send("story-end", stay);
     else if (before === "first" && !stay) lpn.send("screen", "start");
   };

@@ -21,7 +21,7 @@
   window.addEventListener("popstate", () => {
     clearTimeout(writing);
     search = location.search;
-    if (!quiet && !lpn.backEndsStory()) lpn.send("back", search);
+    if (!quiet && !lpn.backClosesGlossary() && !lpn.backEndsStory()) lpn.send("back", search);
     quiet = false;
   });
   lpn.backQuietly = () => {

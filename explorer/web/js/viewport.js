@@ -119,16 +119,6 @@
     event.target.click();
   });
 
-  // The glossary is a dialog of viser, which only its button closes.
-  const closing = (event) => {
-    if (event.key !== "Escape") return;
-    const close = [...document.querySelectorAll(".mantine-Modal-content button")].find((one) => one.textContent.trim() === "Close");
-    if (!close) return;
-    event.stopImmediatePropagation();
-    close.click();
-  };
-  window.addEventListener("keydown", closing, true);
-
   lpn.small = matchMedia("(max-width: 1100px)");
   lpn.small.addEventListener("change", () => lpn.send("small", lpn.small.matches));
 
@@ -162,6 +152,17 @@
     const panel = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]');
     if (panel) sheet.observe(panel);
   };
+  // The page itself never scrolls: a finger could not scroll it back. Focus and scrollIntoView may scroll what only hides its overflow.
+  const unscroll = ({ target }) => {
+    const box = target === document ? document.scrollingElement : target;
+    if (box.matches(".mantine-ScrollArea-root") || (lpn.canvas() && box.contains(lpn.canvas()))) box.scrollTo({ left: 0, top: 0, behavior: "instant" });
+  };
+  document.addEventListener("scroll", unscroll, { capture: true, passive: true });
+  // Scroll the panel around an element to it, and nothing else.
+  const scrollPanel = (target) => {
+    const panel = target.closest(".mantine-ScrollArea-viewport");
+    panel?.scrollBy({ top: target.getBoundingClientRect().top - panel.getBoundingClientRect().top, behavior: "smooth" });
+  };
   // A part of the sheet that opens lies below its visible part: scroll to it. Its contents come later and move it, so it is
   // followed until the person acts.
   const ACTS = ["pointerdown", "wheel", "keydown"];
@@ -179,9 +180,14 @@
       const top = target.getBoundingClientRect().top;
       const sheet = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]')?.getBoundingClientRect();
       const seen = sheet && top >= sheet.top && top < sheet.top + sheet.height / 2;
-      if (!seen) target.scrollIntoView({ block: "start", behavior: "smooth" });
+      if (!seen) scrollPanel(target);
     }, 500);
   };
+  // A window that takes a phone's whole screen, or gives it back, is what one goes on to read.
+  document.addEventListener("click", ({ target }) => {
+    const whole = target.closest?.("#lpn-flight-tall, #lpn-lab-tall");
+    if (whole) lpn.reveal(whole.id === "lpn-flight-tall" ? "#lpn-flight" : ".lab-bar");
+  });
   // Open a tab of a window by its name, as soon as the window is in the page.
   lpn.tab = (name, tries = 40) => {
     const tabs = [...document.querySelectorAll('[role="tab"]')];
@@ -189,7 +195,7 @@
     if (!tab) return tries && setTimeout(() => lpn.tab(name, tries - 1), 250);
     tab.click(); // viser's tabs take it on a phone only, and a key elsewhere only
     tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
-    if (phone.matches) setTimeout(() => tab.scrollIntoView({ block: "start", behavior: "smooth" }), 300);
+    if (phone.matches) setTimeout(() => scrollPanel(tab), 300);
   };
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
 })();

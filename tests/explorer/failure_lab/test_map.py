@@ -112,7 +112,7 @@ def test_few_far_numbers_and_rare_words_do_not_take_all_colours(findings: Findin
 def test_flags_and_lines_tell_what_is_selected_and_how_it_failed(findings: Findings) -> None:
     outcomes = findings.outcomes
     rows = np.flatnonzero(outcomes.failed)[:2]
-    flags = np.frombuffer(map_data.flags(findings, rows), np.uint8)
+    flags = np.frombuffer(map_data.flags(findings, rows, rows[:1]), np.uint8)
     assert np.flatnonzero(flags & map_data.SELECTED).tolist() == rows.tolist()
     assert (flags & map_data.FAILED > 0).tolist() == outcomes.failed.tolist()
     places = np.zeros((13, 2))

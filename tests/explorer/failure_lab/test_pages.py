@@ -34,7 +34,7 @@ def test_what_is_offered_and_shown_fits_the_number_of_queries_and_the_filter(fin
     for count in (0, 201):
         html = table.bar(findings, lab, count)
         assert "lab-report" not in html
-        assert f"A report holds up to 200 queries; {count} are chosen" in html
+        assert f"A report holds up to 200 queries; {count} are shown" in html
         assert ">Report: up to 200 queries<" in html
     rows = findings.table.rows()
     for before, shown in (("", "without a filter"), ("rank > 1", "of the last filter that could be read, rank &gt; 1")):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from explorer.failure_lab import messages, state, table
-from explorer.failure_lab.messages import SelectBin
+from explorer.failure_lab.messages import ChooseAllRows, ChooseRows, SelectBin, ShowChosenRows
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState, Selection
 from explorer.session_state import LabChoices
@@ -40,6 +40,29 @@ def test_a_selection_replaces_the_one_of_its_kind(lab: LabState) -> None:
         narrowed = state.add_selection(narrowed, selection)
     assert narrowed.selections == (other, third)
     assert state.remove_selection(narrowed, "b").selections == (third,)
+
+
+def test_rows_are_chosen_between_two_queries_in_the_tables_order(findings: Findings, lab: LabState) -> None:
+    order = state.sorted_rows(findings, lab)
+
+    def chosen(lab: LabState) -> list[int]:
+        return state.chosen_rows(lab, order).tolist()
+
+    assert state.chosen_or_shown(lab, order).tolist() == order.tolist()
+    added = messages.apply(ChooseRows(int(order[4]), int(order[2]), "add"), lab, findings)
+    assert chosen(added) == order[2:5].tolist()
+    toggled = messages.apply(ChooseRows(int(order[3]), int(order[3]), "toggle"), added, findings)
+    assert chosen(toggled) == order[[2, 4]].tolist()
+    assert table.runs(np.isin(order, list(toggled.rows))) == [(2, 2), (4, 4)]
+    assert chosen(messages.apply(ChooseRows(int(order[0]), int(order[2]), "drop"), toggled, findings)) == [order[4]]
+    assert messages.apply(ChooseRows(int(order[0]), 99, "add"), lab, findings) == lab
+    assert len(chosen(messages.apply(ChooseAllRows(), lab, findings))) == len(order)
+    shown = messages.apply(ShowChosenRows(), toggled, findings)
+    assert state.sorted_rows(findings, shown).tolist() == order[[2, 4]].tolist()
+    assert not shown.rows
+    assert state.clear(toggled).rows == frozenset()
+    hidden = replace(toggled, name_search="nothing has this name")
+    assert len(state.chosen_rows(hidden, state.sorted_rows(findings, hidden))) == 0
 
 
 def test_sorting_twice_turns_the_order_round(findings: Findings, lab: LabState) -> None:

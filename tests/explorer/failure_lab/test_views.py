@@ -109,7 +109,8 @@ def test_a_view_of_other_data_says_what_is_missing(findings: Findings, lab: LabS
 
 def test_the_drawer_offers_what_can_be_done(findings: Findings, lab: LabState) -> None:
     opened = messages.apply(messages.ToggleDrawer("tag"), lab, findings)
-    assert "Tag the 13 chosen" in table.drawer(findings, opened, 13, (), None)
+    assert "Tag all 13 shown" in table.drawer(findings, opened, 13, (), None)
+    assert "Tag the 2 chosen" in table.drawer(findings, opened, 13, (), None, 2)
     assert table.drawer(findings, opened, 0, (), None) == ""
     assert messages.apply(messages.ToggleDrawer("tag"), opened, findings).drawer == ""
     views = replace(lab, drawer="views", tab="maps")

@@ -1,0 +1,75 @@
+// The keyboard's focus: into a window that opens, back to what opened it when it closes, and onto the element that replaces one
+// that was drawn anew.
+(() => {
+  const lpn = window.lpn;
+  if (lpn.refocus) return;
+  // Milliseconds between two looks, and until an element that is gone is given up.
+  const PERIOD = 150, WAIT = 3000;
+  const DIALOG = ".mantine-Modal-content, .mantine-Spotlight-content";
+  // What shows that a window is open, and what of it takes the focus.
+  const WINDOWS = [
+    ["#lpn-first", "#lpn-first [data-act=why]"],
+    ["#lpn-told", "#lpn-told .next"],
+    [".lab-bar", "#lpn-lab-rows, .lab-map .marks, #lpn-lab-breakdown [tabindex]"],
+    ["#lpn-flight", "#lpn-flight [tabindex='0']"],
+    ["#lpn-stage-map", "#lpn-stage-map button"],
+    ["#lpn-why", "#lpn-why [tabindex='0']"],
+  ];
+  const openers = new Map(); // what had the focus when a window was opened, by window
+  let last = null; // what had the focus last, outside dialogs
+  let gone = 0; // since when the element of the focus is gone
+  let acted = false; // a window of the page's address opens by itself, and leaves the focus where it is
+  const there = (element) => element?.isConnected && element.getClientRects().length > 0;
+  const lost = () => !document.activeElement || document.activeElement === document.body;
+
+  // An element that stands for one that is gone: of the same id, or that does the same.
+  const successor = (element) => {
+    if (there(element)) return element;
+    const twin = element.id && document.getElementById(element.id);
+    if (there(twin)) return twin;
+    const does = element.getAttribute("onclick");
+    if (!does) return null;
+    return [...document.querySelectorAll('[role="button"][onclick]')].find((one) => one.getAttribute("onclick") === does && there(one));
+  };
+  lpn.refocus = (element) => (element ? successor(element) : null)?.focus({ preventScroll: true });
+  lpn.lastFocus = () => last;
+
+  document.addEventListener("focusin", ({ target }) => {
+    if (!target.closest(DIALOG) && target !== document.body) last = target;
+  });
+  for (const act of ["keydown", "pointerdown"]) window.addEventListener(act, () => (acted = true), true);
+  // A press beside all controls takes the focus away on purpose.
+  window.addEventListener("pointerdown", ({ target }) => !target.closest?.("a, button, input, textarea, select, [tabindex]") && (last = null), true);
+
+  const follow = () => {
+    for (const [selector, inside] of WINDOWS) {
+      const root = document.querySelector(selector), open = there(root);
+      if (open && !openers.has(selector)) {
+        // Its content may be still to come.
+        const found = inside.split(", ").map((one) => document.querySelector(one)), target = found.find(there);
+        if (!target) continue;
+        openers.set(selector, last);
+        const typing = document.activeElement?.matches("input, textarea, select");
+        if (acted && !typing && !document.querySelector(DIALOG) && !root.contains(document.activeElement)) target.focus({ preventScroll: true });
+      } else if (!open && openers.has(selector)) {
+        const opener = openers.get(selector);
+        openers.delete(selector);
+        if (lost()) lpn.refocus(opener);
+      }
+    }
+    if (!lost() || !last || last.isConnected) return void (gone = 0);
+    gone ||= performance.now();
+    if (performance.now() - gone > WAIT) last = null;
+    else if (!document.querySelector(DIALOG)) lpn.refocus(last);
+  };
+  setInterval(follow, PERIOD);
+
+  const skip = document.body.insertBefore(document.createElement("a"), document.body.firstChild);
+  skip.id = "lpn-skip";
+  skip.href = "#lpn-matches";
+  skip.textContent = "Skip to the answer";
+  skip.onclick = (event) => {
+    event.preventDefault();
+    document.querySelector('#lpn-header [tabindex="0"]')?.focus();
+  };
+})();
