@@ -277,7 +277,8 @@ def _trials(value: Any) -> str:
     """Return the Markdown table of a cross-validation: R@1 of each trial, and its difference from the first trial."""
     tasks = list(dict.fromkeys(task for trial in value["trials"].values() for task in trial["figures"]))
     read = [trial["figures"][tasks[0]] for trial in value["trials"].values() if trial["figures"]]
-    columns = [(task, reading) for task in tasks for reading in read[0]]
+    common = [reading for reading in read[0] if all(reading in one for one in read)]
+    columns = [(task, reading) for task in tasks for reading in common]
     titles = [f"{task}, {reading}" for task, reading in columns]
     rows = [f"| trial | settings | {' | '.join(titles)} | runs | minutes a run |", "|---" * (len(columns) + 4) + "|"]
     for name, trial in value["trials"].items():

@@ -65,7 +65,7 @@ def _rate_of(outcomes: Outcomes, column: Column, query: int) -> Rate | None:
     rates: Sequence[Rate] = breakdown.rates(outcomes.failed, column, rows=np.flatnonzero(outcomes.known))
     if not 1 < len(rates) <= max(len(outcomes) // 2, 2):
         return None
-    return next(one for one in rates if one.holds(column)[query])
+    return next((one for one in rates if one.holds(column)[query]), None)
 
 
 def _in_words(share: float) -> str:

@@ -108,8 +108,8 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     """Return the failure rate for each bin of a column: quantile bins of numbers, or distinct texts.
 
     Bins of numbers are ascending, and have about the same number of queries; queries of equal value are always in the same
-    bin. Headings have a bin for each of the four directions, the first around north. Texts are sorted by descending rate. The
-    queries of unknown value are the last bin.
+    bin. Headings from 0 up to 360 degrees have a bin for each of the four directions, the first around north. Texts are sorted by
+    descending rate. The queries of unknown value are the last bin.
 
     Args:
         failed: True for queries that failed, (Q,).
@@ -132,6 +132,8 @@ def rates(failed: BoolArray, column: Column, bins: int = 5, rows: Int64Array | N
     if len(known):
         distinct, which = np.unique(values, return_inverse=True)
         circular = column.kind == "number" and column.name in _CIRCULAR and len(distinct) > bins
+        # Headings outside 0 to 360 have no place in a bin around north.
+        circular = circular and bool(distinct[0] >= 0 and distinct[-1] < 360)
         if circular:
             _, sectors = np.unique(_sectors(distinct), return_inverse=True)
             which = sectors[which]
@@ -185,8 +187,9 @@ def _sectors(degrees: Float64Array) -> Int64Array:
 def _ends(values: Float64Array, circular: bool) -> tuple[float, float]:
     """Return the first and the last value of a bin, clockwise if it is a sector."""
     if circular and _sectors(values[:1])[0] == 0:
-        values = (values.astype(np.float64) + 180) % 360 - 180
-        return float(values.min()) % 360, float(values.max()) % 360
+        # Arithmetic rounds, and an end must equal the value that it comes from.
+        around = (values.astype(np.float64) + 180) % 360
+        return float(values[around.argmin()]), float(values[around.argmax()])
     return float(values.min()), float(values.max())
 
 

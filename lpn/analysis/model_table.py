@@ -247,6 +247,8 @@ def rank_model(
         model.check_view(view)
     model = model.for_task(*views)
     queries, tiles = dataset.queries(views[0]), dataset.gallery(views[1])
+    if neighbours:
+        csls.check_neighbours(neighbours, len(queries))
     if calibrated:
         calibration = calibrate(model, {views[0]: [queries], views[1]: [tiles]}, read)
         sides = calibration.read(model, queries, views[0], read), calibration.read(model, tiles, views[1], read)

@@ -75,8 +75,8 @@ class EvaluateCommand:
     """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
     and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
     csls: int = 0
-    """Number of nearest queries by which tiles that are near to all queries are moved away from each (CSLS), such as 3. It needs
-    no labels, but all queries together; see docs/evaluation.md. 0 for none."""
+    """Re-rank by CSLS over this many nearest queries of each tile, such as 3: tiles that are near to all queries move away. It
+    needs no labels, but all queries together; see docs/evaluation.md. 0 for none."""
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     flight: Path | None = None

@@ -11,7 +11,7 @@ from typing import Any, Literal, cast
 import tyro
 
 import lpn
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, LPNError
 from lpn.training import recipes
 from lpn.training.recipes import Recipe, RecipeName
 
@@ -77,8 +77,11 @@ class TrainCommand:
             return
         trainer = import_module("lpn.training.trainer").Trainer
         source = self._source()
-        settings = self._calibrated(source) if self.calibrate else self.settings
         group = import_module("lpn.training.multi_process").join()
+        settings = self.settings
+        if self.calibrate:
+            found = group.run_on_leader(lambda: self._ground_ratio(source))
+            settings = group.run_on_all(lambda: self._with_ratio(found))
         run = group.run_on_all(
             lambda: trainer(
                 source,
@@ -101,17 +104,37 @@ class TrainCommand:
         if group.is_leader:
             print(f"The model is in {model}.")
 
-    def _calibrated(self, dataset: Any) -> Recipe:
-        """Return the settings with the ratio of ground that the model of --init finds."""
+    def _with_ratio(self, found: float | LPNError) -> Recipe:
+        if isinstance(found, LPNError):
+            raise found
+        return replace(self.settings, ground_ratio=found)
+
+    def _ground_ratio(self, dataset: Any) -> float | LPNError:
+        """Return the ratio of ground, or an error, which the other processes have to learn of as well."""
+        try:
+            return self._measured_ratio(dataset)
+        except LPNError as error:
+            return error
+
+    def _measured_ratio(self, dataset: Any) -> float:
+        """Return the ratio of ground that the model of --init finds, or that a run to be resumed has found."""
         if self.init is None or self.map is not None or self.settings.ground_ratio != 1:
             raise InputError(
                 "--calibrate measures ground_ratio by a trained model on the pictures of a data set; give --data and a model "
                 "with --init, and leave --ground-ratio out."
             )
-        found = import_module("lpn.retrieval.calibration").ground_ratio(
-            lpn.load(self.init), dataset.train("drone"), dataset.train("satellite")
-        )
-        return replace(self.settings, ground_ratio=round(found, 2))
+        recipe = import_module("lpn.models.checkpoints").recipe_of(self.out / "last.safetensors") if self.resume else {}
+        if "ground_ratio" in recipe:
+            return float(recipe["ground_ratio"])
+        try:
+            model = lpn.load(self.init)
+        except LPNError as error:
+            raise InputError(
+                f"--calibrate measures ground_ratio by a trained model, such as city-lpn, and --init {self.init} opens as none; "
+                "give another --init, or --ground-ratio in place of --calibrate."
+            ) from error
+        measure = import_module("lpn.retrieval.calibration").ground_ratio
+        return round(float(measure(model, dataset.train("drone"), dataset.train("satellite"))), 2)
 
     def _source(self) -> Any:
         """Open the data set or the map."""

@@ -246,6 +246,14 @@ def epochs_of(path: Path) -> int | None:
         return None
 
 
+def recipe_of(path: Path) -> dict[str, Any]:
+    """Return the recipe that a model of ours was trained by, as JSON values; empty if unknown."""
+    try:
+        return cast(dict[str, Any], json.loads(_read_tensors(path)[1]["recipe"]))
+    except (ModelFileError, OSError, KeyError, ValueError):
+        return {}
+
+
 def backbone_in(path: Path) -> str:
     """Return the backbone in a file of backbone weights or of a whole model, one of `BACKBONES`.
 

@@ -225,7 +225,10 @@ class CrossValidation:
     def _trial(self, trial: RecipeTrial, found: Sequence[tuple[TrainingJob, _FoldFile]]) -> dict[str, Any]:
         job = next(job for job in self.jobs if job.training.name == trial.name)
         figures = {
-            task: {reading: _figures([file for _, file in found], task, reading) for reading in found[0][1].first[task]}
+            task: {
+                reading: _figures([file for _, file in found], task, reading)
+                for reading in _readings([file for _, file in found], task)
+            }
             for task in (found[0][1].labels if found else ())
         }
         start = None if job.start is None else {"file": job.start.name, "fingerprint": fingerprint(job.start)}
@@ -336,6 +339,11 @@ def _measure(model: Model, held: Mapping[int, Mapping[str, Sequence[Path]]], fin
     return made
 
 
+def _readings(files: Sequence[_FoldFile], task: str) -> list[str]:
+    """Return the readings that all folds have: one fold may have a place too few for a calibration."""
+    return [reading for reading in files[0].first[task] if all(reading in file.first[task] for file in files)]
+
+
 def _values(file: _FoldFile, task: str, reading: str) -> dict[str, Float64Array]:
     """Return each measure of each query, from 0 to 1."""
     first = np.array(file.first[task][reading])
@@ -366,7 +374,7 @@ def _differences(
     for task in pairs[0][0].labels if pairs else ():
         labels: Int64Array = np.concatenate([np.array(one.labels[task]) for one, _ in pairs])
         result[task] = {}
-        for reading in pairs[0][0].first[task]:
+        for reading in _readings([file for pair in pairs for file in pair], task):
             values = [(_values(one, task, reading), _values(two, task, reading)) for one, two in pairs]
             names = list(values[0][0])
             rows = np.stack([np.concatenate([one[name] - two[name] for one, two in values]) for name in names])

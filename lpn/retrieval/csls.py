@@ -22,6 +22,14 @@ from lpn.core.errors import InputError
 _BLOCK = 2**25
 
 
+def check_neighbours(neighbours: int, queries: int, where: str = "") -> None:
+    """Raise InputError unless K is from 1 to the number of queries; `where` names what they are a part of."""
+    if not 1 <= neighbours <= queries:
+        raise InputError(
+            f"CSLS takes the mean over {neighbours} nearest queries, and there are {queries}{where}; expected 1 to {queries}."
+        )
+
+
 def hubness(query: Float32Array, tiles: Float32Array, neighbours: int) -> Float32Array:
     """Return h_i(t) of each part of each tile, (G, n).
 
@@ -32,10 +40,7 @@ def hubness(query: Float32Array, tiles: Float32Array, neighbours: int) -> Float3
     Raises:
         InputError: unless K is from 1 to the number of queries.
     """
-    if not 1 <= neighbours <= len(query):
-        raise InputError(
-            f"CSLS takes the mean over {neighbours} nearest queries, and there are {len(query)}; expected 1 to {len(query)}."
-        )
+    check_neighbours(neighbours, len(query))
     flat = query.reshape(len(query), -1)
     found = np.empty(tiles.shape[:2], np.float32)
     rows = max(1, _BLOCK // max(len(query), neighbours * flat.shape[1]))

@@ -19,7 +19,7 @@ from lpn.datasets.base import PositionProtocol
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.retrieval import field_metrics, metrics
+from lpn.retrieval import csls, field_metrics, metrics
 from lpn.retrieval.calibration import Calibration, calibrate
 from lpn.retrieval.protocol import Protocol, averaged, centred, sentence
 from lpn.retrieval.published_results import PublishedResult
@@ -204,6 +204,8 @@ def evaluate(
             f"Each query of {dataset.root.name} has its own list of true matches; only queries with labels can be averaged, "
             "so leave --average-queries out."
         )
+    if protocol.csls:
+        _check_csls(protocol, queries, gallery, truth)
     # Read positions before the descriptors, so that a missing position is reported at once.
     known = None if protocol.average else dataset.positions()
     positions = None if known is None else (known.of(queries), known.of(gallery))
@@ -252,6 +254,16 @@ def evaluate(
         measures=found,
         calibration=calibration,
     )
+
+
+def _check_csls(
+    protocol: Protocol, queries: Sequence[Picture], gallery: Sequence[Picture], truth: Sequence[Truth] | None
+) -> None:
+    """Refuse more neighbours than a group of queries has, before pictures are described."""
+    groups = [(f" in {name}", rows) for name, rows, _, _ in _groups(queries, gallery, truth)]
+    for where, rows in [("", np.arange(len(queries))), *groups]:
+        labels = {queries[row].label for row in rows.tolist()}
+        csls.check_neighbours(protocol.csls, len(labels) if protocol.average else len(rows), where)
 
 
 def _calibrated(

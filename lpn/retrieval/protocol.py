@@ -27,7 +27,7 @@ class Protocol:
         whole: ignore the boxes of queries (Oxford5k, Paris6k).
         centre: subtract the mean of the queries' descriptors from each query, and that of the gallery's from each tile.
         calibrate: subtract the mean of each view, and choose the zoom, see `lpn.retrieval.calibration`.
-        csls: nearest queries of a tile whose mean cosine is taken off its score, see `lpn.retrieval.csls`; 0 for none.
+        csls: the number of nearest queries by which CSLS re-ranks, see `lpn.retrieval.csls`; 0 for no re-ranking.
     """
 
     change: Change = UNCHANGED
@@ -109,7 +109,7 @@ def sentence(
     if averaged_from is not None:
         clauses.append(f"the {averaged_from} query pictures averaged to one query per place")
     clauses.append(
-        f"ranked by inner product less half of each tile's mean with its {neighbours} nearest queries (CSLS)"
+        f"ranked by inner product less half of each tile's mean inner product with its {neighbours} nearest queries (CSLS)"
         if neighbours
         else "ranked by inner product"
     )

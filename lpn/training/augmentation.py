@@ -46,14 +46,16 @@ def augment(
     if panorama:
         picture = _pad(images.resize(images.roll(picture, angle), height, width), recipe.padding)
     else:
-        native = rng.random() < recipe.own_canvas
+        zoom = recipe.zoom(view)
+        # A picture that is zoomed after it was reduced would lose the detail that a test keeps.
+        native = rng.random() < recipe.own_canvas or zoom > 1
         on_canvas = not native and not unrolled
         if on_canvas:
             picture = _pad(images.resize(picture, height, width), recipe.padding)
         angle += float(rng.uniform(-1, 1)) * recipe.rotation
         if view == "satellite":
             angle += float(rng.uniform(-1, 1)) * recipe.satellite_rotation
-        picture = _warp(picture, angle, _zoom(recipe, view), recipe, rng)
+        picture = _warp(picture, angle, zoom, recipe, rng)
         if not on_canvas:
             picture = images.polar(picture, height, width) if unrolled else images.resize(picture, height, width)
             picture = _pad(picture, recipe.padding)
@@ -68,11 +70,6 @@ def _pad(picture: UInt8Array, pixels: int) -> UInt8Array:
     if not pixels:
         return picture
     return cast(UInt8Array, cv2.copyMakeBorder(picture, *4 * (pixels,), cv2.BORDER_REPLICATE))
-
-
-def _zoom(recipe: Recipe, view: View) -> float:
-    """Return the zoom at which a view's pictures show the ground that the other view's do, or less."""
-    return {"drone": max(recipe.ground_ratio, 1.0), "satellite": max(1 / recipe.ground_ratio, 1.0)}.get(view, 1.0)
 
 
 def _warp(picture: UInt8Array, angle: float, zoom: float, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol, cast
 
@@ -38,8 +39,16 @@ class Validator(Protocol):
         ...
 
 
+def _unzoomed(view: View) -> float:
+    del view
+    return 1.0
+
+
 class TestSplit:
     """Retrieval on the test split. The first task selects the epoch, so its result is optimistically biased.
+
+    Args:
+        zoom: of the pictures of each view, that of the training, see `Recipe.zoom`.
 
     Raises:
         LPNError: when the split is incomplete or a picture of it is broken, see `lpn.retrieval.evaluate.check_test_split`.
@@ -47,9 +56,9 @@ class TestSplit:
 
     __test__ = False  # not a test, despite its name
 
-    def __init__(self, dataset: Dataset, tasks: Sequence[str]) -> None:
+    def __init__(self, dataset: Dataset, tasks: Sequence[str], zoom: Callable[[View], float] = _unzoomed) -> None:
         check_test_split(dataset, tasks)
-        self.dataset, self.tasks = dataset, tasks
+        self.dataset, self.tasks, self._zoom = dataset, tasks, zoom
         self.column = f"recall@1 {tasks[0]}"
         self.description = f"R@1 of {tasks[0]} on the test split, which flatters it there (--validate does not)"
 
@@ -59,6 +68,7 @@ class TestSplit:
         cache: dict[object, Float32Array] = {}
 
         def cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
+            change = replace(change, scale=change.scale * self._zoom(view))
             key = (view, change, tuple(picture.path for picture in pictures))
             if key not in cache:
                 cache[key] = descriptors.temporary_descriptors(model, pictures, view, change)
@@ -79,9 +89,17 @@ class TestSplit:
 
 
 class HeldOut:
-    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures."""
+    """Retrieval of the satellite pictures of held-out training places by their drone or street pictures.
 
-    def __init__(self, places: Mapping[int, Mapping[str, Sequence[Path]]]) -> None:
+    Args:
+        places: the files of each set of each place.
+        zoom: see `TestSplit`.
+    """
+
+    def __init__(
+        self, places: Mapping[int, Mapping[str, Sequence[Path]]], zoom: Callable[[View], float] = _unzoomed
+    ) -> None:
+        self._zoom = zoom
         first = next(iter(places.values()))
         self.view: View = "drone" if "drone" in first else "street"
         self.pictures = {
@@ -96,7 +114,9 @@ class HeldOut:
         """Measure Recall@1 and AP among the held-out places only, in percent."""
         query, gallery = (
             (
-                descriptors.temporary_descriptors(model, pictures, cast(View, view)),
+                descriptors.temporary_descriptors(
+                    model, pictures, cast(View, view), Change(scale=self._zoom(cast(View, view)))
+                ),
                 np.array([picture.label for picture in pictures]),
             )
             for view, pictures in self.pictures.items()

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.views import View
 from lpn.models.partition import Weighting
 from lpn.models.spec import BACKBONES, Activation, Layout, Pooling, is_timm
 
@@ -194,7 +195,7 @@ class Recipe:
     """Random scale, from exp(-scale) to exp(scale)."""
     ground_ratio: float = 1.0
     """How much more ground a drone picture shows, side by side, than its tile. Drone pictures are zoomed by it, or tiles by its
-    inverse below 1, so that both show the same ground; lpn evaluate --calibrate finds it, and brings other pictures there."""
+    inverse below 1, so that both show the same ground; lpn evaluate --calibrate finds the ratio of other pictures."""
     colour: float = 0.0
     """Strength, from 0 to 1, of random brightness, contrast, colour cast, and grey."""
     compression: float = 0.0
@@ -320,6 +321,11 @@ class Recipe:
     def input_size(self) -> tuple[int, int]:
         """Height and width of the network's input in pixels."""
         return self.size, self.width or self.size
+
+    def zoom(self, view: View) -> float:
+        """Return the zoom of a view's pictures, by which drone pictures and tiles show the same ground; see `ground_ratio`."""
+        ratio = {"drone": self.ground_ratio, "satellite": 1 / self.ground_ratio}.get(view, 1.0)
+        return max(ratio, 1.0)
 
     def to_json(self) -> str:
         """Return one line of JSON."""

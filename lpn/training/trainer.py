@@ -141,8 +141,8 @@ class Trainer:
         if isinstance(source, Dataset):
             tasks = [task for task in source.tasks() if set(views_of(task)) <= set(self.places.views)]
             if tasks and (test or (evaluate_every and not held)):
-                self.test_split = TestSplit(source, tasks)
-        self.validator: Validator | None = HeldOut(held) if held else self.test_split
+                self.test_split = TestSplit(source, tasks, recipe.zoom)
+        self.validator: Validator | None = HeldOut(held, recipe.zoom) if held else self.test_split
         self._places_digest = self.places.digest()
         if resume:
             self._resume()

@@ -335,6 +335,12 @@ def test_failure_rates_are_counted_in_quantile_bins() -> None:
     ]
     assert [int(r.holds(heading).sum()) for r in sectors] == [9] * 4
     assert sectors[0].failures == 3
+    # Ends are values of the column, whatever arithmetic rounds; headings of another range have common bins.
+    rough = number_column("heading", np.random.default_rng(0).uniform(0, 360, 200).round(1), "°")
+    for headings, count in ((rough, 200), (number_column("heading", np.arange(-170.0, 190.0, 40.0), "°"), 9)):
+        found = breakdown.rates(np.zeros(count, bool), headings)
+        assert [int(rate.holds(headings).sum()) for rate in found] == [rate.queries for rate in found]
+        assert sum(rate.queries for rate in found) == count
     heavy = np.concatenate([np.zeros(80), np.arange(1, 21)])
     assert [r.queries for r in breakdown.rates(failed, number_column("x", heavy))] == [80, 20]
     chosen = np.arange(10)

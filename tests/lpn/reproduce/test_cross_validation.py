@@ -52,6 +52,17 @@ def test_held_out_places_are_read_calibrated_where_there_are_enough(
     assert set(values["differences"]["wide"][task]) == {"plain", "centred", "calibrated"}
 
 
+def test_a_reading_that_one_fold_is_too_small_for_is_left_out(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (cross_validation, calibration):
+        monkeypatch.setattr(module, "MIN_PICTURES", 7)
+    values = validation(places, tmp_path / "runs", RecipeTrial("base", {})).run(tmp_path / "table.json")
+    folds = [json.loads((tmp_path / f"runs/base-seed0-fold{number}/fold.json").read_bytes()) for number in (0, 1)]
+    assert ["calibrated" in fold["first"]["drone-to-satellite"] for fold in folds] == [True, False]
+    assert list(values["trials"]["base"]["figures"]["drone-to-satellite"]) == ["plain", "centred"]
+
+
 def test_folds_share_the_places_out_evenly_whatever_the_recipe_s_seed(places: Path) -> None:
     held: list[list[int]] = []
     for number in range(3):

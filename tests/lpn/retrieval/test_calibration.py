@@ -105,7 +105,7 @@ def test_a_training_takes_the_same_ratio(model: Model, wide: Path) -> None:
 
 
 def test_a_training_measures_the_ratio_of_its_pictures_and_records_it(
-    model_file: Path, wide: Path, tmp_path: Path
+    model_file: Path, wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = tmp_path / "places"
     shutil.copytree(wide / "test/query_drone", root / "train/drone")
@@ -116,7 +116,12 @@ def test_a_training_measures_the_ratio_of_its_pictures_and_records_it(
     with safe_open(tmp_path / "run/last.safetensors", "np") as file:
         recipe = json.loads(file.metadata()["recipe"])
     assert recipe["ground_ratio"] == pytest.approx(STEP**2, abs=0.01)
+    again = [*options, *start, "--out", str(tmp_path / "run"), "--resume"]
+    assert main(["train", *again]) == 0
     assert main(["train", *options, *start, "--out", str(tmp_path / "twice"), "--ground-ratio", "2"]) == 2
+    untrained = [*options, "--init", "auto", "--calibrate", "--out", str(tmp_path / "twice")]
+    assert main(["train", *untrained]) == 2
+    assert "such as city-lpn, and --init auto opens as none" in capsys.readouterr().err
     assert main(["train", *options, "--from-scratch", "--calibrate", "--out", str(tmp_path / "none")]) == 2
     assert not (tmp_path / "twice").exists()
 
@@ -164,7 +169,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     assert rows[1]["R@1"]["value"] == moved["R@1"]["value"]
     alone = evaluate(lpn.load(model_file), open_dataset(wide), TASK, Protocol(calibrate=True, csls=3))
     assert rows[2]["R@1"]["value"] == pytest.approx(alone.recall["1"])
-    assert "less half of each tile's mean with its 3 nearest queries (CSLS)" in alone.sentence
+    assert "less half of each tile's mean inner product with its 3 nearest queries (CSLS)" in alone.sentence
     assert main(["compare", str(model_file), "--data", str(wide), "--csls", "-1"]) == 2
 
 

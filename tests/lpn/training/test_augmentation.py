@@ -31,17 +31,18 @@ def test_compression_leaves_its_traces_as_often_as_it_is_told() -> None:
     assert 8 < touched < 32
 
 
+@pytest.mark.parametrize("side", [64, 256])
 @pytest.mark.parametrize(("ratio", "view", "other"), [(2.0, "drone", "satellite"), (0.5, "satellite", "drone")])
 def test_pictures_that_show_more_ground_are_zoomed_to_the_ground_of_the_others(
-    ratio: float, view: View, other: View
+    ratio: float, view: View, other: View, side: int
 ) -> None:
-    picture = images.resize(small_worlds.place(7), 64, 64)
+    picture = images.resize(small_worlds.place(7), side, side)
     recipe = Recipe(**{**STILL.__dict__, "size": 64, "ground_ratio": ratio})
     made = {one: augment(picture, recipe, np.random.default_rng(0), 0.0, False, one) for one in (view, other)}
-    np.testing.assert_array_equal(made[other], picture)
+    np.testing.assert_array_equal(made[other], images.resize(picture, 64, 64))
     # A test cuts the same ground out before it resizes, so only the interpolation differs.
     middle = images.resize(images.zoom(picture, 2.0), 64, 64).astype(int)
-    assert np.abs(made[view] - middle).mean() < 4 < np.abs(made[other] - middle).mean()
+    assert np.abs(made[view] - middle).mean() < 3 < np.abs(made[other] - middle).mean()
 
 
 @pytest.mark.parametrize("panorama", [True, False])
