@@ -119,6 +119,7 @@ def with_choices(findings: Findings, lab: LabState, shown: LabChoices) -> LabSta
     selections = [Selection(one.kind, one.label, np.array(one.rows, np.int64)) for one in shown.chosen]
     lab = replace(
         clear(lab),
+        rows=lab.rows,
         tab=shown.tab,
         outcome=shown.outcome,
         name_search=shown.name_search,
@@ -255,7 +256,7 @@ def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
         map=next((kind for kind in maps if kind == view.map), lab.map),
         colour=view.colour,
     )
-    return replace(with_choices(findings, lab, shown), selections=tuple(selections))
+    return replace(with_choices(findings, lab, shown), selections=tuple(selections), rows=frozenset())
 
 
 def fixed_columns(table: Table) -> list[str]:
