@@ -194,8 +194,12 @@ def show_chosen_rows(findings: Findings, lab: LabState) -> LabState:
     rows = chosen_rows(lab, selected_rows(findings, lab))
     if not len(rows):
         return lab
-    label = "1 chosen row" if len(rows) == 1 else f"{len(rows):,} chosen rows"
-    return replace(add_selection(lab, Selection("rows", label, rows)), rows=frozenset())
+    return replace(add_selection(lab, Selection("rows", count_rows(len(rows)), rows)), rows=frozenset())
+
+
+def count_rows(number: int) -> str:
+    """Say how many rows are chosen."""
+    return "1 chosen row" if number == 1 else f"{number:,} chosen rows"
 
 
 def clear(lab: LabState) -> LabState:
