@@ -76,6 +76,7 @@
   skip.textContent = "Skip to the answer";
   skip.onclick = (event) => {
     event.preventDefault();
-    document.querySelector('#lpn-header [tabindex="0"]')?.focus();
+    const answer = ["#lpn-matches [tabindex]", '#lpn-header [tabindex="0"]'];
+    answer.map((one) => document.querySelector(one)).find(there)?.focus();
   };
 })();
