@@ -41,7 +41,7 @@
     if (!straight || (!byPerson && !alike(now, seen))) straight = now;
     seen = now;
     const size = canvas.getBoundingClientRect();
-    const turned = !alike(now, straight) && !document.getElementById("lpn-first") && size.width > 0;
+    const turned = !alike(now, straight) && !document.querySelector("#lpn-first, #lpn-stage-map") && size.width > 0;
     if (!turned) return button.remove();
     if (!button.isConnected) document.body.append(button);
     button.style.left = size.left + 8 + "px";
