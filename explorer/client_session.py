@@ -296,7 +296,7 @@ class ClientSession:
         state, problems = self._url_state.read(search, replace(self._plain, **kept))
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=session_state.choices_for_any_task(before.laboratory))
-        self._show_state(state)
+        self._show_state(replace(state, dark=before.dark))
         return problems
 
     def _show_state(self, state: SessionState, whole: bool = False) -> None:
@@ -323,6 +323,8 @@ class ClientSession:
                 return
             before = self._state
         state, problems = self._url_state.read(search, replace(before, dark=value.get("light") is not True))
+        if (kept := value.get("theme")) in ("dark", "light"):  # the choice of the person, before that of a link
+            state = replace(state, dark=kept == "dark")
         state = plain_state(state, value.get("first"), self._url_state.names_a_state(search))
         if self._workspace.has_flight and self._url_state.names_only_a_workspace(search):
             state = replace(state, flight=True, first_screen=False)

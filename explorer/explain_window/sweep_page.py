@@ -79,7 +79,7 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
         sentences.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
     if best.true is not None and over != "rotation":
         place = _place(over, blind)
-        sentences.append(f"Without knowing it, any tile is nearest at {place} ({_figures(blind.top_score)}).")
+        sentences.append(f"The nearest of all tiles is at {place} ({_figures(blind.top_score)}).")
     if guess := verdicts.describe_heading(profile, analysis.task.views, _known_heading(analysis)):
         sentences.append(guess)
     if over in ("shift", "shift-down"):

@@ -119,6 +119,7 @@ def with_choices(findings: Findings, lab: LabState, shown: LabChoices) -> LabSta
     selections = [Selection(one.kind, one.label, np.array(one.rows, np.int64)) for one in shown.chosen]
     lab = replace(
         clear(lab),
+        rows=lab.rows,
         tab=shown.tab,
         outcome=shown.outcome,
         name_search=shown.name_search,
@@ -193,8 +194,12 @@ def show_chosen_rows(findings: Findings, lab: LabState) -> LabState:
     rows = chosen_rows(lab, selected_rows(findings, lab))
     if not len(rows):
         return lab
-    label = "1 chosen row" if len(rows) == 1 else f"{len(rows):,} chosen rows"
-    return replace(add_selection(lab, Selection("rows", label, rows)), rows=frozenset())
+    return replace(add_selection(lab, Selection("rows", count_rows(len(rows)), rows)), rows=frozenset())
+
+
+def count_rows(number: int) -> str:
+    """Say how many rows are chosen."""
+    return "1 chosen row" if number == 1 else f"{number:,} chosen rows"
 
 
 def clear(lab: LabState) -> LabState:
@@ -255,7 +260,7 @@ def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
         map=next((kind for kind in maps if kind == view.map), lab.map),
         colour=view.colour,
     )
-    return replace(with_choices(findings, lab, shown), selections=tuple(selections))
+    return replace(with_choices(findings, lab, shown), selections=tuple(selections), rows=frozenset())
 
 
 def fixed_columns(table: Table) -> list[str]:

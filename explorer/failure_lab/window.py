@@ -201,7 +201,8 @@ class FailureLabWindow:
                 case messages.TagChosen(tags):
                     rows = state.chosen_or_shown(lab, self._rows(findings, lab))
                     self._service.add_tags([findings.table.paths[row] for row in rows.tolist()], tags)
-                    told = f"{len(rows):,} queries are tagged in {self._service.notes_place}."
+                    what = "query is" if len(rows) == 1 else "queries are"
+                    told = f"{len(rows):,} {what} tagged in {self._service.notes_place}."
                 case messages.SaveView(name):
                     self._service.save_view(state.to_view(findings, lab, name))
                     told = f"Saved in {self._service.views_place}."
@@ -420,7 +421,7 @@ class FailureLabWindow:
             return
         shown = self._rows(findings, lab)
         rows, task = state.chosen_or_shown(lab, shown).tolist(), findings.task
-        chosen = f"{len(rows):,} chosen rows of: " if len(rows) < len(shown) else ""
+        chosen = f"{state.count_rows(len(rows))} of: " if len(rows) < len(shown) else ""
         description = f"{chosen}{state.describe(findings, lab)} (failure laboratory)"
         self._reporter.make(
             lambda progress, model: reports.of_selection(self._workspace, task, rows, description, progress, model)

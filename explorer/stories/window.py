@@ -208,7 +208,7 @@ class StoryWindow:
     def _record(self) -> None:
         state, draft, analysis = self._state(), self._draft, self._analysis
         if state.upload is not None:
-            self._call("say", "Your own picture is in this browser only: a story shows pictures of the data set.")
+            self._call("say", f"{answer_text.OWN_KEPT} A story shows pictures of the data set.")
             return
         if len(draft.story.steps) >= story.MOST_STEPS:
             self._call("say", f"A story has {story.MOST_STEPS} steps at most: begin another one.")

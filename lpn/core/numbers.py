@@ -19,7 +19,9 @@ def signed(value: float, digits: int = 3) -> str:
 
 
 def rounded_to_sum(values: Sequence[float], digits: int = 3) -> list[float]:
-    """Round finite numbers so that they add up to their rounded sum, by the largest remainders."""
+    """Round numbers so that they add up to their rounded sum, by the largest remainders; one by one if any is not finite."""
+    if not all(map(math.isfinite, values)):
+        return [round(float(value), digits) for value in values]
     scale = 10**digits
     exact = [float(value) * scale for value in values]
     rounded = [math.floor(value) for value in exact]

@@ -80,7 +80,7 @@ def test_the_theme_is_the_system_s_until_somebody_chooses(app: RunningApp, fresh
     fresh.locator("#lpn-first [data-act=dark]").click()
     expect(root).to_have_attribute("data-mantine-color-scheme", "dark")
     fresh.wait_for_function("localStorage.getItem('lpn-theme') === 'dark'")
-    fresh.goto(app.url)
+    fresh.goto(f"{app.url}/?theme=light")
     expect(fresh.locator("#lpn-first .sentence")).to_be_visible()
     expect(root).to_have_attribute("data-mantine-color-scheme", "dark")
 

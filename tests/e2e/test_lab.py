@@ -380,6 +380,13 @@ def test_single_rows_are_chosen_by_mouse_and_keys(lab: LabPage, truth: tuple[Out
     grid.focus()
     lab.page.keyboard.press("Escape")
     expect(said).to_be_empty()
+    for key in ("Home", "Space", "ArrowDown", "ArrowDown", "Shift+ArrowDown", "Shift+ArrowDown"):
+        lab.page.keyboard.press(key)
+    expect(said).to_have_text("4 chosen")
+    lab.page.keyboard.press("Shift+PageUp")
+    expect(said).to_have_text("3 chosen")
+    lab.page.keyboard.press("Escape")
+    expect(said).to_be_empty()
     lab.page.keyboard.press("Home")
     lab.page.keyboard.press("Space")
     expect(said).to_have_text("1 chosen")

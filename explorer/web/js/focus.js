@@ -15,6 +15,9 @@
     ["#lpn-stage-map", "#lpn-stage-map button"],
     ["#lpn-why", "#lpn-why [tabindex='0']"],
   ];
+  // What keeps the focus when a window opens: a person may go on with its keys.
+  const KEEPS = "input, textarea, select, [contenteditable]:not([contenteditable=false]), [role=slider], [role=tab]";
+  const focused = new Map(); // what had the focus when a window was first seen, by window
   const openers = new Map(); // what had the focus when a window was opened, by window
   let last = null; // what had the focus last, outside dialogs
   let gone = 0; // since when the element of the focus is gone
@@ -44,13 +47,16 @@
   const follow = () => {
     for (const [selector, inside] of WINDOWS) {
       const root = document.querySelector(selector), open = there(root);
+      if (!open) focused.delete(selector);
+      else if (!focused.has(selector)) focused.set(selector, document.activeElement);
       if (open && !openers.has(selector)) {
         // Its content may be still to come.
         const found = inside.split(", ").map((one) => document.querySelector(one)), target = found.find(there);
         if (!target) continue;
         openers.set(selector, last);
-        const typing = document.activeElement?.matches("input, textarea, select");
-        if (acted && !typing && !document.querySelector(DIALOG) && !root.contains(document.activeElement)) target.focus({ preventScroll: true });
+        const before = focused.get(selector), moved = before?.isConnected && before !== document.activeElement;
+        const keeps = moved || document.activeElement?.matches(KEEPS);
+        if (acted && !keeps && !document.querySelector(DIALOG) && !root.contains(document.activeElement)) target.focus({ preventScroll: true });
       } else if (!open && openers.has(selector)) {
         const opener = openers.get(selector);
         openers.delete(selector);
@@ -70,6 +76,7 @@
   skip.textContent = "Skip to the answer";
   skip.onclick = (event) => {
     event.preventDefault();
-    document.querySelector('#lpn-header [tabindex="0"]')?.focus();
+    const answer = ["#lpn-matches [tabindex]", '#lpn-header [tabindex="0"]'];
+    answer.map((one) => document.querySelector(one)).find(there)?.focus();
   };
 })();

@@ -24,7 +24,7 @@
       while (heading && !heading.matches("h1, h2, h3")) heading = heading.previousElementSibling;
       if (heading) heading.hidden = !left;
     }
-    found.textContent = count ? count + (count === 1 ? " term" : " terms") : "No term has that.";
+    found.textContent = count ? count + (count === 1 ? " term" : " terms") : "No term matches.";
   };
 
   const build = () => {

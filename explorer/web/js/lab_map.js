@@ -468,7 +468,7 @@
         pan(...steps[event.key]);
         if (seen && !inSight()) (view = before), lpn.say("No point lies further that way.", 2);
         views.set(data.view, view);
-      } else if (event.key === "Enter") sendLasso(corners());
+      } else if (event.key === "Enter") inSight() ? sendLasso(corners()) : lpn.say("No query is in sight.", 2);
       else if (event.key in keys) acts[keys[event.key]]();
       else if (event.key === "Escape" && lasso) (lasso = null), tell(data.selected), soon();
       else if (event.key === "Escape" && data.lasso) lpn.send("lab-unpick", "in " + data.map);

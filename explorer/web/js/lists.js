@@ -230,7 +230,7 @@
     };
     const pick = (index) => {
       const entry = source.entry(index);
-      if (entry) (cursor = index), layout.pick(entry, data);
+      if (entry) (anchor = null), (cursor = index), layout.pick(entry, data);
     };
     // Choose the row at an index by itself, or all rows from the anchor, which is the row that was last chosen by itself.
     const choose = (index, extend) => {
@@ -241,14 +241,15 @@
       cursor = index;
       draw();
     };
-    // Shift and an arrow choose all rows from the anchor to the cursor; the row that the cursor leaves on its way back is dropped.
+    // Shift and an arrow choose all rows from the anchor to the cursor; rows that the cursor leaves on its way back are dropped.
     const extend = (from, to) => {
       if (!anchor) anchor = source.entry(from) && { index: from, entry: source.entry(from) };
       go(to);
       const [left, reached] = [source.entry(from), source.entry(cursor)];
       if (!anchor || !left || !reached) return;
-      const back = Math.abs(cursor - anchor.index) < Math.abs(from - anchor.index);
-      if (back) layout.choose("drop", left, source.entry(cursor - Math.sign(cursor - from)) || left);
+      const past = (cursor - anchor.index) * (from - anchor.index) < 0, stop = past ? anchor.index : cursor;
+      const back = Math.abs(stop - anchor.index) < Math.abs(from - anchor.index);
+      if (back) layout.choose("drop", left, source.entry(stop + Math.sign(from - stop)) || left);
       layout.choose("add", anchor.entry, reached);
     };
     root.addEventListener("scroll", soon, { passive: true });
@@ -267,6 +268,8 @@
       const steps = { ArrowUp: -columns, ArrowDown: columns, PageUp: -page, PageDown: page };
       if (kind === "queries") Object.assign(steps, { ArrowLeft: -1, ArrowRight: 1 });
       const from = cursor < 0 ? Math.max(data.chosen, 0) : cursor;
+      // The next Shift begins where the cursor is then.
+      if (control || event.key === "Escape" || (!event.shiftKey && (event.key in steps || event.key === "Home" || event.key === "End"))) anchor = null;
       if (control) layout.chooseAll(true);
       else if (layout.choose && event.key === "Escape" && data.marked?.length) layout.chooseAll(false);
       else if (layout.choose && event.key === " ") choose(from, event.shiftKey);

@@ -4,7 +4,7 @@
   if (lpn.straighten) return;
   // Milliseconds between two looks at the camera, and those in which it still glides after a drag.
   const PERIOD = 150, GLIDE = 1500;
-  let straight = null; // where the camera was before the person moved it
+  let straight = null; // how the camera was turned before the person turned it
   let seen = null, held = false, acted = -Infinity;
   const button = document.createElement("button");
   button.id = "lpn-straighten";
@@ -13,9 +13,10 @@
   button.title = "Point the camera at the pictures again";
   button.onclick = () => lpn.straighten();
 
+  // The camera's orientation: a pan or a zoom is no turn.
   const pose = () => {
     const camera = window.__viserMutable?.camera;
-    return camera ? [...camera.position.toArray(), ...camera.quaternion.toArray()] : null;
+    return camera ? camera.quaternion.toArray() : null;
   };
   const alike = (one, other) => one && other && one.every((value, i) => Math.abs(value - other[i]) < 0.01);
 
@@ -40,7 +41,7 @@
     if (!straight || (!byPerson && !alike(now, seen))) straight = now;
     seen = now;
     const size = canvas.getBoundingClientRect();
-    const turned = !alike(now, straight) && !document.getElementById("lpn-first") && size.width > 0;
+    const turned = !alike(now, straight) && !document.querySelector("#lpn-first, #lpn-stage-map") && size.width > 0;
     if (!turned) return button.remove();
     if (!button.isConnected) document.body.append(button);
     button.style.left = size.left + 8 + "px";

@@ -40,7 +40,7 @@
     begun = true;
     const first = lpn.prefersFirst() && ![...new URLSearchParams(search).keys()].some((key) => key !== "theme" && lpn.keys.includes(key));
     if (first) lpn.opening();
-    const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), viewport: lpn.stageSize() });
+    const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = setInterval(hello, 500);
     hello();
   };

@@ -114,6 +114,7 @@ def test_flags_and_lines_tell_what_is_selected_and_how_it_failed(findings: Findi
     rows = np.flatnonzero(outcomes.failed)[:2]
     flags = np.frombuffer(map_data.flags(findings, rows, rows[:1]), np.uint8)
     assert np.flatnonzero(flags & map_data.SELECTED).tolist() == rows.tolist()
+    assert np.flatnonzero(flags & map_data.CHOSEN).tolist() == rows[:1].tolist()
     assert (flags & map_data.FAILED > 0).tolist() == outcomes.failed.tolist()
     places = np.zeros((13, 2))
     ground = np.zeros((2, 2, 3), np.uint8), (0.0, 0.0, 1.0, 1.0)

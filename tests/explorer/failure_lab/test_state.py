@@ -89,6 +89,12 @@ def test_what_an_address_keeps_brings_back_the_same_queries(findings: Findings, 
     assert not again.paused, "who opens the link wants to see the map"
 
 
+def test_what_an_address_restores_keeps_the_chosen_rows(findings: Findings, lab: LabState) -> None:
+    lab = replace(lab, rows=frozenset({1, 3}))
+    assert state.with_choices(findings, lab, state.choices(lab)).rows == {1, 3}
+    assert not state.from_view(findings, lab, state.to_view(findings, lab, "a view")).rows
+
+
 def test_an_address_with_a_wrong_filter_shows_all_queries_and_says_so(findings: Findings, lab: LabState) -> None:
     shown = state.with_choices(findings, lab, LabChoices(filter="colour > 3", sort_column="gone", colour="gone"))
     assert "There is no column 'colour'" in shown.filter_error

@@ -25,3 +25,7 @@ def test_rounded_numbers_add_up_to_their_rounded_sum(values: list[float]) -> Non
     rounded = rounded_to_sum(values)
     assert sum(rounded) == pytest.approx(round(sum(values), 3), abs=1e-9)
     assert all(abs(one - value) < 0.001 for one, value in zip(rounded, values, strict=True))
+
+
+def test_numbers_beside_one_that_is_not_finite_are_rounded_one_by_one() -> None:
+    np.testing.assert_array_equal(rounded_to_sum([np.nan, 0.12349, -np.inf]), [np.nan, 0.123, -np.inf])
