@@ -39,7 +39,7 @@ def describe_lead(outcomes: Outcomes, lead: float) -> str:
 def describe_failure(outcomes: Outcomes, table: Table, query: int) -> str:
     """Say what kind of picture a query is that fails more often than all do; empty where nothing of that is known.
 
-    Of several kinds, it is the one that fails most often.
+    Several kinds may fail more often; the sentence names the worst of them.
     """
     known = np.flatnonzero(outcomes.known)
     overall = float(outcomes.failed[known].mean()) if len(known) else 1.0
