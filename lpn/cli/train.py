@@ -80,8 +80,7 @@ class TrainCommand:
         group = import_module("lpn.training.multi_process").join()
         settings = self.settings
         if self.calibrate:
-            found = group.run_on_leader(lambda: self._ground_ratio(source))
-            settings = group.run_on_all(lambda: self._with_ratio(found))
+            settings = replace(settings, ground_ratio=group.run_on_leader(lambda: self._ground_ratio(source)))
         run = group.run_on_all(
             lambda: trainer(
                 source,
@@ -104,19 +103,7 @@ class TrainCommand:
         if group.is_leader:
             print(f"The model is in {model}.")
 
-    def _with_ratio(self, found: float | LPNError) -> Recipe:
-        if isinstance(found, LPNError):
-            raise found
-        return replace(self.settings, ground_ratio=found)
-
-    def _ground_ratio(self, dataset: Any) -> float | LPNError:
-        """Return the ratio of ground, or an error, which the other processes have to learn of as well."""
-        try:
-            return self._measured_ratio(dataset)
-        except LPNError as error:
-            return error
-
-    def _measured_ratio(self, dataset: Any) -> float:
+    def _ground_ratio(self, dataset: Any) -> float:
         """Return the ratio of ground that the model of --init finds, or that a run to be resumed has found."""
         if self.init is None or self.map is not None or self.settings.ground_ratio != 1:
             raise InputError(

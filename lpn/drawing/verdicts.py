@@ -130,7 +130,7 @@ def verdict(
         return (
             True,
             "Found: the top match is true",
-            f"It leads the best wrong tile by {float(margin.sum()):.3f} (d²); {_decisive(margin, part_names, _LEADS)}.",
+            f"It leads the best wrong tile by {float(margin.sum()):.3f} (d²); {_decisive(margin, part_names)}.",
         )
     if positive.beyond and positive.distance2 < first.distance2:
         lead = first.distance2 - positive.distance2
@@ -144,7 +144,7 @@ def verdict(
     return (
         False,
         f"Wrong: the true tile is {describe_rank(positive)}",
-        f"It is {-float(margin.sum()):.3f} (d²) behind the top match; {_decisive(margin, part_names, _COSTS)}.{off}",
+        f"It is {-float(margin.sum()):.3f} (d²) behind the top match; {_decisive(margin, part_names, costs=True)}.{off}",
     )
 
 
@@ -157,8 +157,8 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
     """
     total, name = float(margin.sum()), f"{name[0].upper()}{name[1:]}"
     if total >= 0:
-        return f"{name} leads by {total:.3f} (d²); {_decisive(margin, part_names, _LEADS)}."
-    return f"{name} is {-total:.3f} (d²) behind; {_decisive(margin, part_names, _COSTS)}."
+        return f"{name} leads by {total:.3f} (d²); {_decisive(margin, part_names)}."
+    return f"{name} is {-total:.3f} (d²) behind; {_decisive(margin, part_names, costs=True)}."
 
 
 def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str = "the true tile") -> str:
@@ -262,9 +262,9 @@ def listed(words: Sequence[str]) -> str:
     return f"{before[0]} and {last}" if len(before) == 1 else f"{', '.join(before)}, and {last}"
 
 
-def _decisive(margin: FloatingArray, part_names: Sequence[str], verbs: tuple[str, str]) -> str:
-    """Name the parts that make most of a margin, or, with `_COSTS`, that take most of it."""
-    parts = leading_parts(-margin if verbs is _COSTS else margin)
+def _decisive(margin: FloatingArray, part_names: Sequence[str], costs: bool = False) -> str:
+    """Name the parts that make most of a margin, or, if it `costs`, that take most of it."""
+    parts, verbs = (leading_parts(-margin), _COSTS) if costs else (leading_parts(margin), _LEADS)
     rounded = rounded_to_sum(margin.tolist())
     names, figures = listed([part_names[part] for part in parts]), ", ".join(signed(rounded[part]) for part in parts)
     if len(parts) == 1:

@@ -99,11 +99,24 @@ class ProcessGroup:
         return error if error is not None and rank == self.rank else SystemExit(2)
 
     def run_on_leader(self, work: Callable[[], T]) -> T:
-        """Run work in the leader while the others wait, and return its result in every process."""
+        """Run work in the leader while the others wait, and return its result in every process.
+
+        Raises:
+            LPNError: the error of `work`, in the leader.
+            SystemExit: in the other processes then.
+        """
         if self.size == 1:
             return work()
-        box: list[Any] = [work() if self.is_leader else None]
+        failure: LPNError | None = None
+        box: list[Any] = [None, False]
+        if self.is_leader:
+            try:
+                box[0] = work()
+            except LPNError as error:
+                failure, box[1] = error, True
         dist.broadcast_object_list(box, src=0)
+        if box[1]:
+            raise self.error_once(failure)
         return cast(T, box[0])
 
     @contextmanager
