@@ -369,8 +369,8 @@ def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
 
 
 def new_context(browser: Browser, **options: Any) -> BrowserContext:
-    """A browser profile that has seen the tour."""
-    context = browser.new_context(**{"viewport": {"width": 1456, "height": 835}, **options})
+    """A browser profile that has seen the tour, on a system with a dark theme."""
+    context = browser.new_context(**{"viewport": {"width": 1456, "height": 835}, "color_scheme": "dark", **options})
     context.set_default_timeout(1000 * PATIENCE)
     context.add_init_script(_PREPARE)
     return context

@@ -90,7 +90,7 @@ def walk(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactor
     """Every room of the page visited: the pair, the map, the laboratory's tabs, the window of reasons, an upload."""
     folder = tmp_path_factory.mktemp("walk")
     with started(places, model_file, folder / "cache") as running:
-        context = browser.new_context(viewport={"width": 1456, "height": 835})
+        context = browser.new_context(viewport={"width": 1456, "height": 835}, color_scheme="dark")
         context.add_init_script(RETURNING)
         walked = Walk(context.new_page(), running.url)
         page = walked.page
