@@ -18,24 +18,21 @@ _GREY = np.full(3, 1 / 3, np.float32)
 def change_appearance(picture: UInt8Array, recipe: Recipe, rng: np.random.Generator) -> UInt8Array:
     """Change a picture as another day, camera, and height would: (H, W, 3) uint8.
 
-    The order is that of nature: the ground's colours, shadows, what hides the ground, the lens, the sensor, the file.
+    The order is that of nature: the ground's colours, shadows, what hides the ground, the lens, the sensor. A change that a
+    recipe has not draws no random number, so that a recipe without it trains as before.
     """
-    if rng.random() < recipe.season:
-        picture = change_season(picture, rng)
-    if rng.random() < recipe.bands:
-        picture = mix_bands(picture, rng)
-    if rng.random() < recipe.shadows:
-        picture = cast_shadows(picture, rng)
-    if recipe.colour:
-        picture = recolour(picture, recipe.colour, rng)
-    if rng.random() < recipe.occlusion:
-        picture = occlude(picture, rng)
-    if rng.random() < recipe.blur:
-        picture = blur(picture, rng)
-    if recipe.noise:
-        picture = add_noise(picture, recipe.noise * float(rng.random()), rng)
-    if rng.random() < recipe.compression:
-        picture = compress(picture, int(rng.integers(40, 96)))
+    changes = (
+        (recipe.season, change_season),
+        (recipe.bands, mix_bands),
+        (recipe.shadows, cast_shadows),
+        (float(recipe.colour > 0), lambda picture, rng: recolour(picture, recipe.colour, rng)),
+        (recipe.occlusion, occlude),
+        (recipe.blur, blur),
+        (float(recipe.noise > 0), lambda picture, rng: add_noise(picture, recipe.noise * float(rng.random()), rng)),
+    )
+    for probability, change in changes:
+        if probability == 1 or (probability and rng.random() < probability):
+            picture = change(picture, rng)
     return picture
 
 
@@ -108,9 +105,11 @@ def add_noise(picture: UInt8Array, sigma: float, rng: np.random.Generator) -> UI
     return cast(UInt8Array, np.clip(picture + noise, 0, 255).astype(np.uint8))
 
 
-def compress(picture: UInt8Array, quality: int) -> UInt8Array:
-    """Compress as JPEG, so that a network does not overfit to the artefacts of one quality."""
-    data = np.frombuffer(images.jpeg(picture, quality), np.uint8)
+def compress(picture: UInt8Array, probability: float, rng: np.random.Generator) -> UInt8Array:
+    """Compress as JPEG with a probability, so that a network does not overfit to the artefacts of one quality."""
+    if not probability or rng.random() >= probability:
+        return picture
+    data = np.frombuffer(images.jpeg(picture, int(rng.integers(40, 96))), np.uint8)
     return cast(UInt8Array, cv2.cvtColor(cast(UInt8Array, cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB))
 
 

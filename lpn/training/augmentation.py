@@ -11,7 +11,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.views import View
-from lpn.training.appearance import compress, recolour
+from lpn.training.appearance import change_appearance, compress
 from lpn.training.recipes import Recipe
 
 
@@ -39,8 +39,7 @@ def augment(
     """
     height, width = recipe.input_size
     unrolled = recipe.polar and view == "satellite"
-    if recipe.compression and rng.random() < recipe.compression:
-        picture = compress(picture, int(rng.integers(40, 96)))
+    picture = compress(picture, recipe.compression, rng)
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(UInt8Array, np.ascontiguousarray(picture[:, ::-1]))
     if panorama:
@@ -62,7 +61,7 @@ def augment(
     if recipe.padding:
         top, left = (int(start) for start in rng.integers(0, 2 * recipe.padding + 1, 2))
         picture = cast(UInt8Array, np.ascontiguousarray(picture[top : top + height, left : left + width]))
-    return recolour(picture, recipe.colour, rng) if recipe.colour else picture
+    return change_appearance(picture, recipe, rng)
 
 
 def _pad(picture: UInt8Array, pixels: int) -> UInt8Array:

@@ -29,7 +29,7 @@ from lpn.flights import Frame, footprint
 from lpn.flights.cut import CUT, cut_square
 from lpn.maps import Map, Window
 from lpn.maps.window import grid
-from lpn.training.appearance import change_appearance, recolour
+from lpn.training.appearance import change_appearance, compress, recolour
 from lpn.training.recipes import Recipe
 
 # Default sides of windows, as multiples of the ground that the network's input shows at the map's resolution.
@@ -124,7 +124,8 @@ class MapWindows:
             tile, photo = (cast(UInt8Array, np.ascontiguousarray(view[:, ::-1])) for view in (tile, photo))
         if recipe.colour:
             tile = recolour(tile, recipe.colour, rng)
-        return {"satellite": tile, "drone": change_appearance(photo, recipe, rng)}
+        photo = compress(change_appearance(photo, recipe, rng), recipe.compression, rng)
+        return {"satellite": tile, "drone": photo}
 
     def _draw_windows(self, epoch: int) -> list[Window]:
         recipe, (low, high) = self.recipe, self.sizes

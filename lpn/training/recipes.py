@@ -206,17 +206,17 @@ class Recipe:
     tilt: float = 0.0
     """Pitch and roll, up to this many degrees either way, of the camera that looks at a window of a map."""
     season: float = 0.0
-    """Probability that all of one hue has another colour in the drone view of a window."""
+    """Probability that all of one hue has another colour in pictures of places, or in the drone view of a window of a map."""
     bands: float = 0.0
-    """Probability that the bands of the drone view of a window are mixed at random, as those of near infrared are."""
+    """Probability that the bands of these pictures are mixed at random, as those of near infrared are."""
     shadows: float = 0.0
-    """Probability of shadows in the drone view of a window."""
+    """Probability of shadows in pictures of places, or in the drone view of a window of a map."""
     occlusion: float = 0.0
-    """Probability that areas are hidden in the drone view of a window."""
+    """Probability that areas are hidden in pictures of places, or in the drone view of a window of a map."""
     blur: float = 0.0
-    """Probability that the drone view of a window is out of focus or blurred by motion."""
+    """Probability that pictures of places, or the drone view of a window of a map, are out of focus or blurred by motion."""
     noise: float = 0.0
-    """Largest standard deviation of the noise in the drone view of a window, in grey levels."""
+    """Largest standard deviation of the noise in these pictures, in grey levels."""
 
     precision: Literal["auto", "float32", "bfloat16", "float16"] = "float16"
     """Arithmetic of the forward pass; auto is bfloat16 where the hardware has it, else float16 on CUDA and float32 elsewhere.

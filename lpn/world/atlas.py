@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from lpn.core.arrays import Float64Array
 from lpn.core.formats import WORLD
 from lpn.world import cvusa
-from lpn.world.cameras import Panorama, Pose, Site, Tile, drone_poses, tile_around
+from lpn.world.cameras import Panorama, Pose, Site, Tile, any_drone_poses, drone_poses, tile_around
 from lpn.world.city import City, Target
 from lpn.world.ground_level import GroundLevel, panoramas, street_poses
 from lpn.world.plan import plan_city
@@ -43,6 +43,7 @@ class Settings:
         samples: light paths per pixel.
         streets: street-level pictures of each building.
         panoramas: panoramas near each building.
+        varied: every district has any two days of the year, and every picture any camera, height, tilt, and lens.
     """
 
     seed: int
@@ -53,6 +54,7 @@ class Settings:
     samples: int
     streets: int = 0
     panoramas: int = 0
+    varied: bool = False
 
 
 View = Literal["satellite", "drone", "street", "panorama"]
@@ -172,7 +174,13 @@ class Atlas:
             elif shot.view == "street":  # altitude and tilt are those of cameras that look down
                 pose = ["", f"{camera.heading % 360:.1f}", "", f"{camera.fov:.1f}", ""]
             else:
-                pose = [f"{camera.z - z:.1f}", f"{camera.heading % 360:.1f}", f"{camera.tilt:g}", f"{camera.fov:g}", ""]
+                pose = [
+                    f"{camera.z - z:.1f}",
+                    f"{camera.heading % 360:.1f}",
+                    f"{camera.tilt:.4g}",
+                    f"{camera.fov:.4g}",
+                    "",
+                ]
             latitude, longitude = self.site.degrees(x, y)
             table.writerow([path, f"{latitude:.7f}", f"{longitude:.7f}", *pose])
         return text.getvalue().encode()
@@ -236,7 +244,7 @@ def make_atlas(settings: Settings) -> Atlas:
         members = groups[district]
         centred = [_centred(target, i, at) for target in members for i, at in enumerate(around[target.number])]
         tiles = (*(_tile(city, target) for target in members), *centred)
-        frames = tuple(shot for target in members for shot in _frames(city, target, settings.views))
+        frames = tuple(shot for target in members for shot in _frames(city, target, settings))
         walks = tuple(
             shot
             for target in members
@@ -270,11 +278,15 @@ def _tile(city: City, target: Target) -> PlannedPicture:
     return PlannedPicture(paths, target.number, "satellite", tile_around(b.x, b.y, rng))
 
 
-def _frames(city: City, target: Target, views: int) -> list[PlannedPicture]:
+def _frames(city: City, target: Target, settings: Settings) -> list[PlannedPicture]:
     rng = np.random.default_rng([city.seed, 23, target.number])
+    aim = _aim(city, target)
+    poses = (
+        any_drone_poses(aim, settings.views, SIGHT, rng) if settings.varied else drone_poses(aim, settings.views, rng)
+    )
     return [
         PlannedPicture(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, "drone", pose)
-        for i, pose in enumerate(drone_poses(_aim(city, target), views, rng))
+        for i, pose in enumerate(poses)
     ]
 
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import UPGRADE, WORLD, is_newer, newer_version
@@ -177,13 +177,13 @@ class _SectorRenderer:
 
     def frames(self, sector: Sector, shots: list[PlannedPicture]) -> None:
         """Render the drone pictures."""
-        look = photo.drone_look(self.atlas.settings.seed, sector.district)
+        look = photo.drone_look(self.atlas.settings.seed, sector.district, self.atlas.settings.varied)
         made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
         for shot in shots:
             assert isinstance(shot.camera, Pose)
             start = time.perf_counter()
             light = made.frame(shot.camera, self.atlas.settings.pixels)
-            self._write(shot, photo.develop(light, look, self._noise(shot), shot.camera))
+            self._develop(shot, light, look, shot.camera)
             self.tally.frames += 1
             self.tally.frame_seconds += time.perf_counter() - start
 
@@ -200,7 +200,7 @@ class _SectorRenderer:
             else:
                 assert isinstance(shot.camera, Pose)
                 light = made.frame(shot.camera, settings.pixels)
-            self._write(shot, photo.develop(light, photo.metered(look, light), self._noise(shot)))
+            self._develop(shot, light, photo.metered(look, light))
             seconds = time.perf_counter() - start
             if shot.view == "panorama":
                 tally.panoramas, tally.panorama_seconds = tally.panoramas + 1, tally.panorama_seconds + seconds
@@ -209,7 +209,7 @@ class _SectorRenderer:
 
     def _cut(self, sector: Sector, shots: list[PlannedPicture], x: float, y: float, reach: float) -> None:
         settings, city = self.atlas.settings, self.atlas.city
-        look = photo.satellite_look(settings.seed, sector.district)
+        look = photo.satellite_look(settings.seed, sector.district, settings.varied)
         rng = np.random.default_rng([settings.seed, 31, sector.number])
         pixels = round(2 * reach * settings.tile_pixels / TILE)
         height = city.height(x, y)
@@ -229,7 +229,7 @@ class _SectorRenderer:
             cut = cv2.warpPerspective(
                 light, matrix, (side, side), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
             )
-            self._write(shot, photo.develop(np.maximum(cut, 0).astype(np.float32), look, self._noise(shot)))
+            self._develop(shot, np.maximum(cut, 0).astype(np.float32), look)
 
     def _scene(self, x: float, y: float, look: photo.Look, reach: float) -> BlenderScene:
         start = time.perf_counter()
@@ -239,11 +239,14 @@ class _SectorRenderer:
         self.tally.scene_seconds += time.perf_counter() - start
         return made
 
-    def _noise(self, shot: PlannedPicture) -> np.random.Generator:
-        return np.random.default_rng([self.atlas.settings.seed, 32, hash_of(shot.paths[0])])
-
-    def _write(self, shot: PlannedPicture, picture: NDArray[np.uint8]) -> None:
-        data = images.jpeg(picture, _QUALITY)
+    def _develop(self, shot: PlannedPicture, light: Float32Array, look: photo.Look, pose: Pose | None = None) -> None:
+        """Develop a picture and write it, in a varied world by a camera and with a compression of its own."""
+        settings, quality = self.atlas.settings, _QUALITY
+        if settings.varied and shot.view in ("drone", "satellite"):
+            rng = np.random.default_rng([settings.seed, 33, hash_of(shot.paths[0])])
+            look, quality = photo.any_camera(look, rng), int(rng.integers(40, 93))
+        noise = np.random.default_rng([settings.seed, 32, hash_of(shot.paths[0])])
+        data = images.jpeg(photo.develop(light, look, noise, pose), quality)
         for path in shot.paths:
             write_atomic(self.out / path, data)
         self.done()
@@ -280,7 +283,8 @@ def check_folder(settings: Settings, out: Path) -> None:
         held = json.loads(file.read_bytes())
         if is_newer(held.get("format"), WORLD):
             raise OutputError(newer_version(file, held["format"], WORLD))
-        had = {**dict.fromkeys(_ADDED, 0), **held["settings"]}  # worlds were made before there were any of these
+        # Worlds were made before there were any of these.
+        had = {**dict.fromkeys(_ADDED, 0), "varied": False, **held["settings"]}
         same = {**had, **{name: wanted[name] for name in _ADDED}} == wanted
         fewer = [name for name in _ADDED if wanted[name] < had[name]]
         edition = held["edition"]

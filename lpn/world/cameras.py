@@ -113,6 +113,38 @@ def drone_poses(aim: tuple[float, float, float], views: int, rng: np.random.Gene
     return poses
 
 
+def any_drone_poses(aim: tuple[float, float, float], views: int, sight: float, rng: np.random.Generator) -> list[Pose]:
+    """Draw poses that look at a point from anywhere: 60 to 400 m above it, 40 to 90 degrees down, with any lens.
+
+    The lens is such that the picture shows 0.6 to 2.2 times the ground of a tile side by side, where that takes a field of view
+    of 25 to 80 degrees. No picture shows ground farther than `sight` metres from the point.
+    """
+    poses: list[Pose] = []
+    while len(poses) < views:
+        height, shown = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((60, 400), (0.6 * TILE, 2.2 * TILE)))
+        tilt = float(rng.uniform(40, 80) if rng.random() < 0.7 else rng.uniform(80, 90))
+        distance = height / np.sin(np.radians(tilt))
+        fov = float(np.degrees(2 * np.arctan(shown / 2 / distance)))
+        heading = float(rng.uniform(0, 360))
+        h, away = np.radians(heading), height / np.tan(np.radians(tilt))
+        x, y = float(aim[0] - away * np.sin(h)), float(aim[1] - away * np.cos(h))
+        pose = Pose(x, y, float(aim[2] + height), heading, -tilt, fov)
+        if 25 <= fov <= 80 and _farthest(pose, aim) < sight:
+            poses.append(pose)
+    return poses
+
+
+def _farthest(pose: Pose, aim: tuple[float, float, float]) -> float:
+    """Return the distance in metres from a point to the farthest corner of what a picture shows of level ground there."""
+    right, up, forward = pose.axes()
+    slope = np.tan(np.radians(pose.fov / 2))
+    rays = np.array([forward + slope * (a * right + b * up) for a, b in ((-1, 1), (1, 1), (1, -1), (-1, -1))])
+    if (rays[:, 2] >= 0).any():
+        return float("inf")
+    ground = np.array([pose.x, pose.y]) + rays[:, :2] * ((pose.z - aim[2]) / -rays[:, 2])[:, None]
+    return float(np.linalg.norm(ground - np.array(aim[:2]), axis=1).max())
+
+
 @dataclass(frozen=True)
 class Tile:
     """A satellite tile: its centre, slightly off the building's, and its rotation from north."""

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lpn.core.arrays import Float32Array
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world.architecture import Colour
 from lpn.world.cameras import Pose
 from lpn.world.paint import Season
@@ -66,6 +66,8 @@ SATELLITES = (
 )  # fmt: skip
 
 _AUTUMN = ((0.11, 0.095, 0.02), (0.17, 0.09, 0.02), (0.05, 0.07, 0.022), (0.20, 0.10, 0.02), (0.13, 0.11, 0.03))
+# Twigs and some evergreens.
+_BARE = ((0.10, 0.085, 0.06), (0.085, 0.075, 0.055), (0.04, 0.06, 0.025), (0.12, 0.10, 0.075), (0.09, 0.08, 0.05))
 # The day of a flight, in autumn, and that of its map, in spring.
 FLIGHT = replace(
     DRONE, season=Season((0.11, 0.12, 0.045), (0.25, 0.20, 0.09), 0.55, _AUTUMN), sun=(34.0, 190.0), exposure=1.75,
@@ -83,15 +85,16 @@ STREETS = (
 )  # fmt: skip
 
 
-def drone_look(seed: int, district: int) -> Look:
-    """Vary the drone's day for a district."""
-    return _varied(DRONE, np.random.default_rng([seed, 41, district]))
+def drone_look(seed: int, district: int, any_day: bool = False) -> Look:
+    """Vary the drone's day for a district, or draw any day of the year."""
+    rng = np.random.default_rng([seed, 41, district])
+    return _any_day(rng) if any_day else _varied(DRONE, rng)
 
 
-def satellite_look(seed: int, district: int) -> Look:
-    """Draw the satellite's day for a district: a variation of one of a few."""
+def satellite_look(seed: int, district: int, any_day: bool = False) -> Look:
+    """Draw the satellite's day for a district: a variation of one of a few, or any day of the year."""
     rng = np.random.default_rng([seed, 42, district])
-    return _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
+    return _any_day(rng) if any_day else _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
 
 
 def street_look(seed: int, district: int) -> Look:
@@ -115,6 +118,36 @@ def metered(look: Look, light: Float32Array) -> Look:
     grey = np.maximum(light[len(light) // 3 :].mean(axis=-1), 1e-3)
     middle = float(np.exp(np.log(grey).mean()))
     return replace(look, exposure=look.exposure * float(np.clip(_METER / middle, 0.4, 3.0)) ** 0.7)
+
+
+def any_camera(look: Look, rng: np.random.Generator) -> Look:
+    """Draw the camera and the air of one picture of a day: exposure, colours, tone, haze, sharpness, and noise."""
+    return replace(
+        look,
+        exposure=float(look.exposure * np.exp(rng.uniform(-0.35, 0.3))),
+        balance=_colour(np.array(look.balance) * rng.normal(1, 0.06, 3)),
+        contrast=float(look.contrast * rng.uniform(0.75, 1.2)),
+        saturation=float(rng.uniform(0.45, 1.25)),
+        haze=float(rng.uniform(0, 0.3)),
+        veil=_colour(rng.uniform(0.45, 0.65) * np.array([1, 1, 1]) + rng.uniform(0, 0.15) * np.array([0, 0.5, 1])),
+        blur=float(rng.uniform(0, 1.1)),
+        noise=float(rng.uniform(0, 0.03)),
+    )
+
+
+def _any_day(rng: np.random.Generator) -> Look:
+    """Draw a day from spring to late autumn: plants, sun, and traffic."""
+    leaves = (_SUMMER, _LATE, _SPRING, _DRY, _AUTUMN, _BARE)[int(rng.integers(6))]
+    green = np.array([0.09, 0.135, 0.042]) * rng.uniform(0.7, 1.25, 3)
+    dry = np.array([0.23, 0.19, 0.10]) * rng.uniform(0.75, 1.2, 3)
+    season = Season(_colour(green), _colour(dry), float(rng.uniform(0.05, 0.9)), leaves)
+    sun = float(rng.uniform(24, 66)), float(rng.uniform(95, 265))
+    return replace(DRONE, season=season, sun=sun, traffic=int(rng.integers(100, 1_000_000)))
+
+
+def _colour(values: Float64Array) -> Colour:
+    red, green, blue = values.tolist()
+    return red, green, blue
 
 
 def _varied(look: Look, rng: np.random.Generator) -> Look:

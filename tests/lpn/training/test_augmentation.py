@@ -31,6 +31,21 @@ def test_compression_leaves_its_traces_as_often_as_it_is_told() -> None:
     assert 8 < touched < 32
 
 
+@pytest.mark.parametrize("view", ["drone", "satellite"])
+@pytest.mark.parametrize("name", ["season", "bands", "shadows", "occlusion", "blur", "noise"])
+def test_both_views_of_a_place_are_seen_on_other_days_as_often_as_it_is_told(name: str, view: View) -> None:
+    def touched(value: float) -> int:
+        recipe = Recipe(**{**STILL.__dict__, name: value})
+        place = small_worlds.place(7)
+        made = (augment(place, recipe, np.random.default_rng(seed), 0.0, False, view) for seed in range(30))
+        return sum(not np.array_equal(picture, place) for picture in made)
+
+    if name == "noise":
+        assert touched(12.0) == 30
+    else:
+        assert touched(1.0) > 25 > touched(0.5) > 4
+
+
 @pytest.mark.parametrize("side", [64, 256])
 @pytest.mark.parametrize(("ratio", "view", "other"), [(2.0, "drone", "satellite"), (0.5, "satellite", "drone")])
 def test_pictures_that_show_more_ground_are_zoomed_to_the_ground_of_the_others(

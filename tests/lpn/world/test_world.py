@@ -22,8 +22,8 @@ from lpn.cli import main
 from lpn.core.errors import InputError, OutputError
 from lpn.datasets import Picture, open_dataset
 from lpn.datasets.geo import Position, Positions, camera, metres
-from lpn.world import cameras
-from lpn.world.atlas import Atlas, Settings, make_atlas
+from lpn.world import cameras, photo
+from lpn.world.atlas import SIGHT, Atlas, Settings, make_atlas
 from lpn.world.build import RenderShare, Tally, build_world, check_folder
 from lpn.world.canvas import Canvas
 from lpn.world.city import City
@@ -186,6 +186,50 @@ def test_the_spiral_goes_down_in_three_rounds() -> None:
     turned = np.unwrap(np.radians([pose.heading for pose in poses[:-1]]))
     assert np.degrees(turned[-1] - turned[0]) == pytest.approx(360 * cameras.ROUNDS, abs=15)
     assert poses[-1].tilt == -90
+
+
+def test_poses_of_a_varied_world_look_at_the_building_from_anywhere_and_see_no_ground_that_is_not_there() -> None:
+    aim = (30.0, -80.0, 12.0)
+    poses = cameras.any_drone_poses(aim, 200, SIGHT, np.random.default_rng(1))
+    heights, tilts, lenses = np.array([(pose.z - aim[2], -pose.tilt, pose.fov) for pose in poses]).T
+    shown = 2 * heights / np.sin(np.radians(tilts)) * np.tan(np.radians(lenses / 2)) / cameras.TILE
+    assert 60 <= heights.min() < 80
+    assert 300 < heights.max() <= 400
+    assert 40 <= tilts.min() < 45
+    assert 85 < tilts.max() <= 90
+    assert 0.6 <= shown.min() < 0.8
+    assert 1.8 < shown.max() <= 2.2
+    for pose in poses:
+        assert np.allclose(pose.project(np.array([aim])), 0, atol=1e-6)
+        right, up, forward = pose.axes()
+        slope = np.tan(np.radians(pose.fov / 2))
+        for across, down in itertools.product((-1, 1), repeat=2):
+            ray = forward + slope * (across * right - down * up)
+            ground = np.array([pose.x, pose.y]) + ray[:2] * (pose.z - aim[2]) / -ray[2]
+            assert np.linalg.norm(ground - aim[:2]) < SIGHT
+    assert poses == cameras.any_drone_poses(aim, 200, SIGHT, np.random.default_rng(1))
+
+
+def test_a_varied_world_has_the_same_plan_and_tiles_and_other_poses(atlas: Atlas) -> None:
+    varied = make_atlas(replace(SETTINGS, varied=True))
+    assert [shot.paths for shot in varied.shots] == [shot.paths for shot in atlas.shots]
+    for one, other in zip(varied.shots, atlas.shots, strict=True):
+        assert (one.camera == other.camera) == (one.view == "satellite")
+    assert varied.geo_csv() != atlas.geo_csv()
+
+
+def test_days_and_cameras_of_a_varied_world_differ() -> None:
+    days = [photo.drone_look(1, district, any_day=True) for district in range(40)]
+    assert len({day.season.leaves for day in days}) == 6
+    assert min(day.sun[0] for day in days) < 30 < 60 < max(day.sun[0] for day in days)
+    assert len({day.traffic for day in days}) == 40
+    assert photo.satellite_look(1, 3, any_day=True) != photo.drone_look(1, 3, any_day=True)
+    assert photo.drone_look(1, 3, any_day=True) == days[3]
+    light = np.full((32, 32, 3), 0.2, np.float32)
+    rng = np.random.default_rng(0)
+    pictures = [photo.develop(light, photo.any_camera(days[0], rng), rng) for _ in range(20)]
+    assert np.ptp([picture.mean() for picture in pictures]) > 30
+    assert np.ptp([picture.std(axis=(0, 1)).mean() for picture in pictures]) > 2
 
 
 def test_what_lies_ahead_of_the_drone_is_higher_in_the_picture() -> None:
@@ -440,13 +484,15 @@ def test_another_world_in_the_folder_is_left_alone(tmp_path: Path, atlas: Atlas)
 
 def test_a_world_can_be_added_to_but_not_taken_from(tmp_path: Path, atlas: Atlas, walked: Atlas) -> None:
     old = json.loads(atlas.world_json())
-    for name in ("streets", "panoramas"):  # worlds were made before there were these settings
+    for name in ("streets", "panoramas", "varied"):  # worlds were made before there were these settings
         del old["settings"][name]
     (tmp_path / "world.json").write_text(json.dumps(old))
     check_folder(SETTINGS, tmp_path)
     check_folder(WALKED, tmp_path)
     with pytest.raises(OutputError, match="other settings"):
         check_folder(replace(WALKED, views=5), tmp_path)
+    with pytest.raises(OutputError, match="other settings"):
+        check_folder(replace(SETTINGS, varied=True), tmp_path)
     (tmp_path / "world.json").write_bytes(walked.world_json())
     check_folder(replace(WALKED, streets=4), tmp_path)
     with pytest.raises(OutputError, match="3 streets and 2 panoramas of each place; ask for as many or more"):
@@ -496,6 +542,9 @@ def test_a_small_world_is_rendered_resumed_and_repeated(tmp_path: Path) -> None:
     assert [_digest(second / file.relative_to(first)) for file in kept] == list(kept.values())
     with pytest.raises(OutputError, match="other settings"):
         build_world(Settings(3, 2, 2, 40, 48, 1), first)
+    varied = tmp_path / "varied"
+    build_world(replace(small, varied=True), varied)
+    assert all(_digest(varied / file.relative_to(first)) != kept[file] for file in kept)
 
 
 def _digest(file: Path) -> str:
