@@ -83,7 +83,7 @@ class FirstScreen:
         if state.first_screen:
             content = page(analysis, self._workspace, stories, self._own_position(state.upload))
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
-        self._html.show(run(call("first", content, not elsewhere)))
+        self._html.show(run(call("first", content, not elsewhere, not state.upload)))
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         state = replace(state, lab=True, why=False, laboratory=replace(state.laboratory, tab=tab))

@@ -35,7 +35,7 @@ def story(workspace: Workspace) -> Story:
     cards: dict[Place, tuple[str, str, str]] = {
         "query": (
             "A picture goes in",
-            f"This {task.query_view} picture is the query: where was it taken? The panel Query has all of them"
+            f"This picture is the query: where was it taken? The panel Query has all {task.query_view} pictures"
             f"{', and takes one of your own' if live else ''}.",
             f"N takes the next one{'; J and L turn it' if live else ''}",
         ),

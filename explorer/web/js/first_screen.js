@@ -20,7 +20,7 @@
     const page = before || document.body.appendChild(document.createElement("main"));
     page.id = "lpn-first";
     page.className = "lpn";
-    const explained = page.querySelector(".reason");
+    const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
     const focused = page.contains(document.activeElement) ? document.activeElement.dataset.act : null;
     page.innerHTML = html;
     page.onclick = (event) => {
@@ -29,9 +29,15 @@
       pressed.classList.add("waiting");
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
-    const reason = explained ? null : page.querySelector(".reason")?.getBoundingClientRect();
-    if (reason) page.scrollTop += Math.max(Math.min(reason.bottom - page.clientHeight, reason.top), 0);
-    if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
+    if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus({ preventScroll: true });
+    // Another picture comes into sight; as much of a new reason as leaves the pictures there.
+    const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
+    const another = before && pair && pair.dataset.query !== query;
+    if (another) page.scrollTop = 0;
+    if (reason && (another || !explained)) {
+      const below = reason.getBoundingClientRect().bottom - page.clientHeight;
+      page.scrollTop += Math.max(Math.min(below, pair.getBoundingClientRect().top), 0);
+    }
     document.getElementById("root")?.setAttribute("inert", "");
   };
 
@@ -49,13 +55,13 @@
   // Show the screen at once as it was last; the server will send it again.
   lpn.firstAgain = () => newest && open(newest);
 
-  // Show the screen, or close it for an empty text; a tour comes only to the plain stage (`free`).
-  lpn.first = (html, free) => {
+  // Show the screen, or close it for an empty text; a story comes only to the plain stage (`free`), unasked only if `unasked`.
+  lpn.first = (html, free, unasked) => {
     const now = html ? "first" : "all";
     if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
     if (html) return open((newest = html));
     close();
-    if (free && !lpn.telling()) lpn.welcome();
+    if (free && !lpn.telling()) lpn.welcome(unasked);
   };
 })();
