@@ -12,7 +12,7 @@ import viser
 from explorer import session_state
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
-from explorer.session_state import SessionState, StateChange, Tab
+from explorer.session_state import LabChoices, SessionState, StateChange, Tab
 from explorer.stage.pictures import draw_parts
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
@@ -86,7 +86,10 @@ class FirstScreen:
         self._html.show(run(call("first", content, not elsewhere, not state.upload)))
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
-        state = replace(state, lab=True, why=False, laboratory=replace(state.laboratory, tab=tab))
+        """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
+        shown = state.laboratory
+        all_queries = LabChoices(tab, columns=shown.columns, full_height=shown.full_height)
+        state = replace(state, lab=True, why=False, laboratory=all_queries)
         self._show_lab(state)
         return state
 
@@ -107,6 +110,7 @@ def page(
     right, headline, sentence = answer_text.plain_verdict(analysis)
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
+    alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
     if third is None and right is False and positive is not None and not positive.beyond:
         third = positive.index
@@ -125,22 +129,24 @@ def page(
         sentence=sentence,
         lead=lead,
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
+        trust=answer_text.trust(analysis, workspace),
+        gap=analysis.matches[0].gap,
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         own_position=own_position,
         heat=cells is not None,
-        overall=_overall(analysis, workspace, rendered),
+        overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
-        alterations=session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view])),
+        alterations=alterations,
     )
 
 
-def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool) -> str:
+def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, altered: bool) -> str:
     """Say how often the model is right, and if it is calibrated; of one's own picture, what becomes of it."""
     if not analysis.state.upload:
-        text = answer_text.overall(workspace.rankings[analysis.task.name].result)
+        text = answer_text.overall(workspace.rankings[analysis.task.name].result, altered)
         if text and workspace.has_flight:
             text = f"{text[:-1]}, {_ALONE}."
         return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text
@@ -165,7 +171,7 @@ def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array
         explain.side_evidence(analysis.query.trace, tile).score_map(analysis.ranking.weights)
         for tile in (answer, other)
     )
-    return 2 * (ahead - behind)
+    return 2 * (ahead - behind) if lead.of_answer else 2 * (behind - ahead)
 
 
 def _picture(
