@@ -91,8 +91,8 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     if positive is None and analysis.ranking.depth is None:
         return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."
     if first.true:
-        off = "" if error_m is None else f", {distance(error_m)} off"
-        return True, "Right", f"The model compared {pictures} and found the right place{off}."
+        off = "" if error_m is None else f" Its middle lies {distance(error_m)} from the place photographed."
+        return True, "Right", f"The model compared {pictures} and found the right one.{off}"
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."

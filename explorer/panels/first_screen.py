@@ -24,7 +24,8 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import PictureError
 from lpn.core.views import View
 from lpn.datasets.rendered import is_rendered, is_rendered_flight
-from lpn.drawing import overlays
+from lpn.drawing import overlays, theme
+from lpn.drawing.theme import Colour
 from lpn.retrieval import DescribedPicture
 
 # The figure of a flight is that of retrieval alone.
@@ -110,6 +111,9 @@ def page(
     right, headline, sentence = answer_text.plain_verdict(analysis)
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
+    # What speaks for a picture has the colour of its frame.
+    graded = lead is not None and lead.sure
+    colours = (theme.TRUE_COLOUR, theme.FALSE_COLOUR) if graded else (theme.FOR, theme.AGAINST)
     alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
     if third is None and right is False and positive is not None and not positive.beyond:
@@ -120,7 +124,7 @@ def page(
         task=task,
         state=state,
         name=analysis.name,
-        query=_picture(analysis, workspace, analysis.query, task.query_view, cells),
+        query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
         third=_third_tile(analysis, workspace, third) if third is not None and analysis.chosen.rank == 1 else None,
@@ -136,7 +140,7 @@ def page(
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         own_position=own_position,
-        heat=cells is not None,
+        heat=[] if cells is None else [theme.css(colour) for colour in colours],
         overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
         alterations=alterations,
@@ -180,11 +184,11 @@ def _picture(
     described: DescribedPicture,
     view: View,
     cells: Float64Array | None = None,
+    colours: tuple[Colour, Colour] | None = None,
 ) -> str:
     """Return a picture of the pair as a data URI: as it is, or with its parts and what `cells` say while they are explained."""
     if analysis.state.why:
-        limit = 1.0 if cells is None else overlays.evidence_limit(cells)
-        return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 85)
+        return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, colours=colours), 85)
     across, down = workspace.layout.picture
     width = min(round(_SIZE[0] * across / down), _SIZE[1])
     picture = images.resize(workspace.as_partitioned(described.picture, view), round(width * down / across), width)

@@ -20,6 +20,7 @@ from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
+from lpn.drawing import theme
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
@@ -59,7 +60,10 @@ def test_the_first_screen_has_two_pictures_one_sentence_and_one_button(workspace
     assert (right, headline) == (found, "Right" if found else "Wrong")
     assert sentence in text(html)
     assert sentence.startswith(f"The model compared {len(analysis.task.gallery)} satellite pictures")
-    if not found:
+    if found:
+        placed = replace(analysis, errors_m=np.full(len(analysis.task.gallery), 3.2))
+        assert "Its middle lies 3 m from the place photographed." in answer_text.plain_verdict(placed)[2]
+    else:
         assert analysis.positive is not None
         assert re.search(rf"the right one came {analysis.positive.rank}(st|nd|rd|th)\.$", sentence)
     assert "d²" not in html, "figures are for those who ask why"
@@ -95,10 +99,11 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert ("The best wrong picture" if found else "The right one") in html
     plain = first_screen.page(before, workspace)
     spoken_for = "this answer" if found else "the right picture"
-    assert f"orange places speak for {spoken_for}" in html
+    assert f"gold places speak for {spoken_for}" in html
+    assert "blue ones for" in html
     assert f"for {spoken_for} (+) →" in text(html)
     assert f"← for {'the best wrong picture' if found else 'this answer'} (−)" in text(html)
-    assert "orange places" not in plain
+    assert "gold places" not in plain
     assert re.findall(r'src="([^"]+)"', html)[:2] != re.findall(r'src="([^"]+)"', plain)[:2], "parts are not drawn"
 
 
@@ -228,6 +233,11 @@ def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: 
     lead = answer_text.lead(analysis)
     assert lead is not None
     assert lead.other == "the next best picture"
+    assert "orange places speak for this answer" in html
+    frames = re.findall(r"outline-color:(#\w+)", html)
+    assert frames == [theme.css(theme.FOR), theme.css(theme.AGAINST)], (
+        "what speaks for a picture has its frame's colour"
+    )
     np.testing.assert_allclose(lead.total, analysis.matches[0].gap, atol=1e-6)
 
 
