@@ -41,6 +41,8 @@
     const places = [
       [box.right + GAP, box.top],
       [box.left - width - GAP, box.top],
+      [box.right + GAP, box.bottom - height],
+      [box.left - width - GAP, box.bottom - height],
       [box.left, box.bottom + GAP],
       [box.left, box.top - height - GAP],
       [GAP, GAP],
