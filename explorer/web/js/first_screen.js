@@ -30,8 +30,12 @@
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
     const reason = explained ? null : page.querySelector(".reason")?.getBoundingClientRect();
-    if (reason) page.scrollTop += Math.max(Math.min(reason.bottom - page.clientHeight, reason.top), 0);
-    if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
+    if (reason) { // a key may have opened it from anywhere: its button and as much of it as fits come into sight
+      const button = page.querySelector("[data-act=why]");
+      const top = button.getBoundingClientRect().top - 8;
+      page.scrollTop += Math.max(Math.min(reason.bottom - page.clientHeight, top), 0);
+      button.focus({ preventScroll: true });
+    } else if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
     document.getElementById("root")?.setAttribute("inert", "");
   };
 
