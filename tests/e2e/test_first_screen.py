@@ -29,6 +29,7 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
     expect(first.locator(".sentence")).to_contain_text("The model compared 14 satellite pictures")
     expect(first.locator("figcaption").nth(1)).to_contain_text("The model’s answer")
     expect(button).to_have_text("Why?")
+    expect(fresh.locator("#lpn-loading")).to_have_count(0)
     before = first.locator("img").first.get_attribute("src")
 
     # The keys work; those of the workbench unfold it.
@@ -116,6 +117,14 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     fresh.goto(app.url)
     first = fresh.locator("#lpn-first")
     expect(first.locator(".sentence")).to_contain_text("The model compared")
+    # The key brings the reason, and the button that closes it, into sight from wherever it is pressed.
+    first.get_by_role("button", name="Where it fails").focus()
+    fresh.keyboard.press("y")
+    expect(first.locator(".reason")).to_be_in_viewport()
+    expect(first.locator("button.main")).to_be_focused()
+    expect(first.locator("button.main")).to_be_in_viewport()
+    fresh.keyboard.press("y")
+    expect(first.locator(".reason")).to_have_count(0)
     small_worlds.write(tmp_path / "mine.png", small_worlds.place(5))
     with fresh.expect_file_chooser() as chooser:
         first.get_by_text("Your own picture").click()

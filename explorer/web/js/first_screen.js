@@ -29,14 +29,16 @@
       pressed.classList.add("waiting");
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
-    if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus({ preventScroll: true });
-    // Another picture comes into sight; as much of a new reason as leaves the pictures there.
     const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
     const another = before && pair && pair.dataset.query !== query;
+    if (reason && !explained) page.querySelector("[data-act=why]").focus({ preventScroll: true });
+    else if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus({ preventScroll: true });
+    // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room.
     if (another) page.scrollTop = 0;
     if (reason && (another || !explained)) {
-      const below = reason.getBoundingClientRect().bottom - page.clientHeight;
-      page.scrollTop += Math.max(Math.min(below, pair.getBoundingClientRect().top), 0);
+      const button = page.querySelector("[data-act=why]").getBoundingClientRect(), pictures = pair.getBoundingClientRect().top;
+      const top = button.bottom - pictures < 0.75 * page.clientHeight ? pictures : button.top - 8;
+      page.scrollTop += Math.max(Math.min(reason.getBoundingClientRect().bottom - page.clientHeight, top), 0);
     }
     document.getElementById("root")?.setAttribute("inert", "");
   };
