@@ -20,7 +20,7 @@
     const page = before || document.body.appendChild(document.createElement("main"));
     page.id = "lpn-first";
     page.className = "lpn";
-    const explained = page.querySelector(".reason");
+    const explained = page.querySelector(".reason"), answered = page.querySelector(".pair");
     const focused = page.contains(document.activeElement) ? document.activeElement.dataset.act : null;
     page.innerHTML = html;
     page.onclick = (event) => {
@@ -34,7 +34,7 @@
       const button = page.querySelector("[data-act=why]");
       const top = button.getBoundingClientRect().top - 8;
       page.scrollTop += Math.max(Math.min(reason.bottom - page.clientHeight, top), 0);
-      button.focus({ preventScroll: true });
+      if (answered) button.focus({ preventScroll: true }); // a page that opens with it has its first stop at the top
     } else if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
     document.getElementById("root")?.setAttribute("inert", "");
   };
