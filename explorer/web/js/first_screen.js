@@ -30,9 +30,9 @@
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
     const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
-    const another = before && pair && pair.dataset.query !== query;
-    if (reason && !explained) page.querySelector("[data-act=why]").focus({ preventScroll: true });
-    else if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus({ preventScroll: true });
+    const another = query && pair && pair.dataset.query !== query;
+    const act = reason && !explained && query ? "why" : focused; // a page that opens with a reason has its first stop at the top
+    if (act) page.querySelector('[data-act="' + act + '"]')?.focus({ preventScroll: true });
     // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room.
     if (another) page.scrollTop = 0;
     if (reason && (another || !explained)) {
