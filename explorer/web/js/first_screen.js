@@ -38,7 +38,7 @@
     if (reason && (another || !explained)) {
       const button = page.querySelector("[data-act=why]").getBoundingClientRect(), pictures = pair.getBoundingClientRect().top;
       const top = button.bottom - pictures < 0.75 * page.clientHeight ? pictures : button.top - 8;
-      page.scrollTop += Math.max(Math.min(reason.getBoundingClientRect().bottom - page.clientHeight, top), 0);
+      page.scrollTop += Math.min(Math.max(reason.getBoundingClientRect().bottom - page.clientHeight, 0), top);
     }
     document.getElementById("root")?.setAttribute("inert", "");
   };
