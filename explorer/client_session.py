@@ -226,7 +226,7 @@ class ClientSession:
             if state.flight and not self._state.flight:
                 self._bridge.call("reveal", "#lpn-flight")
             if state.lab and not self._state.lab:
-                self._bridge.call("reveal", "#lpn-lab-table")
+                self._bridge.call("reveal", f"#lpn-lab-{state.laboratory.tab}")
             only_lab = state == replace(self._state, laboratory=state.laboratory)
             self._state = state
             if only_lab:  # nothing to analyse

@@ -155,6 +155,11 @@ class SessionState:
         """The colours of captions."""
         return DARK if self.dark else LIGHT
 
+    @property
+    def altered_weights(self) -> bool:
+        """Return True if the parts do not count alike."""
+        return len(set(self.part_values())) > 1
+
     def parts_left(self) -> bool:
         """Return True if any part is on with a weight above 0."""
         return any(w > 0 and on for w, on in zip(self.weights, self.enabled, strict=True))
@@ -376,7 +381,7 @@ def alterations(state: SessionState, cells: int) -> dict[str, str]:
     shares = " : ".join(f"{100 * value / sum(values):.0f}" for value in values)
     labels = {
         "region": f"search by {len(state.region)} of {cells} cells" if state.region else "",
-        "weights": f"part weights {shares} %" if len(set(values)) > 1 else "",
+        "weights": f"part weights {shares} %" if state.altered_weights else "",
         "rotation": Change(state.angle).describe(),
         "shift": Change(shift=state.shift, down=state.down).describe(),
         "zoom": Change(scale=state.zoom).describe(),

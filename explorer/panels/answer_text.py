@@ -18,32 +18,47 @@ _ELSEWHERE_M = 10_000.0
 # The shapes of an own picture and of the network's input differ visibly from here on.
 _PRESSED = 1.05
 OWN_KEPT = "Your picture stays in this server's memory until you close this page, and goes nowhere else."
+_ANSWER = "this answer"
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 
 
 @dataclass(frozen=True, eq=False)
 class Lead:
-    """By how much the answer leads another tile, part by part.
+    """The lead of one tile over another, part by part: of the answer, or of the right picture over a wrong answer.
 
     Attributes:
-        shares: d² of the other tile minus d² of the answer, each part's share, (n,).
-        other: the other tile in words.
-        index: the other tile's position in the gallery.
+        shares: each part's share in d², (n,); positive where it speaks for the leader, so never against the right picture.
+        other: the tile that the answer is compared with, in words.
+        index: that tile's position in the gallery.
+        of_answer: the leader is the answer; otherwise it is the other tile.
+        sure: one of the two is known to be the right picture, and is the leader.
     """
 
     shares: FloatingArray
     other: str
     index: int
+    of_answer: bool = True
+    sure: bool = True
 
     @property
     def total(self) -> float:
-        """The lead in d²."""
+        """The lead in d²; below 0 for a wrong answer, which is nearer than the right picture."""
         return float(self.shares.sum())
 
     @property
     def decisive(self) -> list[int]:
-        """The parts that make most of it, see `verdicts.leading_parts`."""
-        return verdicts.leading_parts(self.shares)
+        """The parts that do most to put the answer before the other tile, see `verdicts.leading_parts`."""
+        return verdicts.leading_parts(self.shares if self.of_answer else -self.shares)
+
+    @property
+    def leader(self) -> str:
+        """The tile that positive shares speak for, in words."""
+        return _ANSWER if self.of_answer else self.other
+
+    @property
+    def follower(self) -> str:
+        """The tile that negative shares speak for, in words."""
+        return self.other if self.of_answer else _ANSWER
 
 
 def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None, str, str]:
@@ -76,8 +91,8 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     if positive is None and analysis.ranking.depth is None:
         return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."
     if first.true:
-        off = "" if error_m is None else f", {distance(error_m)} off"
-        return True, "Right", f"The model compared {pictures} and found the right place{off}."
+        off = "" if error_m is None else f" Its middle lies {distance(error_m)} from the place photographed."
+        return True, "Right", f"The model compared {pictures} and found the right one.{off}"
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
@@ -107,19 +122,44 @@ def _elsewhere(analysis: StateAnalysis) -> str:
 
 
 def lead(analysis: StateAnalysis) -> Lead | None:
-    """Return the lead of the top match over the tile that it is best compared with; None where there is none.
+    """Return the lead between the top match and the tile that it is best compared with; None where there is none.
 
     For a right answer, that is the hardest negative; for a wrong one, the nearest positive; without a truth, the next tile.
     """
     first, others = analysis.matches[0], analysis.matches[1:]
     rival: Match | None
-    if first.true is None or (first.true is False and analysis.positive is None):
-        rival, name = next(iter(others), None), "the next best picture"
-    elif first.true:
+    if first.true is False and (rival := analysis.positive) is not None:
+        return Lead(first.shares - rival.shares, "the right picture", rival.index, of_answer=False)
+    if first.true:
         rival, name = next((match for match in others if not match.true), None), "the best wrong picture"
     else:
-        rival, name = analysis.positive, "the right picture"
-    return None if rival is None else Lead(rival.shares - first.shares, name, rival.index)
+        rival, name = next(iter(others), None), "the next best picture"
+    return None if rival is None else Lead(rival.shares - first.shares, name, rival.index, sure=bool(first.true))
+
+
+def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say how often answers are right that were as far ahead of the second tile, in words; empty where that is not known.
+
+    It is not known under part weights or of cells that no other query was ranked by, nor where only the truth tells which tiles
+    compete with the answer.
+    """
+    state, task, result = analysis.state, analysis.task, workspace.rankings[analysis.task.name].result
+    own = state.upload is not None
+    if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
+        return ""
+    if own and any(len(lists.junk) for lists in task.truth or ()):
+        return ""
+    besides = None if own else state.query
+    alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, task.known, besides)
+    if alike is None:
+        return ""
+    which = "" if own else "other "
+    unaltered = ", taken as they are," if state.change else ""
+    text = (
+        f"among the {alike.queries:,} {which}pictures here{unaltered} whose answer was about as far ahead of the second best, it "
+        f"was right {_times(alike.right, alike.queries)}."
+    )
+    return f"{text} That holds for pictures like those of {workspace.data_name}." if own else text
 
 
 def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
@@ -129,7 +169,7 @@ def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
         total: the answer's lead over the best wrong picture, if it is right.
     """
     state, first = analysis.state, analysis.matches[0]
-    as_it_is = not state.upload and not state.change and not state.region and len(set(state.part_values())) == 1
+    as_it_is = not state.upload and not state.change and not state.region and not state.altered_weights
     known = workspace.outcomes(analysis.task) if as_it_is and first.true is not None else None
     if known is None:
         return ""
@@ -139,13 +179,25 @@ def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
     return "" if workspace.has_flight else answer_context.describe_failure(outcomes, table, state.query)
 
 
-def overall(ranking: TaskRanking | None) -> str:
-    """Return how often the top match is right over all queries of a task, in words; empty while it is not known."""
+def overall(ranking: TaskRanking | None, altered: bool = False) -> str:
+    """Return how often the top match is right over all queries of a task, in words; empty while it is not known.
+
+    Args:
+        altered: the query or the search on the page is altered, which these are not.
+    """
     if ranking is None or not (graded := int(ranking.results["queries"])):
         return ""
-    share = ranking.results["recall@1"]
-    right = f"{share / 100 * graded:,.0f} times ({math.floor(share)} %)"  # never rounded up to all
-    return f"Over all {graded:,} pictures its first answer is right {right}."
+    right = round(ranking.results["recall@1"] / 100 * graded)
+    over_all = "Unaltered, over all" if altered else "Over all"
+    return f"{over_all} {graded:,} pictures its first answer is right {_times(right, graded, 1)}."
+
+
+def _times(right: int, of: int, digits: int = 0) -> str:
+    """Return "41 times (32 %)"; the share is never rounded up to all."""
+    share = 100 * right / of
+    if right < of and float(f"{share:.{digits}f}") == 100:
+        share = 100 - 10.0**-digits
+    return f"{right:,} times ({share:.{digits}f} %)"
 
 
 def _error_m(analysis: StateAnalysis) -> float | None:

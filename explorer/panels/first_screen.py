@@ -12,7 +12,7 @@ import viser
 from explorer import session_state
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
-from explorer.session_state import SessionState, StateChange, Tab
+from explorer.session_state import LabChoices, SessionState, StateChange, Tab
 from explorer.stage.pictures import draw_parts
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
@@ -24,7 +24,8 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import PictureError
 from lpn.core.views import View
 from lpn.datasets.rendered import is_rendered, is_rendered_flight
-from lpn.drawing import overlays
+from lpn.drawing import overlays, theme
+from lpn.drawing.theme import Colour
 from lpn.retrieval import DescribedPicture
 
 # The figure of a flight is that of retrieval alone.
@@ -83,10 +84,13 @@ class FirstScreen:
         if state.first_screen:
             content = page(analysis, self._workspace, stories, self._own_position(state.upload))
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
-        self._html.show(run(call("first", content, not elsewhere)))
+        self._html.show(run(call("first", content, not elsewhere, not state.upload)))
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
-        state = replace(state, lab=True, why=False, laboratory=replace(state.laboratory, tab=tab))
+        """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
+        shown = state.laboratory
+        all_queries = LabChoices(tab, columns=shown.columns, full_height=shown.full_height)
+        state = replace(state, lab=True, why=False, laboratory=all_queries)
         self._show_lab(state)
         return state
 
@@ -107,6 +111,10 @@ def page(
     right, headline, sentence = answer_text.plain_verdict(analysis)
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
+    # What speaks for a picture has the colour of its frame.
+    graded = lead is not None and lead.sure
+    colours = (theme.TRUE_COLOUR, theme.FALSE_COLOUR) if graded else (theme.FOR, theme.AGAINST)
+    alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
     if third is None and right is False and positive is not None and not positive.beyond:
         third = positive.index
@@ -116,7 +124,7 @@ def page(
         task=task,
         state=state,
         name=analysis.name,
-        query=_picture(analysis, workspace, analysis.query, task.query_view, cells),
+        query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
         third=_third_tile(analysis, workspace, third) if third is not None and analysis.chosen.rank == 1 else None,
@@ -125,22 +133,24 @@ def page(
         sentence=sentence,
         lead=lead,
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
+        trust=answer_text.trust(analysis, workspace),
+        gap=analysis.matches[0].gap,
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         own_position=own_position,
-        heat=cells is not None,
-        overall=_overall(analysis, workspace, rendered),
+        heat=[] if cells is None else [theme.css(colour) for colour in colours],
+        overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
-        alterations=session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view])),
+        alterations=alterations,
     )
 
 
-def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool) -> str:
+def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, altered: bool) -> str:
     """Say how often the model is right, and if it is calibrated; of one's own picture, what becomes of it."""
     if not analysis.state.upload:
-        text = answer_text.overall(workspace.rankings[analysis.task.name].result)
+        text = answer_text.overall(workspace.rankings[analysis.task.name].result, altered)
         if text and workspace.has_flight:
             text = f"{text[:-1]}, {_ALONE}."
         return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text
@@ -165,7 +175,7 @@ def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array
         explain.side_evidence(analysis.query.trace, tile).score_map(analysis.ranking.weights)
         for tile in (answer, other)
     )
-    return 2 * (ahead - behind)
+    return 2 * (ahead - behind) if lead.of_answer else 2 * (behind - ahead)
 
 
 def _picture(
@@ -174,11 +184,11 @@ def _picture(
     described: DescribedPicture,
     view: View,
     cells: Float64Array | None = None,
+    colours: tuple[Colour, Colour] | None = None,
 ) -> str:
     """Return a picture of the pair as a data URI: as it is, or with its parts and what `cells` say while they are explained."""
     if analysis.state.why:
-        limit = 1.0 if cells is None else overlays.evidence_limit(cells)
-        return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 85)
+        return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, colours=colours), 85)
     across, down = workspace.layout.picture
     width = min(round(_SIZE[0] * across / down), _SIZE[1])
     picture = images.resize(workspace.as_partitioned(described.picture, view), round(width * down / across), width)

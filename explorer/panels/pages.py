@@ -80,6 +80,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
         verdict=right,
         headline=headline,
         reason=reason,
+        alone=workspace.has_flight and analysis.state.upload is None,
         note=" ".join(
             filter(None, (f"The query: {note}." if note else "", answer_text.own_shape(analysis, workspace)))
         ),

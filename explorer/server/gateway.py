@@ -27,6 +27,7 @@ from websockets.streams import StreamReader
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
 from explorer.server.auth_pages import redirect_page, refusal_page
+from explorer.server.loading import with_loading_line
 from explorer.server.message_filter import FIELDS, MAX_MESSAGE, MessageFilter, RejectedMessageError
 from explorer.server.picture_route import PictureRoute
 from explorer.server.rate_limiter import RateLimiter, TokenBucket
@@ -153,7 +154,7 @@ class Gateway:
         if self._pictures is not None and self._pictures.serves(raw.path) and not request.upgrade:
             return self._picture(self._pictures, raw.path, request)
         response = page(connection, raw)
-        return None if response is None else self._secured(response, request)
+        return None if response is None else self._secured(with_loading_line(response), request)
 
     async def _picture(self, pictures: PictureRoute, path: str, request: HttpRequest) -> Response:
         return self._secured(await pictures.respond(path, request.address), request)

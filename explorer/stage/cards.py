@@ -208,10 +208,13 @@ def _frame(width: float, height: float) -> Float32Array:
 def _card_label(layout: Layout, match: Match, full: float, palette: Palette, size: int) -> UInt8Array:
     width, font = label_width(layout), captions.font(size)
     image, draw = captions.caption(width, LABEL_HEIGHT, palette)
-    draw.text((2, 20), str(match.rank), palette.text, font, anchor="lm")
-    x = 8 + draw.textlength(str(match.rank), font=font)
+    edge, sign = size / 8, 0.66 * size
+    # All labels have the digits for which the tenth rank has room.
+    digits = 3 if draw.textlength(f"{SHOWN}0.000", font=font) + sign + 4 * edge <= width else 2
+    draw.text((edge, 20), str(match.rank), palette.text, font, anchor="lm")
+    x = 2 * edge + draw.textlength(str(match.rank), font=font)
     if match.true is not None:
-        captions.draw_sign(draw, x + 2, 20 - size / 3, 0.66 * size, match.true, palette)
-    draw.text((width - 2, 20), f"{match.distance2:.3f}", palette.text, font, anchor="rm")
+        captions.draw_sign(draw, x, 20 - size / 3, sign, match.true, palette)
+    draw.text((width - edge, 20), f"{match.distance2:.{digits}f}", palette.text, font, anchor="rm")
     captions.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
     return np.asarray(image)

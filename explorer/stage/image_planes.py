@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -60,11 +61,17 @@ def rank_title(match: Match) -> str:
 
 
 def title(
-    headline: str, text: str, true: bool | None, palette: Palette, size: int, distance2: float | None = None
+    headline: str,
+    texts: Sequence[str],
+    true: bool | None,
+    palette: Palette,
+    size: int,
+    distance2: float | None = None,
 ) -> UInt8Array:
-    """Draw a caption: headline, sign, a text shortened to fit, and on the right a distance d².
+    """Draw a caption: headline, sign, a text, and on the right a distance d².
 
     Args:
+        texts: of which the first that fits is drawn, see `captions.fitted`.
         size: of the texts in pixels.
     """
     image, draw = captions.caption(*CAPTION_PIXELS, palette)
@@ -77,7 +84,6 @@ def title(
     right = width - 2.0
     if distance2 is not None:
         right = captions.draw_squared(draw, right, middle, f"{distance2:.3f}", size, palette.text) - size / 2
-    draw.text(
-        (x, middle + 1), captions.fitted(draw, text, size, right - x), palette.dim, captions.font(size), anchor="lm"
-    )
+    text = captions.fitted(draw, texts[0], size, right - x, *texts[1:])
+    draw.text((x, middle + 1), text, palette.dim, captions.font(size), anchor="lm")
     return np.asarray(image)

@@ -7,6 +7,7 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.views import View
 from lpn.drawing import overlays
+from lpn.drawing.theme import Colour
 from lpn.retrieval import DescribedPicture
 
 
@@ -17,18 +18,22 @@ def draw_parts(
     size: tuple[int, int],
     cells: Float64Array | None = None,
     limit: float = 1.0,
+    colours: tuple[Colour, Colour] | None = None,
 ) -> UInt8Array:
     """Draw a picture's parts, and its evidence where `cells` (h, w) are given: (H, W, 3) uint8.
 
     Args:
         size: height, and the largest width of a panorama.
         limit: absolute value of a cell at which the colour of evidence is opaque.
+        colours: `cells` are a lead, whose strong ones are painted in these, see `overlays.with_lead`.
     """
     across, down = workspace.layout.picture
     height, max_width = size
     drawn = images.resize(
         workspace.as_partitioned(described.picture, view), height, min(round(height * across / down), max_width)
     )
-    if cells is not None:
+    if cells is not None and colours is not None:
+        drawn = overlays.with_lead(drawn, cells, colours)
+    elif cells is not None:
         drawn = overlays.with_evidence(drawn, cells, limit)
     return overlays.with_parts(drawn, workspace.areas(view, described))

@@ -269,16 +269,17 @@ class Stage:
     def _query_caption(self, analysis: StateAnalysis) -> UInt8Array:
         own = analysis.state.upload is not None
         source = "your picture" if own else analysis.task.query_view
-        text = ", ".join(
-            filter(None, (f"{source} {analysis.name}", analysis.query_note, analysis.state.change.describe()))
-        )
-        return title("QUERY", text, None, analysis.state.palette, self._lettering.caption)
+        notes = [note for note in (analysis.query_note, analysis.state.change.describe()) if note]
+        texts = ", ".join([f"{source} {analysis.name}", *notes]), source if own else analysis.name
+        return title("QUERY", texts, None, analysis.state.palette, self._lettering.caption)
 
     def _tile_caption(self, analysis: StateAnalysis) -> UInt8Array:
         chosen = analysis.chosen
         tile, palette = analysis.task.gallery[chosen.index], analysis.state.palette
         text = ", ".join(filter(None, (f"{analysis.task.gallery_view} {tile.name}", tile.note)))
-        return title(rank_title(chosen), text, chosen.true, palette, self._lettering.caption, chosen.distance2)
+        return title(
+            rank_title(chosen), (text, tile.name), chosen.true, palette, self._lettering.caption, chosen.distance2
+        )
 
     def _gutter_picture(self, chosen: Match, palette: Palette) -> UInt8Array:
         """Draw the part bars in a column, between pictures side by side."""
@@ -317,16 +318,18 @@ class Stage:
         left, right = sides
         size, small, middle = self._lettering.part, self._lettering.share, (left + right) / 2
         colour, name = theme.part_colour(part), self._workspace.part_names[part]
+        number = name.partition(" ")[0]
         off = chosen.shares[part] == 0 and chosen.cosines[part] < 1
         share = "off" if off else f"{rounded_to_sum(chosen.shares.tolist())[part]:.3f}"
         one_line = size + small + 31 > room
         if one_line:
             y = max(y, size + 4)
             draw.text((right, y - 6), share, palette.dim, captions.font(small), anchor="rb")
-            name = captions.fitted(draw, name, size, right - left - draw.textlength(share, captions.font(small)) - 8)
+            beside = right - left - draw.textlength(share, captions.font(small)) - 8
+            name = captions.fitted(draw, name, size, beside, number)
             draw.text((left, y - 6), name, palette.ink(colour), captions.font(size), anchor="lb")
         else:
-            name = captions.fitted(draw, name, size, right - left)
+            name = captions.fitted(draw, name, size, right - left, number)
             draw.text((middle, y - 6), name, palette.ink(colour), captions.font(size), anchor="mb")
         draw.rectangle((left, y, right, y + 9), fill=palette.track)
         full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)

@@ -35,7 +35,7 @@ def story(workspace: Workspace) -> Story:
     cards: dict[Place, tuple[str, str, str]] = {
         "query": (
             "A picture goes in",
-            f"This {task.query_view} picture is the query: where was it taken? The panel Query has all of them"
+            f"This picture is the query: where was it taken? The panel Query has all {task.query_view} pictures"
             f"{', and takes one of your own' if live else ''}.",
             f"N takes the next one{'; J and L turn it' if live else ''}",
         ),
@@ -59,8 +59,9 @@ def story(workspace: Workspace) -> Story:
         ),
         "controls": (
             "Look around",
-            f"Under Look you take the {whole} apart{' and see the map' if mapped else ''}. The list at the top has every "
-            "command. Link copies an address that brings back what you see.",
+            f"Look, at the bottom of the panel Query on the left, takes the {whole} apart"
+            f"{' and shows the map' if mapped else ''}. The list with the magnifier, above these links, has every command. Link "
+            "copies an address that brings back what you see.",
             f"X takes the {whole} apart{', M shows the map' if mapped else ''}, Ctrl K lists every command",
         ),
     }

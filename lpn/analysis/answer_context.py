@@ -1,16 +1,23 @@
-"""One answer among all answers of its task, in words: how large its lead is, and how often pictures like it fail."""
+"""One answer among all answers of its task: how often those of a like gap are right, how large its lead is, which kind fails."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
 from lpn.analysis.query_outcomes import Outcomes, picture_columns
+from lpn.core.arrays import BoolArray
 from lpn.core.tables import Column, Table
+from lpn.retrieval.metrics import Retrieval
 
+# So many answers of the nearest gaps, or this share of all where that is more, are alike; fewer than `_FEWEST_GRADED` have no
+# neighbourhood.
+_ALIKE, _ALIKE_SHARE = 50, 0.1
+_FEWEST_GRADED = 2 * _ALIKE
 # A share of fewer right answers says little.
 _FEWEST = 20
 # From each share on, the words for it.
@@ -22,6 +29,49 @@ _SHARES = (
 )
 # Columns that tell of the answer, or of one picture alone.
 _NOT_OF_A_KIND = ("latitude", "longitude", "overlap", "semi")
+
+
+@dataclass(frozen=True)
+class AlikeAnswers:
+    """The graded answers whose gaps are nearest to that of one answer.
+
+    Attributes:
+        queries: their number.
+        right: how many of them are right.
+    """
+
+    queries: int
+    right: int
+
+    @property
+    def share(self) -> float:
+        """The share of right ones, 0 .. 1."""
+        return self.right / self.queries
+
+
+def answers_alike(
+    ranking: Retrieval, gap: float | None, known: BoolArray | None = None, besides: int | None = None
+) -> AlikeAnswers | None:
+    """Count how often the answers whose gaps are nearest to a given one are right; None where there are too few.
+
+    The gap is d² of the second tile minus that of the answer. It needs no truth, so that it is the same for a graded query and
+    for a picture of one's own. The answers counted are the nearest tenth of all graded ones, and at least 50.
+
+    Args:
+        ranking: of all queries under the weights that the gap is from.
+        gap: in d²; None or NaN where there is no second tile.
+        known: the queries whose truth is known, (Q,); None for all.
+        besides: a query that is not counted: the one that was asked.
+    """
+    graded = np.isfinite(ranking.gap) if known is None else np.isfinite(ranking.gap) & known
+    if besides is not None:
+        graded[besides] = False
+    rows = np.flatnonzero(graded)
+    if gap is None or not np.isfinite(gap) or len(rows) < _FEWEST_GRADED:
+        return None
+    count = max(_ALIKE, int(_ALIKE_SHARE * len(rows)))
+    nearest = rows[np.argsort(np.abs(ranking.gap[rows] - gap), kind="stable")[:count]]
+    return AlikeAnswers(count, int(np.count_nonzero(ranking.first[nearest] == 0)))
 
 
 def describe_lead(outcomes: Outcomes, lead: float) -> str:
@@ -52,10 +102,11 @@ def describe_failure(outcomes: Outcomes, table: Table, query: int) -> str:
     if not kinds:
         return ""
     rate, column = max(kinds, key=lambda kind: kind[0].share)
-    shares = f"fail {100 * rate.share:.0f} % of the time, against {100 * overall:.0f} % over all"
+    share, of_all = f"{100 * rate.share:.0f} %", f"({100 * overall:.0f} % of all do)"
     if (column.name, rate.name) == ("twins", "yes"):
-        return f"This building has a twin elsewhere, and pictures of such buildings {shares}."
-    return f"Where {column.name} is {rate.name}, pictures {shares}."
+        return f"This building has a twin elsewhere, and {share} of the pictures of such buildings fail {of_all}."
+    within = "in the range " if rate.low != rate.high and column.kind == "number" and rate.known else ""
+    return f"This picture's {column.name} is {within}{rate.name}; {share} of such pictures fail {of_all}."
 
 
 def _rate_of(outcomes: Outcomes, column: Column, query: int) -> Rate | None:

@@ -1,6 +1,6 @@
 """Resumable rankings of all queries of a task, cached on disk between runs.
 
-    <cache>/rankings/<key>.npz     first, true, false (Q,) int64, precision (Q,) float64, gallery: see `metrics.Retrieval`
+    <cache>/rankings/<key>.npz     first, true, false (Q,) int64, precision, gap (Q,) float64, gallery: see `metrics.Retrieval`
 
 The key is a digest of both sides' descriptors and of the true matches, so that a stale ranking is never found. A file that is
 damaged, or whose numbers of pictures differ from the task's, counts as missing.
@@ -26,10 +26,10 @@ from lpn.retrieval.ranks import Ranked
 
 log = logging.getLogger(__name__)
 
-FORMAT = "lpn-ranking/1"
+FORMAT = "lpn-ranking/2"
 # Queries ranked at a time; a ranking that is stopped loses the current step at most.
 STEP = 4096
-_COLUMNS = ("first", "true", "false", "precision")
+_COLUMNS = ("first", "true", "false", "precision", "gap")
 
 
 class ResumableRanking:
@@ -120,13 +120,14 @@ def load(task: Task) -> Retrieval | None:
     if not all(isinstance(column, np.ndarray) for column in columns):
         return None
     queries, tiles = len(task.query_descriptors), len(task.gallery_descriptors)
-    first, true, false, precision = columns
+    first, true, false, precision, gap = columns
     positions_valid = all(_valid(column, np.int64, queries, -1, tiles - 1) for column in (first, true, false))
-    if gallery != tiles or not positions_valid or not _valid(precision, np.float64, queries, 0, 1):
+    numbers_valid = _valid(precision, np.float64, queries, 0, 1) and _valid(np.nan_to_num(gap), np.float64, queries, 0)
+    if gallery != tiles or not positions_valid or not numbers_valid:
         return None
-    return Retrieval(first, true, false, precision, tiles)
+    return Retrieval(first, true, false, precision, gap, tiles)
 
 
-def _valid(column: AnyArray, dtype: type, length: int, low: int, high: int) -> bool:
+def _valid(column: AnyArray, dtype: type, length: int, low: float, high: float = np.inf) -> bool:
     """Return True if a column has this dtype and length, and all values are in low .. high."""
     return column.dtype == dtype and column.shape == (length,) and bool(((column >= low) & (column <= high)).all())

@@ -23,13 +23,18 @@ def caption(width: int, height: int, palette: Palette = DARK) -> tuple[Image.Ima
     return image, ImageDraw.Draw(image)
 
 
-def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float) -> str:
-    """Shorten a text with an ellipsis to fit a width in pixels."""
-    if draw.textlength(text, font=font(size)) <= width:
-        return text
-    while text and draw.textlength(text + "...", font=font(size)) > width:
-        text = text[:-1]
-    return text + "..."
+def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float, *shorter: str) -> str:
+    """Return the first of several texts that fits a width in pixels; else the last, with an ellipsis.
+
+    Nothing is left of a text that not even two letters would be left of.
+    """
+    for whole in (text, *shorter):
+        if draw.textlength(whole, font=font(size)) <= width:
+            return whole
+    cut = (text, *shorter)[-1]
+    while cut and draw.textlength(cut + "...", font=font(size)) > width:
+        cut = cut[:-1]
+    return cut + "..." if len(cut) > 1 else ""
 
 
 def numbered(picture: UInt8Array, number: int, size: int = 30) -> UInt8Array:

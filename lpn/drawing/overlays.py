@@ -50,11 +50,25 @@ def evidence_alpha(values: FloatingArray, limit: float) -> Float32Array:
 def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, opacity: float = 0.85) -> UInt8Array:
     """Paint each cell (h, w) over a greyed picture in the colour for or against, as opaque as its value is large."""
     values = images.enlarge(cells, *picture.shape[:2])
-    grey = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
-    ground = (0.25 * picture + 0.5 * grey).astype(np.float32)
-    alpha = (opacity * evidence_alpha(values, limit))[..., None]
-    colours = np.where(values[..., None] >= 0, np.array(FOR, np.float32), np.array(AGAINST, np.float32))
-    return np.asarray(ground * (1 - alpha) + colours * alpha, np.uint8)
+    return _painted(picture, 0.5, values, opacity * evidence_alpha(values, limit), (FOR, AGAINST))
+
+
+def with_lead(picture: UInt8Array, cells: FloatingArray, colours: tuple[Colour, Colour]) -> UInt8Array:
+    """Paint the cells (h, w) that decide in the first colour (positive) or the second; weak ones show the greyed picture."""
+    values = images.enlarge(cells, *picture.shape[:2])
+    strong = float(np.quantile(np.abs(cells), 0.95)) or evidence_limit(cells)
+    alpha = 0.7 * np.clip(np.abs(values) / strong, 0, 1).astype(np.float32) ** 1.5
+    return _painted(picture, 0.75, values, alpha, colours)
+
+
+def _painted(
+    picture: UInt8Array, grey: float, values: FloatingArray, alpha: Float32Array, colours: tuple[Colour, Colour]
+) -> UInt8Array:
+    """Paint values (H, W) in their sign's colour, as opaque as `alpha`, over a quarter of a picture and `grey` of its grey."""
+    greyed = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    ground = (0.25 * picture + grey * greyed).astype(np.float32)
+    paint = np.where(values[..., None] >= 0, *(np.array(colour, np.float32) for colour in colours))
+    return np.asarray(ground * (1 - alpha[..., None]) + paint * alpha[..., None], np.uint8)
 
 
 def evidence_limit(*maps: FloatingArray) -> float:

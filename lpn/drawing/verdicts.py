@@ -162,7 +162,7 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
 
 
 def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str = "the true tile") -> str:
-    """Say which part, left out, would change the rank of a tile most."""
+    """Say which part, left out, would change the rank of a tile most, or all parts without any one of which it would be first."""
     ranks = {part: standing.rank for part, standing in enumerate(without.without) if standing is not None}
     if without.now.rank == 1:
         needed = [part for part, rank in ranks.items() if rank > 1]
@@ -171,8 +171,10 @@ def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], nam
         worst = max(needed, key=ranks.__getitem__)
         more = f" ({len(needed)} of {len(without.without)} parts are needed)" if len(needed) > 1 else ""
         return f"Without part {part_names[worst]} {name} would fall to {ordinal(ranks[worst])}{more}."
-    if without.part_to_remove is not None:
-        return f"Without part {part_names[without.part_to_remove]} {name} would be first."
+    if without.parts_to_remove:
+        parts = [part_names[part] for part in without.parts_to_remove]
+        which = f"part {parts[0]}" if len(parts) == 1 else f"any one of the parts {listed(parts)}"
+        return f"Without {which} {name} would be first."
     text = "No single part is to blame alone"
     best = min(ranks, key=ranks.__getitem__, default=0)
     if ranks and ranks[best] < without.now.rank:

@@ -88,12 +88,11 @@ class RanksWithoutParts:
     alone: tuple[PositiveRank | None, ...]
 
     @property
-    def part_to_remove(self) -> int | None:
-        """The part (from 0) whose removal puts the positive first; if several do, the one with the largest margin.
-
-        None if the positive is first already, or if no single part suffices.
-        """
-        return None if self.now.rank == 1 else _best(self.without)
+    def parts_to_remove(self) -> list[int]:
+        """The parts (from 0), each of which puts the positive first when it alone is removed; none if it is first already."""
+        if self.now.rank == 1:
+            return []
+        return [part for part, standing in enumerate(self.without) if standing is not None and standing.rank == 1]
 
     @property
     def best_alone(self) -> int | None:

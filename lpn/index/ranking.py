@@ -37,7 +37,7 @@ class IndexRanking:
 
     def __init__(self, task: IndexTask) -> None:
         self._task = task
-        self._rows: list[tuple[int, int, int, bool, Float64Array]] = []
+        self._rows: list[tuple[int, int, int, bool, Float64Array, float]] = []
 
     def finish(self, progress: Callable[[int, int], None]) -> IndexRetrieval:
         """Search for the queries that have not been searched for.
@@ -55,19 +55,22 @@ class IndexRanking:
         first, true, false = (np.array([row[i] for row in self._rows], np.int64) for i in range(3))
         parts = np.array([row[4] for row in self._rows], np.float64).reshape(total, self._task.contract.n_parts)
         missed = np.array([row[3] for row in self._rows], bool)
-        unknown = np.full(total, np.nan)
+        unknown, gap = np.full(total, np.nan), np.array([row[5] for row in self._rows], np.float64)
         depth: int | None = self._task.search_depth
         if depth == self._task.tiles and not (first == depth).any():
             depth = None
-        return IndexRetrieval(first, true, false, unknown, self._task.tiles, depth=depth, parts=parts, missed=missed)
+        return IndexRetrieval(
+            first, true, false, unknown, gap, self._task.tiles, depth=depth, parts=parts, missed=missed
+        )
 
-    def _ranked(self, query: int) -> tuple[int, int, int, bool, Float64Array]:
-        """Return rank from 0, nearest positive, hardest negative, `missed`, and the parts of the margin of a query."""
+    def _ranked(self, query: int) -> tuple[int, int, int, bool, Float64Array, float]:
+        """Return rank from 0, nearest positive, hardest negative, `missed`, the parts of the margin, and the gap of a query."""
         task = self._task
         weights = scoring.part_weights(task.contract.n_parts, task.weights)
         ranking = task.search(query, task.query_descriptors[query], weights, background=True)
         positive, negative = ranking.positive(), ranking.hardest_negative()
         parts = np.full(len(weights), np.nan)
+        gap = ranking.match(0).gap if len(ranking.order) else None
         if positive is not None and negative is not None:
             parts = 2 * weights.astype(np.float64) * (positive.cosines.astype(np.float64) - negative.cosines)
         if positive is not None:
@@ -82,4 +85,5 @@ class IndexRanking:
             -1 if negative is None else negative.index,
             missed,
             parts,
+            np.nan if gap is None else gap,
         )

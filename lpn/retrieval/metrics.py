@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,7 @@ class Retrieval(Ranked):
     def metrics(self, known: BoolArray | None = None) -> dict[str, float]:
         """Return the values that `evaluate` returns; they count the queries that are `known`, (Q,), or all."""
         if known is not None and not known.all():
-            kept = self.first[known], self.true[known], self.false[known], self.precision[known]
+            kept = (column[known] for column in (self.first, self.true, self.false, self.precision, self.gap))
             return Retrieval(*kept, self.gallery, self.depth).metrics()
         return {
             "recall@1": self.recall(1),
@@ -147,10 +147,8 @@ def retrieve(
 
 def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
     """Join the rankings of consecutive queries; `gallery` is the number of tiles, junk included."""
-    first, true, false, precision = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("first", "true", "false", "precision")
-    )
-    return Retrieval(first, true, false, precision, gallery)
+    columns = (np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(Ranked))
+    return Retrieval(*columns, gallery)
 
 
 def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:

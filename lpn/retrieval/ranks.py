@@ -92,12 +92,15 @@ class Ranked:
         true: its nearest true tile, on ties the first in gallery order, (B,).
         false: its nearest tile that is neither true nor junk, with ties as for `true`, (B,).
         precision: its average precision, 0 .. 1, (B,).
+        gap: d² of its second nearest tile minus that of its nearest one, both true or false but not junk, in single precision,
+            (B,); NaN where there are not two.
     """
 
     first: Int64Array
     true: Int64Array
     false: Int64Array
     precision: Float64Array
+    gap: Float64Array
 
 
 def rank(scores: Scores, ground_truth: GroundTruth, rows: slice, block: Float32Array, errors: Float64Array) -> Ranked:
@@ -118,12 +121,10 @@ class _Block:
         self._ground_truth, self._rows = ground_truth, rows
         self._row, self._tile = ground_truth.true.entries(rows)
         self._true = block[self._row, self._tile]
-        for entries in (
-            ground_truth.junk.entries(rows),
-            (self._row, self._tile),
-            (slice(None), ground_truth.common_junk),
-        ):
-            block[entries] = -np.inf
+        for junk in (ground_truth.junk.entries(rows), (slice(None), ground_truth.common_junk)):
+            block[junk] = -np.inf
+        self._lead = _gaps(block)
+        block[self._row, self._tile] = -np.inf
         size = block.shape
         self._max_close = max(_MAX_CLOSE, int(_MAX_CLOSE_SHARE * size[1]))
         self._trapezoid = ground_truth.trapezoid[rows]
@@ -140,7 +141,7 @@ class _Block:
             for row in np.flatnonzero((counts > 1) & ~self._needs_double).tolist():
                 self._rank_several(row, slice(begins[row], begins[row] + counts[row]))
             self._rank_in_double()
-        return Ranked(self._first, self._nearest, self._false, self._precision)
+        return Ranked(self._first, self._nearest, self._false, self._precision, self._lead)
 
     def _find_false(self) -> None:
         """Find the nearest false tile of each query."""
@@ -248,6 +249,19 @@ def average_precision(ranks: Int64Array, trapezoid: bool = True) -> float:
         return float(after.mean())
     before = np.where(ranks == 0, 1.0, hits / np.maximum(ranks, 1))
     return float(((after + before) / 2).mean())
+
+
+def _gaps(block: Float32Array) -> Float64Array:
+    """Return twice the difference of the two highest scores of each row, NaN without two of them; `block` is left as it is."""
+    if block.shape[1] < 2:
+        return np.full(len(block), np.nan)
+    rows, highest = np.arange(len(block)), np.argmax(block, axis=1)
+    first = block[rows, highest]
+    block[rows, highest] = -np.inf
+    second = block.max(axis=1)
+    block[rows, highest] = first
+    gaps = 2.0 * (first.astype(np.float64) - second)
+    return np.where(np.isfinite(gaps), gaps, np.nan)
 
 
 def _ranks_before(

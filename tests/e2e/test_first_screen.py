@@ -29,6 +29,7 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
     expect(first.locator(".sentence")).to_contain_text("The model compared 14 satellite pictures")
     expect(first.locator("figcaption").nth(1)).to_contain_text("The model’s answer")
     expect(button).to_have_text("Why?")
+    expect(fresh.locator("#lpn-loading")).to_have_count(0)
     before = first.locator("img").first.get_attribute("src")
 
     # The keys work; those of the workbench unfold it.
@@ -116,6 +117,14 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     fresh.goto(app.url)
     first = fresh.locator("#lpn-first")
     expect(first.locator(".sentence")).to_contain_text("The model compared")
+    # The key brings the reason, and the button that closes it, into sight from wherever it is pressed.
+    first.get_by_role("button", name="Where it fails").focus()
+    fresh.keyboard.press("y")
+    expect(first.locator(".reason")).to_be_in_viewport()
+    expect(first.locator("button.main")).to_be_focused()
+    expect(first.locator("button.main")).to_be_in_viewport()
+    fresh.keyboard.press("y")
+    expect(first.locator(".reason")).to_have_count(0)
     small_worlds.write(tmp_path / "mine.png", small_worlds.place(5))
     with fresh.expect_file_chooser() as chooser:
         first.get_by_text("Your own picture").click()
@@ -141,6 +150,55 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     first.get_by_role("button", name="Next picture of yours").click()
     expect(first.locator(".steps")).to_contain_text("3 of 3")
     expect(first.locator("figcaption").first).to_contain_text("7.png")
+
+    # The tour speaks of the data's pictures, so it does not begin by itself now.
+    first.locator("[data-act=all]").first.click()
+    expect(first).to_have_count(0)
+    expect(fresh.locator("#lpn-header .tools")).to_be_visible()
+    fresh.wait_for_timeout(1500)  # the tour comes after 0.7 s
+    expect(fresh.locator("#lpn-told")).to_have_count(0)
+
+
+@pytest.mark.slow
+def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 664}, has_touch=True, is_mobile=True)
+    context.set_default_timeout(1000 * PATIENCE)
+    page = context.new_page()
+    page.goto(app.url)
+    first, query = page.locator("#lpn-first"), page.locator("#lpn-first .pair img").first
+    first.get_by_role("button", name="Why?").tap()
+    expect(first.locator(".reason p").first).to_be_in_viewport(ratio=1)
+    expect(query).to_be_in_viewport(ratio=1)
+    before = first.locator(".pair").get_attribute("data-query")
+    assert before is not None
+    first.get_by_text("Another picture").tap()
+    expect(first.locator(".pair")).not_to_have_attribute("data-query", before)
+    expect(query).to_be_in_viewport(ratio=1)
+    first.get_by_role("button", name="Glossary").tap()
+    close = page.locator("#lpn-glossary button")
+    expect(close).to_be_in_viewport(ratio=1)
+    close.tap()
+    first.get_by_text("Where it fails").tap()
+    expect(page.locator("#lpn-lab-breakdown [tabindex]").first).to_be_in_viewport(ratio=1)
+    page.keyboard.press("b")
+
+    # The tour waits until it is asked for, and a finger that scrolls does not end it.
+    first.locator("[data-act=all]").tap()
+    expect(first).to_have_count(0)
+    page.wait_for_timeout(1500)  # the tour comes after 0.7 s
+    card = page.locator("#lpn-told")
+    expect(card).to_have_count(0)
+    page.locator("#lpn-header .tools").get_by_text("Tour").tap()
+    expect(card).to_be_visible()
+    touch = context.new_cdp_session(page)
+    for kind, y in (("Start", 620), *(("Move", y) for y in range(600, 400, -20)), ("End", None)):
+        points = [] if y is None else [{"x": 195, "y": y}]
+        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+    expect(page.locator("#lpn-header")).not_to_be_in_viewport()
+    expect(card).to_be_visible()
+    page.touchscreen.tap(195, 620)
+    expect(card).to_have_count(0)
+    context.close()
 
 
 @pytest.mark.slow

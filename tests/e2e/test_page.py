@@ -227,6 +227,16 @@ def test_the_tour_s_frame_follows_the_stage_on_a_low_screen(app: RunningApp, bro
         assert overlap(box(card), box(explorer.verdict)) == 0
 
     explorer.eventually(follows)
+    for step in range(2, 6):
+        card.get_by_role("button", name="Next").click()
+        expect(card).to_contain_text(f"{step} of 5")
+
+    def stands_beside() -> None:
+        beside, frame = box(card), box(spot)
+        assert 0 <= frame["x"] - beside["x"] - beside["width"] < 200
+        assert overlap(beside, box(explorer.verdict)) == 0
+
+    explorer.eventually(stands_beside)
     context.close()
 
 

@@ -20,7 +20,7 @@
     const page = before || document.body.appendChild(document.createElement("main"));
     page.id = "lpn-first";
     page.className = "lpn";
-    const explained = page.querySelector(".reason");
+    const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
     const focused = page.contains(document.activeElement) ? document.activeElement.dataset.act : null;
     page.innerHTML = html;
     page.onclick = (event) => {
@@ -29,9 +29,17 @@
       pressed.classList.add("waiting");
       setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
     };
-    const reason = explained ? null : page.querySelector(".reason")?.getBoundingClientRect();
-    if (reason) page.scrollTop += Math.max(Math.min(reason.bottom - page.clientHeight, reason.top), 0);
-    if (focused) page.querySelector('[data-act="' + focused + '"]')?.focus();
+    const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
+    const another = query && pair && pair.dataset.query !== query;
+    const act = reason && !explained && query ? "why" : focused; // a page that opens with a reason has its first stop at the top
+    if (act) page.querySelector('[data-act="' + act + '"]')?.focus({ preventScroll: true });
+    // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room.
+    if (another) page.scrollTop = 0;
+    if (reason && (another || !explained)) {
+      const button = page.querySelector("[data-act=why]").getBoundingClientRect(), pictures = pair.getBoundingClientRect().top;
+      const top = button.bottom - pictures < 0.75 * page.clientHeight ? pictures : button.top - 8;
+      page.scrollTop += Math.min(Math.max(reason.getBoundingClientRect().bottom - page.clientHeight, 0), top);
+    }
     document.getElementById("root")?.setAttribute("inert", "");
   };
 
@@ -49,13 +57,13 @@
   // Show the screen at once as it was last; the server will send it again.
   lpn.firstAgain = () => newest && open(newest);
 
-  // Show the screen, or close it for an empty text; a tour comes only to the plain stage (`free`).
-  lpn.first = (html, free) => {
+  // Show the screen, or close it for an empty text; a story comes only to the plain stage (`free`), unasked only if `unasked`.
+  lpn.first = (html, free, unasked) => {
     const now = html ? "first" : "all";
     if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
     if (html) return open((newest = html));
     close();
-    if (free && !lpn.telling()) lpn.welcome();
+    if (free && !lpn.telling()) lpn.welcome(unasked);
   };
 })();

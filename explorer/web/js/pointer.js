@@ -5,7 +5,8 @@
   const GAP = 12, EDGE = 4;
   let placing = 0;
 
-  // Return the rectangle of a place on the screen: a visible element, else a box on the stage, which the map replaces.
+  // Return the rectangle of a place on the screen, and the left end of the panel around it: a visible element, else a box on the
+  // stage, which the map replaces.
   const subject = ({ selectors, box }) => {
     for (const selector of selectors) {
       const found = document.querySelector(selector)?.getBoundingClientRect();
@@ -15,7 +16,7 @@
       const left = Math.max(found.left, frame.left), top = Math.max(found.top, frame.top);
       const right = Math.min(found.right, frame.right), bottom = Math.min(found.bottom, frame.bottom);
       const enough = Math.min(60, 0.8 * found.height);
-      if (bottom - top > enough && right - left > 20) return { left, top, right, bottom };
+      if (bottom - top > enough && right - left > 20) return { left, top, right, bottom, panel: frame.left };
     }
     const canvas = lpn.canvas()?.getBoundingClientRect();
     if (!box || !canvas || new URLSearchParams(location.search).get("map") === "1") return null;
@@ -23,7 +24,7 @@
     const unit = canvas.height / Math.max(height, (width * canvas.height) / canvas.width);
     const x = (value) => canvas.left + canvas.width / 2 + (value - middle[0]) * unit;
     const y = (value) => canvas.top + canvas.height / 2 - (value - middle[1]) * unit;
-    return { left: x(box[0]), top: y(box[3]), right: x(box[2]), bottom: y(box[1]) };
+    return { left: x(box[0]), top: y(box[3]), right: x(box[2]), bottom: y(box[1]), panel: 0 };
   };
 
   // The texts that people read meanwhile.
@@ -37,10 +38,11 @@
     const width = card.offsetWidth, height = card.offsetHeight;
     const right = innerWidth - width - GAP, bottom = innerHeight - height - GAP;
     const inside = ([x, y]) => [Math.min(Math.max(x, GAP), right), Math.min(Math.max(y, GAP), bottom)];
-    box ||= { left: 0, top: innerHeight, right: 0, bottom: innerHeight };
+    box ||= { left: 0, top: innerHeight, right: 0, bottom: innerHeight, panel: 0 };
     const places = [
       [box.right + GAP, box.top],
       [box.left - width - GAP, box.top],
+      [box.panel - width - GAP, box.top],
       [box.left, box.bottom + GAP],
       [box.left, box.top - height - GAP],
       [GAP, GAP],

@@ -179,7 +179,9 @@
       return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
     });
   const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
-  window.addEventListener("pointerdown", pressed, true);
+  // A finger that scrolls presses nothing: its pointer is cancelled before it is up.
+  window.addEventListener("pointerdown", (event) => event.pointerType !== "touch" && pressed(event), true);
+  window.addEventListener("pointerup", (event) => event.pointerType === "touch" && pressed(event), true);
   // How a step of a story writes its address: all steps are one step of the browser's history, which Back ends with the story.
   lpn.storyAddress = () => {
     if (!told || !moved) return null;
@@ -221,9 +223,10 @@
 
   // Without storage, the tour would start at every visit.
   const seen = () => lpn.stored("local", SEEN) !== null;
-  // Called when the workbench is shown: it tells the story that waits for it, or to a new visitor the tour.
-  lpn.welcome = () => {
-    const story = wanted || (seen() ? null : lpn.tour);
+  // Called when the workbench is shown: it tells the story that waits for it, or unasked to a new visitor the tour. On a phone, whose
+  // stage a card would cover, the tour waits until it is asked for.
+  lpn.welcome = (unasked) => {
+    const story = wanted || (unasked && !phone.matches && !seen() ? lpn.tour : null);
     wanted = null;
     if (story) setTimeout(() => !told && lpn.screen() === "all" && lpn.tell(story), 700);
   };

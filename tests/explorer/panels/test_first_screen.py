@@ -13,13 +13,14 @@ import pytest
 
 from explorer import session_state
 from explorer.opening import open_model, open_saved
-from explorer.panels import answer_text, first_screen
-from explorer.session_state import SessionState, StateChange
+from explorer.panels import answer_text, first_screen, pages
+from explorer.session_state import Chosen, LabChoices, SessionState, StateChange
 from explorer.url_state import UrlState
 from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
+from lpn.drawing import theme
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
@@ -59,7 +60,10 @@ def test_the_first_screen_has_two_pictures_one_sentence_and_one_button(workspace
     assert (right, headline) == (found, "Right" if found else "Wrong")
     assert sentence in text(html)
     assert sentence.startswith(f"The model compared {len(analysis.task.gallery)} satellite pictures")
-    if not found:
+    if found:
+        placed = replace(analysis, errors_m=np.full(len(analysis.task.gallery), 3.2))
+        assert "Its middle lies 3 m from the place photographed." in answer_text.plain_verdict(placed)[2]
+    else:
         assert analysis.positive is not None
         assert re.search(rf"the right one came {analysis.positive.rank}(st|nd|rd|th)\.$", sentence)
     assert "d²" not in html, "figures are for those who ask why"
@@ -73,7 +77,9 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert lead is not None
     other = before.positive if not found else next(match for match in before.matches if not match.true)
     assert other is not None
-    assert lead.total == pytest.approx(other.distance2 - before.matches[0].distance2, abs=1e-6)
+    sign = 1 if found else -1  # positive speaks for the right picture
+    assert lead.total == pytest.approx(sign * (other.distance2 - before.matches[0].distance2), abs=1e-6)
+    assert (lead.total > 0) == found
     html = first_screen.page(analysis, workspace)
     assert html.count('class="track"') == 4
     assert f"{lead.total:+.3f}".replace("-", "−") in text(html)
@@ -88,12 +94,15 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
         for index in (before.matches[0].index, lead.index)
     ]
     ahead, behind = (float((side.constants * weights).sum()) for side in sides)
-    assert cells.sum() + 2 * (ahead - behind) == pytest.approx(lead.total, abs=1e-5)
+    assert cells.sum() + sign * 2 * (ahead - behind) == pytest.approx(lead.total, abs=1e-5)
     assert html.count("<img") == 3, "the other tile stands beside the answer"
     assert ("The best wrong picture" if found else "The right one") in html
     plain = first_screen.page(before, workspace)
-    assert "speak for this answer" in html
-    assert "speak for this answer" not in plain
+    spoken_for = "this answer" if found else "the right picture"
+    assert f"gold places speak for {spoken_for}, blue ones for" in text(html)
+    assert f"for {spoken_for} (+) →" in text(html)
+    assert f"← for {'the best wrong picture' if found else 'this answer'} (−)" in text(html)
+    assert "gold places" not in text(plain)
     assert re.findall(r'src="([^"]+)"', html)[:2] != re.findall(r'src="([^"]+)"', plain)[:2], "parts are not drawn"
 
 
@@ -114,6 +123,44 @@ def test_a_lead_is_set_beside_those_of_all_answers(workspace: Workspace, monkeyp
     assert answer_text.context(turned, workspace, 0.1) == "", "it is no lead of the picture as it is"
 
 
+def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    picture = OwnPicture("mine.png", small_worlds.place(3))
+    own = analyse(workspace, SessionState(TASK, 4, upload=picture, first_screen=True))
+    wrong, right = (query(workspace, found) for found in (False, True))
+    assert not any(answer_text.trust(analysis, workspace) for analysis in (own, wrong, right)), "14 are too few"
+    monkeypatch.setattr("lpn.analysis.answer_context._ALIKE", 5)
+    monkeypatch.setattr("lpn.analysis.answer_context._FEWEST_GRADED", 10)
+    result = workspace.rankings[TASK].result
+    assert result is not None
+    for analysis in (own, wrong, right):
+        gap, known = analysis.matches[0].gap, analysis.state.upload is None
+        assert gap is not None
+        others = [i for i in range(14) if not (known and i == analysis.state.query)]
+        nearest = sorted(others, key=lambda i: abs(result.ranking.gap[i] - gap))[:5]
+        times = sum(int(result.ranking.first[i]) == 0 for i in nearest)
+        shown = text(first_screen.page(analysis, workspace))
+        pictures = "5 other pictures" if known else "5 pictures"
+        assert f"How far to trust it : among the {pictures} here whose answer was about as far ahead" in shown
+        assert f"it was right {times} times ({20 * times} %)." in shown
+        assert ("That holds for pictures like those of" in shown) != known
+        reason = text(first_screen.page(analyse(workspace, replace(analysis.state, why=True)), workspace))
+        assert f"The answer is {gap:.3f} ahead of the second best. How far to trust it" in reason
+    # The gap of a graded query is the one that its ranking tells.
+    assert result.ranking.gap[right.state.query] == pytest.approx(right.matches[0].gap, abs=1e-3)
+    turned = analyse(workspace, replace(right.state, angle=20.0))
+    assert "other pictures here, taken as they are, whose answer" in answer_text.trust(turned, workspace)
+
+
+def test_figures_of_the_unaltered_model_are_said_to_be_that(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lpn.analysis.answer_context._FEWEST_GRADED", 10)
+    weighted = analyse(workspace, replace(query(workspace, True).state, weights=(1.0, 0.0, 0.0, 0.0)))
+    shown = text(first_screen.page(weighted, workspace))
+    assert "Unaltered, over all 14 pictures its first answer is right" in shown
+    assert "How far to trust it" not in shown, "no other query was ranked by these weights"
+
+
 def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     result = workspace.rankings[TASK].result
     assert result is not None
@@ -122,6 +169,8 @@ def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch:
     assert answer_text.overall(result) in text(first_screen.page(query(workspace, True), workspace))
     assert answer_text.overall(None) == ""
     monkeypatch.setattr(Workspace, "has_flight", True)
+    assert "searched by itself, without the flight:" in pages.header(workspace, workspace.tasks[TASK])
+    assert "This photo searched by itself:" in pages.verdict(query(workspace, True), workspace)
     assert "each searched by itself; the flight's window adds" in text(
         first_screen.page(query(workspace, True), workspace)
     )
@@ -140,7 +189,8 @@ def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
 
 
 def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
-    state, shown = SessionState(TASK, 4, first_screen=True), []
+    chosen = LabChoices("map", "failed", "rank > 9", "0001", (Chosen("rows", "6 rows", (1, 2)),), columns=("rank",))
+    state, shown = SessionState(TASK, 4, first_screen=True, laboratory=chosen), []
     gui, navigation = SimpleNamespace(add_html=lambda _: None), SimpleNamespace()
     for name in ("random", "previous", "next", "failure"):
         setattr(navigation, name, lambda state: state)
@@ -154,7 +204,8 @@ def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
         screen.act(action)
         assert shown[-1] == restored[-1]
         assert shown[-1] is not None
-        assert (shown[-1].lab, shown[-1].laboratory.tab) == (True, tab)
+        assert shown[-1].lab
+        assert shown[-1].laboratory == LabChoices(tab, columns=("rank",)), "it shows all queries"
 
 
 def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,6 +232,11 @@ def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: 
     lead = answer_text.lead(analysis)
     assert lead is not None
     assert lead.other == "the next best picture"
+    assert "orange places speak for this answer" in text(html)
+    frames = re.findall(r"outline-color:(#\w+)", html)
+    assert frames == [theme.css(theme.FOR), theme.css(theme.AGAINST)], (
+        "what speaks for a picture has its frame's colour"
+    )
     np.testing.assert_allclose(lead.total, analysis.matches[0].gap, atol=1e-6)
 
 

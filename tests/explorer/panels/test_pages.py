@@ -75,10 +75,10 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
 ) -> None:
     live = tour_captions(workspace)
     assert len(live) == 5
-    assert not any("see the map" in caption for caption in live)
+    assert not any("shows the map" in caption for caption in live)
     assert any("square rings" in caption for caption in live)
     mapped = open_model(small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "mapped")), model_file)
-    assert any("see the map" in caption for caption in tour_captions(mapped))
+    assert any("shows the map" in caption for caption in tour_captions(mapped))
     save_result(tmp_path / "r.mat", data, model_file)
     saved = tour_captions(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
     assert len(saved) == 5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import gzip
 import http.client
 import logging
 import os
@@ -579,3 +580,17 @@ def alive(kind: type[T]) -> list[T]:
 
 def threads_of(name: str) -> int:
     return sum(thread.name.startswith(name) for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize("encoding", ["identity", "gzip"])
+def test_the_page_says_that_it_is_being_opened_until_its_script_comes(app: App, encoding: str) -> None:
+    request = urllib.request.Request(url(app), headers={"Accept-Encoding": encoding})
+    with urllib.request.urlopen(request, timeout=60) as response:
+        content = response.read()
+    assert response.headers["Content-Length"] == str(len(content))
+    assert response.headers["Content-Encoding"] == encoding
+    page = (gzip.decompress(content) if encoding == "gzip" else content).decode()
+    _, body, shown = page.partition("<body>")
+    assert body
+    assert shown.startswith('<div id="lpn-loading"')
+    assert "Opening LPN Explorer" in shown.partition('<div id="root"')[0]

@@ -14,6 +14,7 @@ from explorer.layout import layout_for
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.stage.camera import FOV, HEIGHT, SIGN_CAPTION, SIGN_PICTURE, WIDTH, Viewpoint
+from explorer.stage.cards import _card_label
 from explorer.stage.lettering import Lettering
 from explorer.stage.scene import Stage
 from explorer.stage.viewport import Viewport
@@ -104,6 +105,28 @@ def test_no_text_of_the_map_is_smaller_than_twelve_pixels(workspace: Workspace, 
         digits = np.asarray(tile.image)[8:, 9 : 9 + int(patch.argmin()), :3].min(axis=2) > 200
         rows = np.flatnonzero(digits[: int(0.9 * len(digits))].any(axis=1))
         assert (rows[-1] - rows[0] + 1) * shown / tile.image.shape[0] >= 0.9 * digit_height(12)
+
+
+def test_a_text_without_room_is_the_shorter_one_or_left_out() -> None:
+    _, draw = captions.caption(400, 40)
+    wide, narrow = (draw.textlength(text, font=captions.font(20)) for text in ("1 centre", "1"))
+    assert captions.fitted(draw, "1 centre", 20, wide, "1") == "1 centre"
+    assert captions.fitted(draw, "1 centre", 20, narrow, "1") == "1"
+    assert captions.fitted(draw, "satellite 0450", 20, 60, "satellite") == "satel..."
+    assert captions.fitted(draw, "satellite 0450", 20, 20, "0450") == ""
+
+
+@pytest.mark.parametrize(("width", "height"), [(290, 390), (390, 304), *SIZES])
+def test_a_rank_its_sign_and_its_distance_stand_apart(workspace: Workspace, width: int, height: int) -> None:
+    viewport, layout = Viewport(), workspace.layout
+    viewport.update([width, height])
+    size = Lettering.of(layout, 4, viewport).label
+    match: Any = SimpleNamespace(rank=10, true=False, distance2=1.141, shares=np.zeros(4, np.float32))
+    text = _card_label(layout, match, 2.0, DARK, size)[:39].astype(int)
+    sign = np.flatnonzero((text[..., 2] - text[..., 0] > 60).any(axis=0))
+    digits = np.flatnonzero((text.min(axis=2) > 120).any(axis=0))
+    assert digits[digits < sign[0]].max() + size / 12 < sign[0]
+    assert sign[-1] + size / 12 < digits[digits > sign[0]].min()
 
 
 def test_many_parts_and_panoramas_keep_their_texts_apart() -> None:

@@ -36,10 +36,8 @@ def off_m(shown: StateAnalysis, match: Match) -> str:
     return f"{shown.errors_m[match.index]:,.0f} m"
 
 
-def evidence(shown: StateAnalysis, part: int) -> tuple[str, str]:
-    assert shown.pair_evidence is not None
-    values = shown.pair_evidence.evidence
-    return signed(values.contributions[part]), f"{values.score:.3f}"
+def adds(wrong: Match, part: int) -> str:
+    return f"adds only {wrong.shares[part]:.3f} to the wrong tile's d² of {wrong.distance2:.3f}"
 
 
 def is_found(shown: StateAnalysis) -> bool:
@@ -71,7 +69,7 @@ FACTS: list[list[tuple[str, bool, Callable[[StateAnalysis], list[str]]]]] = [
     [
         ("0450", False, lambda a: [f"is {ordinal(positive(a).rank)}", off_m(a, a.chosen)]),
         ("0449", False, lambda a: [f"{-margin(a):.2f} behind", f"most: {signed(costs_most(a, 2), 2)}"]),
-        ("0450", False, lambda a: [*evidence(a, 2)]),
+        ("0450", False, lambda a: [adds(a.chosen, 2), f"but {positive(a).shares[2]:.3f} to the true tile's"]),
         ("0449", True, lambda a: ["centre and ring 3", f"a margin of {margin(a):.2f}"]),
         ("0450", False, lambda _: ["both frames overlap"]),
     ],

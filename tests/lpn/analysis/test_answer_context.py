@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from lpn.analysis import answer_context
+from lpn.analysis.answer_context import AlikeAnswers
 from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.tables import Column, Table, number_column, text_column
+from lpn.retrieval.metrics import Retrieval
 
 COUNT = 100
 
@@ -45,11 +47,49 @@ def test_a_failure_names_the_kind_of_picture_that_fails_most(outcomes: Outcomes)
     twins = text_column("twins", ["yes" if i >= 78 else "no" for i in range(COUNT)])
     assert (
         answer_context.describe_failure(outcomes, table(altitude), 90)
-        == "Where altitude is 240 m, pictures fail 67 % of the time, against 20 % over all."
+        == "This picture's altitude is 240 m; 67 % of such pictures fail (20 % of all do)."
     )
     twin = answer_context.describe_failure(outcomes, table(altitude, twins), 90)
     assert twin == (
-        "This building has a twin elsewhere, and pictures of such buildings fail 91 % of the time, against 20 % over all."
+        "This building has a twin elsewhere, and 91 % of the pictures of such buildings fail (20 % of all do)."
     )
     assert answer_context.describe_failure(outcomes, table(altitude, twins), 3) == "", "its kind fails seldom"
     assert answer_context.describe_failure(outcomes, table(), 90) == "", "nothing else is known"
+    kind = text_column("kind", ["dormitory" if i >= 70 else "hall" for i in range(COUNT)])
+    assert answer_context.describe_failure(outcomes, table(kind), 90) == (
+        "This picture's kind is dormitory; 67 % of such pictures fail (20 % of all do)."
+    )
+    height = number_column("height", np.arange(COUNT), "m")
+    assert answer_context.describe_failure(outcomes, table(height), 90) == (
+        "This picture's height is in the range 80 to 99 m; 100 % of such pictures fail (20 % of all do)."
+    )
+
+
+def retrieval(first: np.ndarray, gap: np.ndarray) -> Retrieval:
+    return Retrieval(first, first, first, gap, gap, 10)
+
+
+def test_answers_of_a_like_gap_are_counted() -> None:
+    # Right from a gap of 0.5 on.
+    gap = np.arange(1000) / 1000.0
+    ranking = retrieval(np.where(gap >= 0.5, 0, 3), gap)
+    assert answer_context.answers_alike(ranking, 0.9) == AlikeAnswers(100, 100)
+    assert answer_context.answers_alike(ranking, -0.1) == AlikeAnswers(100, 0)
+    middle = answer_context.answers_alike(ranking, 0.4995)
+    assert middle is not None
+    assert middle.share == 0.5
+    # The query that was asked tells nothing of itself, and neither does one of unknown truth.
+    assert answer_context.answers_alike(ranking, 0.9, besides=900) == AlikeAnswers(99, 99)
+    known = np.arange(1000) % 4 != 0
+    assert answer_context.answers_alike(ranking, 0.9, known) == AlikeAnswers(75, 75)
+    # A tenth is fewer than 50, so it is 50.
+    assert answer_context.answers_alike(retrieval(ranking.first[:200], gap[:200]), 0.1) == AlikeAnswers(50, 0)
+
+
+def test_too_few_answers_have_none_alike() -> None:
+    gap = np.arange(120) / 120.0
+    ranking = retrieval(np.zeros(120, np.int64), gap)
+    assert answer_context.answers_alike(ranking, 0.5) is not None
+    assert answer_context.answers_alike(ranking, None) is None, "there is no second tile"
+    assert answer_context.answers_alike(ranking, 0.5, np.arange(120) < 99) is None
+    assert answer_context.answers_alike(retrieval(ranking.first, np.full(120, np.nan)), 0.5) is None

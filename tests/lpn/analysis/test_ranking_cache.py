@@ -31,7 +31,7 @@ def ranked(task: Task) -> metrics.Retrieval:
 
 
 def same(one: metrics.Retrieval, other: metrics.Retrieval) -> None:
-    for name in ("first", "true", "false", "best", "precision"):
+    for name in ("first", "true", "false", "best", "precision", "gap"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
     assert one.metrics() == other.metrics()
 
@@ -114,6 +114,7 @@ def test_a_damaged_file_is_as_good_as_none(task: Task) -> None:
         {"first": good["first"] + 7},
         {"true": good["true"].astype(np.float64)},
         {"precision": good["precision"] * np.nan},
+        {"gap": good["gap"] - 5},
         {"gallery": 8},
     ):
         np.savez(file, **(good | change))

@@ -122,3 +122,15 @@ def test_names_are_escaped_and_panoramas_are_three_in_a_row() -> None:
     assert "--in-a-row:5;" in heatmaps.draw(pair(4), list("abcd"))
     assert "--in-a-row:5;" in heatmaps.draw(pair(8), list("abcdefgh"))
     assert "--in-a-row:2;" in heatmaps.draw(pair(1), ["1 whole"])
+
+
+def test_only_the_strong_cells_of_a_lead_are_painted() -> None:
+    picture = np.full((40, 40, 3), 90, np.uint8)
+    cells = np.full((20, 20), 0.01)
+    cells[:2], cells[-2:] = 1.0, -1.0
+    drawn = overlays.with_lead(picture, cells, ((255, 200, 30), (70, 120, 240))).astype(int)
+    assert drawn[0, 0, 0] > drawn[0, 0, 2] + 80
+    assert drawn[-1, 0, 2] > drawn[-1, 0, 0] + 80
+    assert abs(drawn[20, 20] - 90).max() <= 1, "a weak cell shows the picture"
+    still = overlays.with_lead(picture, np.zeros((20, 20)), ((255, 200, 30), (70, 120, 240)))
+    assert abs(still.astype(int) - 90).max() <= 1

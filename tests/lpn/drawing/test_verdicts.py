@@ -23,6 +23,7 @@ def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> Ran
     ("without", "expected"),
     [
         (positive_ranks(3, [1, 4], [2, 2]), "Without part a the true tile would be first."),
+        (positive_ranks(3, [1, 1], [2, 2]), "Without any one of the parts a and b the true tile would be first."),
         (positive_ranks(9, [6, 4], [2, 2]), "without part b, the true tile would be 4th."),
         (positive_ranks(2, [2, 3], [2, 1]), "no better without any one of them; part b alone puts it first."),
         (positive_ranks(2, [None, None], [2, 2]), "No single part is to blame alone."),

@@ -11,12 +11,14 @@ import pytest
 import lpn
 from lpn import descriptors
 from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
+from lpn.analysis.ranking_cache import ResumableRanking
 from lpn.analysis.task import Task, open_task
 from lpn.core.errors import InputError, StoreError
 from lpn.datasets import geo, open_dataset
 from lpn.drawing import verdicts
 from lpn.index import Engine, Kind, SearchResult, create_index, ground
 from lpn.index.queries import dataset_queries, picture_queries
+from lpn.index.ranking import IndexRanking
 from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask, index_task
 from lpn.index.tile_pictures import TilePlaceholder
@@ -114,6 +116,8 @@ def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, who
     for name in ("recall@1", "recall@5", "recall@10", "queries"):
         assert task.metrics[name] == whole.metrics[name]
     assert np.isnan(task.metrics["ap"])
+    gap = IndexRanking(task).finish(lambda *_: None).gap
+    np.testing.assert_allclose(gap, ResumableRanking(whole).finish(lambda *_: None).gap, atol=1e-5)
     table = now.tabulate(found, task.part_names)
     ranks = [table.columns["rank"].text(i) for i in range(PLACES)]
     assert ranks == ["> 12" if rank >= DEPTH else str(rank + 1) for rank in wanted.rank]

@@ -237,3 +237,18 @@ def test_lists_that_do_not_fit_are_refused(truth: list[Truth], said: str) -> Non
     query, _, gallery, _ = case(1, 1, 5, 1, 8, 1.0)
     with pytest.raises(InputError, match=said):
         metrics.evaluate(query, None, gallery, None, truth)
+
+
+@pytest.mark.parametrize("factors", [None, np.array([1.0, 0.0, 2.0, 1.0])])
+def test_the_gap_is_that_of_the_first_two_tiles_whatever_they_show(factors: np.ndarray | None) -> None:
+    rng = np.random.default_rng(4)
+    queries, tiles = (rng.standard_normal((count, 4)).astype(np.float32) for count in (9, 6))
+    truth = lists(4, 9, 6)
+    found = metrics.retrieve(queries, None, tiles, None, truth, factors)
+    scores = (queries if factors is None else queries * factors) @ tiles.T
+    for query, of in enumerate(truth):
+        ordered = np.sort(np.delete(scores[query], of.junk))
+        assert found.gap[query] == pytest.approx(2 * (ordered[-1] - ordered[-2]), abs=1e-5)
+    one = metrics.retrieve(queries, np.zeros(9, int), tiles, np.array([0, -1, -1, -1, -1, -1]))
+    assert np.isnan(one.gap).all(), "there is no second tile"
+    assert np.isnan(metrics.retrieve(queries, np.zeros(9, int), tiles[:1], np.array([0])).gap).all()
