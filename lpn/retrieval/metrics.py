@@ -56,7 +56,7 @@ class Retrieval(Ranked):
     def metrics(self, known: BoolArray | None = None) -> dict[str, float]:
         """Return the values that `evaluate` returns; they count the queries that are `known`, (Q,), or all."""
         if known is not None and not known.all():
-            kept = (column[known] for column in (self.first, self.true, self.false, self.precision, self.gap))
+            kept = self.first[known], self.true[known], self.false[known], self.precision[known], self.gap[known]
             return Retrieval(*kept, self.gallery, self.depth).metrics()
         return {
             "recall@1": self.recall(1),
@@ -147,8 +147,10 @@ def retrieve(
 
 def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:
     """Join the rankings of consecutive queries; `gallery` is the number of tiles, junk included."""
-    columns = (np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(Ranked))
-    return Retrieval(*columns, gallery)
+    first, true, false, precision, gap = (
+        np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(Ranked)
+    )
+    return Retrieval(first, true, false, precision, gap, gallery)
 
 
 def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
