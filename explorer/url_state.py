@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer import session_state
-from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState, with_field
+from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState, WhyTab, with_field
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
@@ -72,6 +72,7 @@ class UrlState:
             _switch("map"),
             _switch("city"),
             _switch("why"),
+            _Parameter("reason", _write_why_tab, _read_why_tab),
             _Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
             *map(_in_lab, _LAB_PARAMETERS),
             _Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
@@ -350,6 +351,17 @@ def _write_off(state: SessionState) -> str | None:
 def _read_off(state: SessionState, text: str) -> SessionState:
     parts = {round(_parse(piece, 1, state.n_parts)) for piece in text.split(",")}
     return replace(state, enabled=tuple(part + 1 not in parts for part in range(state.n_parts)))
+
+
+def _write_why_tab(state: SessionState) -> str | None:
+    return state.why_tab if state.why and state.why_tab not in ("best", _default(state, "why_tab")) else None
+
+
+def _read_why_tab(state: SessionState, text: str) -> SessionState:
+    tabs = [tab for tab in get_args(WhyTab) if tab != "best"]
+    if text not in tabs:
+        raise UnusableError(f"expected {' or '.join(tabs)}.")
+    return with_field(state, "why_tab", text)
 
 
 def _read_heat_part(state: SessionState, text: str) -> SessionState:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 
 import viser
@@ -16,6 +17,8 @@ from explorer.panels.upload_control import UploadControl
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import StateAnalysis, Workspace
 
+# Seconds for which an error is shown.
+_TOLD = 12.0
 # Widths in pixels; the right panel is narrow while the left one is minimized.
 _LEFT, _RIGHT, _NARROW = 290, 370, 330
 
@@ -32,6 +35,8 @@ class Panels:
         change: Callable[[StateChange], None],
     ) -> None:
         self._client, gui = client, client.gui
+        self._error: viser.NotificationHandle | None = None
+        self._error_lock = threading.Lock()
         self.navigation = Navigation(workspace, client.add_notification)
         self.controls = Controls(gui, state, change)
         self._left = left = gui.add_panel()
@@ -47,7 +52,7 @@ class Panels:
         self.answer = AnswerPanel(gui, workspace, change)
         if self.query.own is not None:  # in the panel that is there on every screen: the left one may be folded
             self.query.own.run_scripts_in(gui)
-            UploadControl(gui, self.query.own.take, self.notify_error)
+            UploadControl(gui, self.query.own.take, self.notify_error, self.forget_error)
 
     def write(self, state: SessionState) -> None:
         """Write a state into the controls."""
@@ -66,5 +71,14 @@ class Panels:
         self._left.minimize() if small else self._left.expand()
 
     def notify_error(self, title: str, text: str) -> None:
-        """Show an error as a notification that stays until it is closed."""
-        self._client.add_notification(title, text, color="red", auto_close_seconds=None)
+        """Show an error as a notification in place of the one before; it goes by itself."""
+        self.forget_error()
+        with self._error_lock:
+            self._error = self._client.add_notification(title, text, color="red", auto_close_seconds=_TOLD)
+
+    def forget_error(self) -> None:
+        """Take the last error away: it speaks of something that is over."""
+        with self._error_lock:
+            error, self._error = self._error, None
+        if error is not None:
+            error.remove()

@@ -109,6 +109,13 @@ class StoryWindow:
         """The names of the stories."""
         return list(self._stories.by_name)
 
+    def close(self) -> bool:
+        """Close the window; return True if it was open."""
+        with self._lock:
+            was_open = self._open
+            self._set_open(False)
+            return was_open
+
     def show(self, analysis: StateAnalysis) -> None:
         """Remember what the page shows, for the caption of the next step."""
         self._analysis = analysis

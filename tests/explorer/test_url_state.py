@@ -45,7 +45,8 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         down=rng.randint(-32, 32),
         zoom=round(rng.uniform(0.25, 4), 2),
         region=tuple(sorted(rng.sample(range(count), rng.randrange(count)))),
-        why=rng.choice(chance),
+        why=(why := rng.choice(chance)),
+        why_tab=rng.choice(["evidence", "comparison", "sweep"]) if why else "evidence",
         lab=lab,
         laboratory=any_choices(rng, len(task.queries)) if lab else LabChoices(),
         heat=rng.choice(chance),
@@ -208,7 +209,7 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale", "first_screen": "screen"}
     named |= {"outcome": "only", "filter": "where", "name_search": "find", "sort_column": "sort", "descending": "order"}
-    named |= {"full_height": "tall", "map": "map", "colour": "by"}
+    named |= {"full_height": "tall", "map": "map", "colour": "by", "why_tab": "reason"}
     fields = (set(vars(state)) | set(vars(LabChoices()))) - left_out - {"laboratory"}
     assert {named.get(field, field) for field in fields} | {"show", "on"} == set(links.keys)
 

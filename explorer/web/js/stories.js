@@ -178,7 +178,7 @@
       const { left, right, top, bottom } = notice.getBoundingClientRect();
       return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
     });
-  const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
+  const pressed = (event) => event.isTrusted && told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
   window.addEventListener("pointerdown", pressed, true);
   // How a step of a story writes its address: all steps are one step of the browser's history, which Back ends with the story.
   lpn.storyAddress = () => {
@@ -221,9 +221,9 @@
 
   // Without storage, the tour would start at every visit.
   const seen = () => lpn.stored("local", SEEN) !== null;
-  // Called when the workbench is shown: it tells the story that waits for it, or to a new visitor the tour.
+  // Called when the workbench is shown: it tells the story that waits for it, or to a new visitor the tour, unless a link led here.
   lpn.welcome = () => {
-    const story = wanted || (seen() ? null : lpn.tour);
+    const story = wanted || (seen() || lpn.linked ? null : lpn.tour);
     wanted = null;
     if (story) setTimeout(() => !told && lpn.screen() === "all" && lpn.tell(story), 700);
   };

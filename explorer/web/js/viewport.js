@@ -188,14 +188,24 @@
     const whole = target.closest?.("#lpn-flight-tall, #lpn-lab-tall");
     if (whole) lpn.reveal(whole.id === "lpn-flight-tall" ? "#lpn-flight" : ".lab-bar");
   });
-  // Open a tab of a window by its name, as soon as the window is in the page.
+  // Open a tab of a window by its name, as soon as the window is in the page, and bring the window in front of others.
+  let opening = 0;
+  const tabs = () => [...document.querySelectorAll('[role="tab"]')].filter((one) => one.offsetHeight);
   lpn.tab = (name, tries = 40) => {
-    const tabs = [...document.querySelectorAll('[role="tab"]')];
-    const tab = tabs.find((one) => one.textContent.trim() === name && one.offsetHeight);
-    if (!tab) return tries && setTimeout(() => lpn.tab(name, tries - 1), 250);
+    clearTimeout(opening);
+    const tab = tabs().find((one) => one.textContent.trim() === name);
+    if (!tab) return tries && (opening = setTimeout(() => lpn.tab(name, tries - 1), 250));
     tab.click(); // viser's tabs take it on a phone only, and a key elsewhere only
     tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+    lpn.raise(tab.closest(".mantine-Paper-root"));
     if (phone.matches) setTimeout(() => scrollPanel(tab), 300);
   };
+  // Tell the server which tab a person opened: a link opens it, too.
+  const told = ({ target, isTrusted }) => {
+    const list = isTrusted && target.closest?.('[role="tab"]')?.closest(".mantine-Paper-root");
+    const tell = () => tabs().forEach((tab) => list.contains(tab) && tab.ariaSelected === "true" && lpn.send("tab", tab.textContent.trim()));
+    if (list) setTimeout(tell, 50);
+  };
+  for (const act of ["click", "keyup"]) window.addEventListener(act, told, true);
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
 })();
