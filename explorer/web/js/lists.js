@@ -135,12 +135,13 @@
         below.firstElementChild.style.height = Math.max(total - last * height - top, 0) + "px";
         if (wanted.some((node, i) => body.children[i + 1] !== node)) body.replaceChildren(above, ...wanted, below);
       },
-      // Columns only grow while one scrolls; otherwise they would move with what is in sight. In another width they begin anew.
+      // Columns only grow while one scrolls; otherwise they would move with what is in sight. Each asks for what its contents need,
+      // so that the room beyond is shared anew in another width, or by longer contents.
       rest: (root) => {
-        const heads = [...root.querySelectorAll("th")];
-        if (root._width !== root.clientWidth) heads.forEach((head) => (head.style.minWidth = head._width = ""));
-        root._width = root.clientWidth;
+        const heads = [...root.querySelectorAll("th")], table = root.querySelector("table");
+        table.style.width = "max-content";
         const widths = heads.map((head) => Math.ceil(head.getBoundingClientRect().width));
+        table.style.width = "";
         heads.forEach((head, i) => widths[i] > (head._width || 0) && (head.style.minWidth = (head._width = widths[i]) + "px"));
       },
       extent: () => {},
