@@ -20,6 +20,19 @@ _MAX_LENGTH = 20_000
 _MOST_PARAMETERS = 200
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
+# What parameters say in the summary of an address; most have more values than one.
+_SUMMARY = {
+    "weights": "weighted parts",
+    "angle": "turned",
+    "zoom": "zoomed",
+    "region": "by a region",
+    "apart": "parts taken apart",
+    "shows": "evidence",
+    "map": "map",
+    "why": "explanation",
+    "lab": "failure laboratory",
+    "flight": "flight",
+}
 # Parameters of the query that is shown.
 _OF_QUERY = ("with", "angle", "shift", "down", "zoom", "region")
 # Characters of the laboratory's filter, and of its other texts; of its columns, and of the queries chosen there by hand.
@@ -136,6 +149,24 @@ class UrlState:
             text: untrusted.
         """
         return self._named(text) - {"screen"} == {"show"}
+
+    def summary(self, text: str) -> str:
+        """Return in a few words what a query string shows: the query, then what is open or altered.
+
+        Args:
+            text: untrusted.
+        """
+        try:
+            given = {key: printable(value[:60]) for key, value in _given(text).items()}
+        except ValueError:
+            return "more than an address holds"
+        words = [given.get("query", "")]
+        if tile := given.get("with"):
+            words.append(f"with {'the true tile' if tile == POSITIVE else tile}")
+        if off := given.get("off"):
+            words.append(f"without part {off}")
+        words += [word for key, word in _SUMMARY.items() if given.get(key, "0") not in ("0", "")]
+        return ", ".join(filter(None, words)) or "the page as it is"
 
     def _named(self, text: str) -> set[str]:
         """Return the keys of what a query string names besides a theme; none if it has too many parameters."""

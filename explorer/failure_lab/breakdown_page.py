@@ -31,12 +31,14 @@ class _Card(NamedTuple):
     """A chart; `style` is "part", "pair", or "rate".
 
     Attributes:
+        about: what the values of a column mean; may be empty.
         room: lines that it takes at least, so that no chart moves under the pointer while a person chooses.
     """
 
     style: str
     title: str
     lines: Sequence[_Line]
+    about: str = ""
     room: int = 1
 
 
@@ -69,9 +71,7 @@ def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card
         if 1 < len(state.failure_rates(findings, everything, column)) <= most
     ]
     drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace)]
-    return drawn + [
-        _rate_card(findings, lab, column, state.failure_rates(findings, lab, column)) for column in columns
-    ]
+    return drawn + [_rate_card(findings, lab, column, state.failure_rates(findings, lab, column)) for column in columns]
 
 
 def _part_card(findings: Findings, lab: LabState) -> _Card:
@@ -129,7 +129,7 @@ def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Ra
     listed = f"; {_MAX_VALUES} of {len(rates)} values" if len(rates) > _MAX_VALUES else ""
     count = sum(rate.queries for rate in rates)
     queries = f"{'all ' if count == len(findings.table) else ''}{count:,} queries"
-    return _Card("rate", f"Failures by {column.name}, of {queries}{listed}", lines)
+    return _Card("rate", f"Failures by {column.name}, of {queries}{listed}", lines, column.about)
 
 
 def _rate_bar(rate: Rate, overall: float) -> _RateBar:

@@ -34,8 +34,8 @@ from lpn.core.errors import LPNError
 # Share of the stage, from its top, that the compared pair takes, unless that leaves less than so many pixels to the window.
 _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
 _ROW_HEIGHT = 27  # pixels
-# Height of the window without the table, in pixels.
-_FRAME_HEIGHT = 172
+# Height of the window without the table, and of the line that offers the second model's ranks, in pixels.
+_FRAME_HEIGHT, _OFFER_HEIGHT = 180, 22
 # Seconds between two looks at the second model's ranks.
 _SECOND_INTERVAL = 0.5
 
@@ -361,7 +361,9 @@ class FailureLabWindow:
         shell = lab.columns, lab.sort_column, lab.descending
         if self._shell[0] != shell:
             self._shell = shell, self._shell[1] + 1
-        height = max(self._size[1] - _FRAME_HEIGHT, 6 * _ROW_HEIGHT)
+        offered = self._workspace.second is not None and findings.second is None
+        frame = _FRAME_HEIGHT + (_OFFER_HEIGHT if offered else 0)
+        height = max(self._size[1] - frame, 6 * _ROW_HEIGHT)
         self._body.show(table.table(findings, lab, len(rows), self._shell[1], height))
         if not len(rows):
             self._data.show("")

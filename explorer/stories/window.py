@@ -307,5 +307,14 @@ class StoryWindow:
         self._head.show(
             render("stories/head", story=told, opened=opened, names=list(self._stories.by_name), limits=story)
         )
-        self._steps.show(render("stories/steps", story=told, revision=self._revision, limits=story, places=tour.PLACES))
+        self._steps.show(
+            render(
+                "stories/steps",
+                story=told,
+                revision=self._revision,
+                limits=story,
+                places=tour.PLACES,
+                summaries=[self._url_state.summary(step.shows) for step in told.steps],
+            )
+        )
         self._message.show(render("stories/message", text=text, good=good, changed=self._draft.changed))

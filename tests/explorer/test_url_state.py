@@ -241,3 +241,21 @@ def test_ranges_are_short_and_exact() -> None:
     assert url_state.cells("3-5,8", 9) == (3, 4, 5, 8)
     assert url_state.ranges(range(256)) == "0-255"
     assert session_state.SessionState("t", 1).region == ()
+
+
+def test_an_address_is_summed_up_in_words(links: UrlState) -> None:
+    task = "task=drone-to-satellite"
+    assert links.summary(f"{task}&query=0005&with=0007&off=2&map=1") == "0005, with 0007, without part 2, map"
+    assert links.summary(f"{task}&query=0005&with=truth&why=1&lab=0") == "0005, with the true tile, explanation"
+    assert links.summary("") == "the page as it is"
+    assert "\n" not in links.summary("query=%0Ax")
+
+
+def test_the_tab_of_the_explanation_is_in_the_address(links: UrlState) -> None:
+    state = SessionState("drone-to-satellite", 4, why=True, why_tab="comparison")
+    assert "reason=comparison" in links.write(state)
+    assert links.read(links.write(state), SessionState("drone-to-satellite", 4)) == (state, [])
+    for tab, why in (("evidence", True), ("best", True), ("comparison", False)):
+        assert "reason" not in links.write(replace(state, why=why, why_tab=tab))
+    for wrong in ("best", "", "x"):
+        assert len(links.read(f"why=1&reason={wrong}", state)[1]) == 1
