@@ -26,7 +26,7 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService
 from explorer.flight_window.window import FlightWindow
-from explorer.panels import shortcuts
+from explorer.panels import pages, shortcuts
 from explorer.panels.first_screen import FirstScreen, plain_state
 from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
@@ -376,6 +376,7 @@ class ClientSession:
             with self.client.atomic():  # the page draws one frame
                 self._stage.show(analysis)
                 self._bridge.set_ground(self._stage.ground)
+                self._bridge.set_legend(pages.heat_legend(analysis, self._workspace))
                 self._explain_window.show(analysis)
                 self._lab.show(analysis)
                 self._flight.show(analysis)

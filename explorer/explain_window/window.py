@@ -278,11 +278,11 @@ class ExplainWindow:
                 now.sweep.request.cancelled.set()
                 self._content = replace(self._content, sweep=None)
         if drawn:
-            for tab in self._tabs[:5]:
-                tab.draw()
             if analysis.state.why_tab == "best":
                 best = best_tab(analysis)
                 self._change(lambda state: replace(state, why_tab=best) if state.why_tab == "best" else None)
+            for tab in self._tabs[:5]:
+                tab.draw()
             if self._workspace.second is not None:
                 self._models_worker.wake()
 

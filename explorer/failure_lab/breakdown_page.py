@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from explorer.failure_lab import state
@@ -27,7 +28,8 @@ class _Line(NamedTuple):
     content: object
 
 
-class _Card(NamedTuple):
+@dataclass(frozen=True)
+class _Card:
     """A chart; `style` is "part", "pair", or "rate".
 
     Attributes:
@@ -55,7 +57,7 @@ def page(findings: Findings, lab: LabState, workspace: Workspace) -> str:
     """Return the charts of the selected queries; a selection made in a chart does not narrow this chart."""
     of_all = cards(findings, state.clear(lab), workspace)
     drawn = [
-        card._replace(room=max(len(card.lines), len(whole.lines), 1))
+        replace(card, room=max(len(card.lines), len(whole.lines), 1))
         for card, whole in zip(cards(findings, lab, workspace), of_all, strict=True)
     ]
     return render("failure_lab/breakdown", cards=drawn, has_columns=any(card.style == "rate" for card in drawn))

@@ -75,7 +75,7 @@ class PageBridge:
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
-        self._address, self._ground, self._call, self._tab = (Html(gui) for _ in range(4))
+        self._address, self._ground, self._call, self._tab, self._legend = (Html(gui) for _ in range(5))
         self._calls = 0
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
@@ -85,6 +85,10 @@ class PageBridge:
     def set_ground(self, ground: Mapping[str, object] | None) -> None:
         """Tell the page where the ground of the stage's map lies, see `GalleryMap.ground`; None without a map."""
         self._ground.show(run(call("stageMap", ground)))
+
+    def set_legend(self, html: str) -> None:
+        """Show the legend of what lies over the stage's pictures; none for an empty text."""
+        self._legend.show(run(call("legend", html)))
 
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of the page's script. The page may run only the last of several quick calls."""

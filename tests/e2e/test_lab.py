@@ -262,6 +262,9 @@ def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
     _, table = truth
     lab.choose("Maps")
     shown, counted = lab.page.locator(".lab-map"), lab.page.locator(".lab-map .counted")
+    expect(shown).to_have_attribute("data-map", "ground")
+    lab.page.locator("#lpn-lab-maps a", has_text="PCA").click()
+    expect(shown).to_have_attribute("data-map", "pca")
     expect(counted).to_have_text("40 of 40")
     lasso(lab, ALL)
     expect(lab.page.locator(".lab-summary .pick")).to_contain_text("lasso on the PCA")
@@ -407,7 +410,8 @@ def test_single_rows_are_chosen_by_mouse_and_keys(lab: LabPage, truth: tuple[Out
 @pytest.mark.slow
 def test_the_queries_in_sight_of_a_map_are_chosen_by_keys(lab: LabPage) -> None:
     lab.choose("Maps")
-    expect(lab.page.locator(".lab-map .counted")).to_have_text("40 of 40")
+    lab.page.locator("#lpn-lab-maps a", has_text="PCA").click()
+    expect(lab.page.locator(".lab-map[data-map=pca] .counted")).to_have_text("40 of 40")
     marks = lab.page.locator(".lab-map .marks")
     for _ in range(40):  # no arrow pushes all points out of sight
         marks.press("ArrowRight")

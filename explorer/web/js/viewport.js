@@ -133,7 +133,20 @@
     const canvas = lpn.canvas();
     return canvas?.clientWidth && canvas.clientHeight ? [canvas.clientWidth, canvas.clientHeight] : null;
   };
+  // The legend of the heatmaps lies in a corner of the stage, above its captions.
+  const legend = element("lpn-legend", document.body);
+  const placeLegend = () => {
+    const box = lpn.canvas()?.getBoundingClientRect();
+    if (box) [legend.style.left, legend.style.top] = [box.left + 8 + "px", box.top + "px"];
+    if (box) legend.style.maxWidth = box.width - 16 + "px";
+  };
+  lpn.legend = (html) => {
+    legend.innerHTML = html;
+    legend.hidden = !html;
+    placeLegend();
+  };
   const stage = new ResizeObserver(() => {
+    placeLegend();
     clearTimeout(stage.sending);
     stage.sending = setTimeout(() => {
       const size = lpn.stageSize();
