@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 
 import viser
@@ -11,14 +10,13 @@ from explorer.browse.feeds import Feeds
 from explorer.panels import parts_panel
 from explorer.panels.answer_panel import AnswerPanel
 from explorer.panels.controls import Controls
+from explorer.panels.error_notice import ErrorNotice
 from explorer.panels.navigation import Navigation
 from explorer.panels.query_panel import QueryPanel
 from explorer.panels.upload_control import UploadControl
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import StateAnalysis, Workspace
 
-# Seconds for which an error is shown.
-_TOLD = 12.0
 # Widths in pixels; the right panel is narrow while the left one is minimized.
 _LEFT, _RIGHT, _NARROW = 290, 370, 330
 
@@ -35,8 +33,7 @@ class Panels:
         change: Callable[[StateChange], None],
     ) -> None:
         self._client, gui = client, client.gui
-        self._error: viser.NotificationHandle | None = None
-        self._error_lock = threading.Lock()
+        self._error = ErrorNotice(client)
         self.navigation = Navigation(workspace, client.add_notification)
         self.controls = Controls(gui, state, change)
         self._left = left = gui.add_panel()
@@ -71,14 +68,9 @@ class Panels:
         self._left.minimize() if small else self._left.expand()
 
     def notify_error(self, title: str, text: str) -> None:
-        """Show an error as a notification in place of the one before; it goes by itself."""
-        self.forget_error()
-        with self._error_lock:
-            self._error = self._client.add_notification(title, text, color="red", auto_close_seconds=_TOLD)
+        """Show an error, see `ErrorNotice`."""
+        self._error.show(title, text)
 
     def forget_error(self) -> None:
-        """Take the last error away: it speaks of something that is over."""
-        with self._error_lock:
-            error, self._error = self._error, None
-        if error is not None:
-            error.remove()
+        """Take the last error away."""
+        self._error.forget()
