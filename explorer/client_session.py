@@ -26,7 +26,7 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService
 from explorer.flight_window.window import FlightWindow
-from explorer.panels import shortcuts
+from explorer.panels import pages, shortcuts
 from explorer.panels.first_screen import FirstScreen, plain_state
 from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
@@ -133,7 +133,7 @@ class ClientSession:
                 viewport,
                 self._reporter,
                 self._requests,
-                lambda name: self._bridge.call("tab", name),
+                lambda name: self._bridge.open_tab(name),
             )
             self._lab = FailureLabWindow(
                 client, workspace, services.failure_lab, services.feeds, self.change, viewport, self._reporter
@@ -196,7 +196,7 @@ class ClientSession:
             commands += [(label, None, call) for window in windows for label, call in window.commands()]
             commands.append(("Glossary", None, glossary.show))
             commands.append(("First screen", None, lambda: self._first_screen.act("start")))
-            shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands)
+            shortcuts.add(client.gui, workspace, self._panels, self.change, self._bridge, commands, self._stories.close)
             background = self._requests.queued(workspace.model, background=True)
             self._stage = Stage(client, workspace, self._on_select, background, viewport)
             self._worker = Worker(self._work, self._on_failed_answer)
@@ -218,6 +218,8 @@ class ClientSession:
                 self._set_theme(state)
                 if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
                     self._bridge.call("keepTheme", "dark" if state.dark else "light")
+            if state.screen != self._state.screen:
+                self._panels.forget_error()
             if state.shows_reasons and not self._state.shows_reasons:
                 self._explain_window.announce()
                 self._bridge.call("reveal", "#lpn-why")
@@ -227,9 +229,11 @@ class ClientSession:
                 self._bridge.call("reveal", "#lpn-flight")
             if state.lab and not self._state.lab:
                 self._bridge.call("reveal", f"#lpn-lab-{state.laboratory.tab}")
-            only_lab = state == replace(self._state, laboratory=state.laboratory)
+            if state.shows_reasons:
+                self._explain_window.show_tab(state.why_tab)
+            only_windows = state == replace(self._state, laboratory=state.laboratory, why_tab=state.why_tab)
             self._state = state
-            if only_lab:  # nothing to analyse
+            if only_windows:  # nothing to analyse
                 self._write_address(state)
                 return
             self._requests.supersede()
@@ -337,11 +341,11 @@ class ClientSession:
             self._panels.notify_error("Not all of the link can be shown", " ".join(problems))
 
     def _write_address(self, state: SessionState) -> None:
-        """Let the page's address name a state, with what the laboratory shows by now."""
+        """Let the page's address name a state, with what the windows show by now."""
         if not self._greeted:  # the page would lose the address that it has yet to send
             return
         with self._lock:  # otherwise the worker could replace a newer address of the laboratory by an older one
-            shown = replace(state, laboratory=self._state.laboratory)
+            shown = replace(state, laboratory=self._state.laboratory, why_tab=self._state.why_tab)
             self._bridge.set_address(self._url_state.write(shown), self._url_state.keys)
 
     def _fit(self, small: Any) -> None:
@@ -372,6 +376,7 @@ class ClientSession:
             with self.client.atomic():  # the page draws one frame
                 self._stage.show(analysis)
                 self._bridge.set_ground(self._stage.ground)
+                self._bridge.set_legend(pages.heat_legend(analysis, self._workspace))
                 self._explain_window.show(analysis)
                 self._lab.show(analysis)
                 self._flight.show(analysis)

@@ -23,6 +23,8 @@ HeatKind = Literal["activation", "evidence"]
 Tab = Literal["table", "breakdown", "maps"]
 OutcomeFilter = Literal["all", "failed", "found", "only A", "only B"]
 MapKind = Literal["pca", "umap", "ground"]
+# Tabs of the explain window. "best" becomes the one that answers why the top match is first, when the pair is analysed.
+WhyTab = Literal["best", "evidence", "heatmaps", "comparison", "sweep", "region", "models"]
 
 
 class Chosen(NamedTuple):
@@ -76,6 +78,7 @@ class SessionState:
         zoom: scale of the rotated query.
         region: cells of the query's feature map to search by, row by row; empty for the whole query.
         why: True while the explain window is open.
+        why_tab: its tab.
         lab: True while the failure laboratory is open.
         laboratory: what it shows.
         flight: True while the flight window is open; it is visible while neither of the two other windows is.
@@ -107,6 +110,7 @@ class SessionState:
     zoom: float = 1.0
     region: tuple[int, ...] = ()
     why: bool = False
+    why_tab: WhyTab = "evidence"
     lab: bool = False
     laboratory: LabChoices = LabChoices()
     flight: bool = False
@@ -139,6 +143,11 @@ class SessionState:
     def shows_window(self) -> bool:
         """Return True if a window is open, or something else that ends where it was begun: the map, or pulled rings."""
         return self.why or self.lab or self.flight or self.map or self.exploded
+
+    @property
+    def screen(self) -> tuple[bool, ...]:
+        """What the page shows: the first screen, and each of the windows."""
+        return self.first_screen, self.why, self.lab, self.flight, self.map
 
     @property
     def shows_reasons(self) -> bool:
@@ -333,15 +342,22 @@ def to_first_screen(state: SessionState) -> SessionState:
 
 
 def leave_stage_view(state: SessionState) -> SessionState:
-    """Close the map, or else put the pulled rings together; under a window, which lies over them, both stay."""
+    """Close the explain window, else the map, else put the pulled rings together; under another window, both stay."""
+    if state.shows_reasons:
+        return replace(state, why=False)
     if state.why or state.lab or state.flight:
         return state
     return replace(state, map=False) if state.map else replace(state, exploded=False)
 
 
 def flip_why(state: SessionState) -> SessionState:
-    """Open or close the explain window."""
-    return replace(state, why=not state.why)
+    """Close the explain window, or open it at the tab that answers why the top match is first."""
+    return replace(state, why=not state.why, why_tab="evidence" if state.why else "best")
+
+
+def show_map(state: SessionState, on: bool) -> SessionState:
+    """Show or close the map on the stage; the explain window would hide a map that opens."""
+    return replace(state, map=on, why=state.why and not (on and not state.map))
 
 
 def flip_lab(state: SessionState) -> SessionState:

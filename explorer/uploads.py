@@ -12,6 +12,8 @@ from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.flights.photos import photo_of
 
+# Kinds of files that visitors may send: fewer decoders than a data set's own pictures go through.
+KINDS = "JPEG, PNG, or WebP"
 # Uploads are shrunk to this many pixels a side, so that rotating them stays quick.
 MAX_SIDE = 1600
 _MAX_NAME = 80
@@ -41,11 +43,11 @@ def read(name: str, content: bytes) -> OwnPicture:
         content.startswith((b"\xff\xd8", b"\x89PNG\r\n\x1a\n")) or (content[:4], content[8:12]) == (b"RIFF", b"WEBP")
     ):
         found = images.other_kind(content[:512]) or "is not a picture that can be read"
-        raise PictureError(f"{name} {found}; expected a JPEG, PNG, or WebP file.")
+        raise PictureError(f"{name} {found}; expected a {KINDS} file.")
     if content.startswith(b"\xff\xd8") and (scans := content.count(b"\xff\xda")) > _MAX_SCANS:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     with _READING:
-        picture = images.shrink(images.decode_picture(content, name), MAX_SIDE)
+        picture = images.shrink(images.decode_picture(content, name, KINDS), MAX_SIDE)
         return OwnPicture(name, picture, _place(content, name))
 
 

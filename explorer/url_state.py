@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer import session_state
-from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState, with_field
+from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState, WhyTab, with_field
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
@@ -20,6 +20,19 @@ _MAX_LENGTH = 20_000
 _MOST_PARAMETERS = 200
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
+# What parameters say in the summary of an address; most have more values than one.
+_SUMMARY = {
+    "weights": "weighted parts",
+    "angle": "turned",
+    "zoom": "zoomed",
+    "region": "by a region",
+    "apart": "parts taken apart",
+    "shows": "evidence",
+    "map": "map",
+    "why": "explanation",
+    "lab": "failure laboratory",
+    "flight": "flight",
+}
 # Parameters of the query that is shown.
 _OF_QUERY = ("with", "angle", "shift", "down", "zoom", "region")
 # Characters of the laboratory's filter, and of its other texts; of its columns, and of the queries chosen there by hand.
@@ -72,6 +85,7 @@ class UrlState:
             _switch("map"),
             _switch("city"),
             _switch("why"),
+            _Parameter("reason", _write_why_tab, _read_why_tab),
             _Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
             *map(_in_lab, _LAB_PARAMETERS),
             _Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
@@ -135,6 +149,24 @@ class UrlState:
             text: untrusted.
         """
         return self._named(text) - {"screen"} == {"show"}
+
+    def summary(self, text: str) -> str:
+        """Return in a few words what a query string shows: the query, then what is open or altered.
+
+        Args:
+            text: untrusted.
+        """
+        try:
+            given = {key: printable(value[:60]) for key, value in _given(text).items()}
+        except ValueError:
+            return "more than an address holds"
+        words = [given.get("query", "")]
+        if tile := given.get("with"):
+            words.append(f"with {'the true tile' if tile == POSITIVE else tile}")
+        if off := given.get("off"):
+            words.append(f"without part {off}")
+        words += [word for key, word in _SUMMARY.items() if given.get(key, "0") not in ("0", "")]
+        return ", ".join(filter(None, words)) or "the page as it is"
 
     def _named(self, text: str) -> set[str]:
         """Return the keys of what a query string names besides a theme; none if it has too many parameters."""
@@ -350,6 +382,17 @@ def _write_off(state: SessionState) -> str | None:
 def _read_off(state: SessionState, text: str) -> SessionState:
     parts = {round(_parse(piece, 1, state.n_parts)) for piece in text.split(",")}
     return replace(state, enabled=tuple(part + 1 not in parts for part in range(state.n_parts)))
+
+
+def _write_why_tab(state: SessionState) -> str | None:
+    return state.why_tab if state.why and state.why_tab not in ("best", _default(state, "why_tab")) else None
+
+
+def _read_why_tab(state: SessionState, text: str) -> SessionState:
+    tabs = [tab for tab in get_args(WhyTab) if tab != "best"]
+    if text not in tabs:
+        raise UnusableError(f"expected {' or '.join(tabs)}.")
+    return with_field(state, "why_tab", text)
 
 
 def _read_heat_part(state: SessionState, text: str) -> SessionState:

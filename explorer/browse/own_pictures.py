@@ -44,7 +44,7 @@ class _Batch(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
 
 _REASONS = {
     "large": "has more than 30 MB; make it smaller",
-    "kind": "is not a JPEG, PNG, or WebP file",
+    "kind": f"is not a {uploads.KINDS} file",
     "empty": "is empty",
     "unread": "cannot be read by the browser; check that it is still there and that you may read it",
     "many": f"is beyond the {MOST} pictures that are held; send it later",

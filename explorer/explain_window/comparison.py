@@ -5,10 +5,14 @@ from __future__ import annotations
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
-from lpn.drawing import charts, verdicts
+from lpn.core.arrays import UInt8Array
+from lpn.drawing import charts, overlays, verdicts
 from lpn.drawing.verdicts import ordinal
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
+
+# Side of the pictures of the query and the two tiles, in pixels.
+_SIZE = 176
 
 
 def page(
@@ -30,8 +34,10 @@ def page(
     return render(
         "explain/comparison",
         comparison=comparison,
+        query=_picture(analysis.query.picture),
+        query_name=analysis.name,
         gallery=analysis.task.gallery,
-        thumbnail=workspace.thumbnail,
+        tile_picture=lambda index: _picture(workspace.card(analysis.task, index)),
         ordinal=ordinal,
         name=name,
         margin_sentence=verdicts.describe_margin(margin, names, name),
@@ -45,6 +51,10 @@ def page(
         effect_sentence=_sentence(verdicts.describe_effect(effect)) if effect else "",
         computing=computing,
     )
+
+
+def _picture(picture: UInt8Array) -> str:
+    return overlays.data_uri(overlays.square(picture, _SIZE), 85)
 
 
 def _sentence(clause: str) -> str:

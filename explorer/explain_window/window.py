@@ -17,7 +17,7 @@ from explorer.explain_window import activation, comparison, evidence, region, sw
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.reports import Reporter
-from explorer.session_state import SessionState, StateChange
+from explorer.session_state import SessionState, StateChange, WhyTab
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
 from explorer.web.render import render
@@ -28,6 +28,14 @@ from lpn.retrieval import Ranking
 
 _EVIDENCE, _HEATMAPS, _COMPARISON, _SWEEP = "Why", "Heatmaps", "True or wrong", "Turn, shift, zoom"
 _REGION, _MODELS = "Search by a region", "Two models"
+_TABS: dict[WhyTab, str] = {
+    "evidence": _EVIDENCE,
+    "heatmaps": _HEATMAPS,
+    "comparison": _COMPARISON,
+    "sweep": _SWEEP,
+    "region": _REGION,
+    "models": _MODELS,
+}
 _MAX_SIZE = (1000, 900)
 # Seconds between two drawings of a sweep in progress.
 _DRAW_INTERVAL = 0.15
@@ -127,6 +135,8 @@ class ExplainWindow:
         self._requests = requests
         self._model_comparison: ModelComparison | None = None
         self._open_tab = open_tab
+        # The tab that the page shows, None until it is known.
+        self._tab_shown: WhyTab | None = None
         self._lock = Lock()
         self._content: WindowContent | None = None
         self._open = False
@@ -154,6 +164,7 @@ class ExplainWindow:
         """Return the handler for each kind of message that the window's html sends; values are untrusted."""
         return {
             "close": lambda _: self._change(lambda state: replace(state, why=False)),
+            "tab": self._on_tab,
             "part": self._choose_part,
             "scale": self._choose_scale,
             "second": lambda _: self.compare_models(),
@@ -205,9 +216,24 @@ class ExplainWindow:
 
     def _reveal(self, tab: str) -> None:
         """Open the window at a tab, also if the user has collapsed it."""
-        self._change(lambda state: replace(state, why=True, first_screen=False))
+        wanted = next(key for key, name in _TABS.items() if name == tab)
+        self._tab_shown = None  # the page opens it even if the window is folded or behind another one
+        self._change(lambda state: replace(state, why=True, why_tab=wanted, first_screen=False))
         self._panel.expand()
-        self._open_tab(tab)
+        self.show_tab(wanted)
+
+    def show_tab(self, tab: WhyTab) -> None:
+        """Make the page show a tab, unless it does, and bring the window in front; "best" waits for `show`."""
+        if tab not in ("best", self._tab_shown) and not (tab == "models" and self._workspace.second is None):
+            self._tab_shown = tab
+            self._open_tab(_TABS[tab])
+
+    def _on_tab(self, value: Any) -> None:
+        """Follow the page, where a person opened a tab by its untrusted name, which may be another window's."""
+        tab = next((key for key, name in _TABS.items() if name == value), None)
+        if self._open and tab is not None:
+            self._tab_shown = tab
+            self._change(lambda state: replace(state, why_tab=tab))
 
     def leave(self) -> None:
         """Stop all computations; the browser has disconnected."""
@@ -223,6 +249,7 @@ class ExplainWindow:
                 tab.wait()
             self._place()
             self._panel.visible = True
+            self._tab_shown = None
 
     def fail(self, text: str) -> None:
         """Say in the open window why the pair could not be analysed."""
@@ -251,6 +278,9 @@ class ExplainWindow:
                 now.sweep.request.cancelled.set()
                 self._content = replace(self._content, sweep=None)
         if drawn:
+            if analysis.state.why_tab == "best":
+                best = best_tab(analysis)
+                self._change(lambda state: replace(state, why_tab=best) if state.why_tab == "best" else None)
             for tab in self._tabs[:5]:
                 tab.draw()
             if self._workspace.second is not None:
@@ -445,3 +475,9 @@ class ExplainWindow:
         cells = session_state.check_cells(value, rows * columns)
         if cells is not None:
             self._change(lambda state: replace(state, region=cells))
+
+
+def best_tab(analysis: StateAnalysis) -> WhyTab:
+    """Return the tab that answers why the compared tile is first: a wrong one is compared with the true tile."""
+    wrong = analysis.chosen.rank == 1 and analysis.chosen.true is False
+    return "comparison" if wrong and analysis.positive is not None else "evidence"

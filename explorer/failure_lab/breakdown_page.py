@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from explorer.failure_lab import state
@@ -27,12 +28,20 @@ class _Line(NamedTuple):
     content: object
 
 
-class _Card(NamedTuple):
-    """A chart; `style` is "part", "pair", or "rate"."""
+@dataclass(frozen=True)
+class _Card:
+    """A chart; `style` is "part", "pair", or "rate".
+
+    Attributes:
+        about: what the values of a column mean; may be empty.
+        room: lines that it takes at least, so that no chart moves under the pointer while a person chooses.
+    """
 
     style: str
     title: str
     lines: Sequence[_Line]
+    about: str = ""
+    room: int = 1
 
 
 class _RateBar(NamedTuple):
@@ -46,17 +55,25 @@ class _RateBar(NamedTuple):
 
 def page(findings: Findings, lab: LabState, workspace: Workspace) -> str:
     """Return the charts of the selected queries; a selection made in a chart does not narrow this chart."""
-    drawn = cards(findings, lab, workspace)
+    of_all = cards(findings, state.clear(lab), workspace)
+    drawn = [
+        replace(card, room=max(len(card.lines), len(whole.lines), 1))
+        for card, whole in zip(cards(findings, lab, workspace), of_all, strict=True)
+    ]
     return render("failure_lab/breakdown", cards=drawn, has_columns=any(card.style == "rate" for card in drawn))
 
 
 def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card]:
     """Return what the charts show."""
-    columns = [(column, state.failure_rates(findings, lab, column)) for column in state.charted_columns(findings)]
-    # A column says nothing if all queries share its value, or if each query has its own.
-    columns = [(c, rates) for c, rates in columns if 1 < len(rates) <= max(len(findings.table) // 2, 2)]
+    # A column says nothing if all queries share its value, or if each query has its own; a choice of queries does not count.
+    everything, most = state.clear(lab), max(len(findings.table) // 2, 2)
+    columns = [
+        column
+        for column in state.charted_columns(findings)
+        if 1 < len(state.failure_rates(findings, everything, column)) <= most
+    ]
     drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace)]
-    return drawn + [_rate_card(findings, lab, column, rates) for column, rates in columns]
+    return drawn + [_rate_card(findings, lab, column, state.failure_rates(findings, lab, column)) for column in columns]
 
 
 def _part_card(findings: Findings, lab: LabState) -> _Card:
@@ -114,7 +131,7 @@ def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Ra
     listed = f"; {_MAX_VALUES} of {len(rates)} values" if len(rates) > _MAX_VALUES else ""
     count = sum(rate.queries for rate in rates)
     queries = f"{'all ' if count == len(findings.table) else ''}{count:,} queries"
-    return _Card("rate", f"Failures by {column.name}, of {queries}{listed}", lines)
+    return _Card("rate", f"Failures by {column.name}, of {queries}{listed}", lines, column.about)
 
 
 def _rate_bar(rate: Rate, overall: float) -> _RateBar:

@@ -47,11 +47,11 @@ class MapPage:
             window: width and height in pixels.
         """
         embedded, ground = findings.task.depth is None, findings.task.geometry is not None
-        kinds = {"pca": "Descriptors, PCA"} if embedded else {}
+        kinds = {"ground": "On the ground"} if ground else {}
+        if embedded:
+            kinds["pca"] = "Descriptors, PCA"
         if embedded and self._service.has_umap:
             kinds["umap"] = "Descriptors, UMAP"
-        if ground:
-            kinds["ground"] = "On the ground"
         context = {"lab": lab, "kinds": kinds, "columns": list(findings.table.columns)}
         if not embedded and (lab.map != "ground" or not ground):
             return render("failure_lab/map", **context, height=0, reason=NO_EMBEDDING), "", True

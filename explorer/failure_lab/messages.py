@@ -238,7 +238,7 @@ def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> L
     selection = None
     match message:
         case ShowTab(tab):
-            return replace(lab, tab=tab)
+            return state.show_tab(findings, lab, tab)
         case ShowOutcome(outcome):
             return replace(lab, outcome=outcome)
         case SortBy(column) if column in findings.table.columns:
@@ -256,7 +256,7 @@ def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> L
         case ClearSelections():
             return state.clear(lab)
         case ShowMap(kind) if kind != "ground" or findings.task.geometry is not None:
-            return replace(lab, map=kind, paused=lab.paused - {kind})
+            return replace(lab, map=kind, map_chosen=True, paused=lab.paused - {kind})
         case ColourBy(column) if not column or column in findings.table.columns:
             return replace(lab, colour=column)
         case ChooseRows(first, last, how):

@@ -67,6 +67,7 @@ class LabState:
         drawer: what is open below the summary.
         full_height: the window covers the whole stage.
         map: the map that is shown.
+        map_chosen: a person or an address chose it; until then the map of the ground comes first where there is one.
         colour: the column that colours the map; empty for the outcome.
         paused: computations that start only on request: kinds of maps, or "table".
         text_revision: number of times that the app, not the user, has changed the text boxes.
@@ -87,6 +88,7 @@ class LabState:
     drawer: Drawer = ""
     full_height: bool = False
     map: MapKind = "pca"
+    map_chosen: bool = False
     colour: str = ""
     paused: frozenset[str] = frozenset({"umap"})
     text_revision: int = 0
@@ -129,10 +131,18 @@ def with_choices(findings: Findings, lab: LabState, shown: LabChoices) -> LabSta
         columns=shown.columns,
         full_height=shown.full_height,
         map=shown.map,
+        map_chosen=lab.map_chosen or shown.tab == "maps",
         colour=shown.colour,
         paused=lab.paused - {shown.map} if shown.tab == "maps" else lab.paused,
     )
     return set_filter(lab, shown.filter, findings.table)
+
+
+def show_tab(findings: Findings, lab: LabState, tab: Tab) -> LabState:
+    """Show a tab; see `LabState.map_chosen`."""
+    if tab == "maps" and not lab.map_chosen and findings.task.geometry is not None:
+        lab = replace(lab, map="ground", map_chosen=True)
+    return replace(lab, tab=tab)
 
 
 def sort_by(lab: LabState, column: str) -> LabState:

@@ -128,7 +128,7 @@ def drawer(
 def column_choice(findings: Findings, lab: LabState) -> str:
     """Return the columns to choose from."""
     fixed = fixed_columns(findings.table)
-    names = [name for name in findings.table.columns if name not in fixed]
+    names = {name: column.about for name, column in findings.table.columns.items() if name not in fixed}
     return render("failure_lab/columns", names=names, shown=extra_columns(lab, findings.table))
 
 

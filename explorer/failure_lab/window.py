@@ -34,19 +34,26 @@ from lpn.core.errors import LPNError
 # Share of the stage, from its top, that the compared pair takes, unless that leaves less than so many pixels to the window.
 _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
 _ROW_HEIGHT = 27  # pixels
-# Height of the window without the table, in pixels.
-_FRAME_HEIGHT = 172
+# Height of the window without the table, and of the line that offers the second model's ranks, in pixels.
+_FRAME_HEIGHT, _OFFER_HEIGHT = 180, 22
 # Seconds between two looks at the second model's ranks.
 _SECOND_INTERVAL = 0.5
 
 
 @dataclass(frozen=True)
 class _View:
-    """The task and the query that the rest of the page shows, and whether the window is open."""
+    """The task and the query that the rest of the page shows, and whether the window is open.
+
+    Attributes:
+        reasons: the explain window is open.
+        behind: both windows were opened at once, so that the explain window lies in front, as it does where a link was made.
+    """
 
     task: str
     query: int | None
     open: bool
+    reasons: bool = False
+    behind: bool = False
 
 
 class FailureLabWindow:
@@ -85,11 +92,11 @@ class FailureLabWindow:
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
-            self._bar, self._boxes, self._summary, self._second = (Html(gui) for _ in range(4))
+            self._bar, self._boxes, self._summary, self._drawer, self._second = (Html(gui) for _ in range(5))
             # The script of `_data` runs again when the page shows the window again.
-            self._drawer, self._body, self._data = Html(gui), Html(gui), Html(gui)
+            self._body, self._data = Html(gui), Html(gui)
             self._notes = NoteForm(gui, service)
-            self._tip = Html(gui)
+            self._tip, self._order = Html(gui), Html(gui)
         self._worker = Worker(self._work, self._show_error)
         # The second model's ranks take their own thread, so that the table need not be drawn anew to tell how far they are.
         self._second_worker = Worker(self._follow_second, self._show_error)
@@ -105,7 +112,9 @@ class FailureLabWindow:
         query = None if shown.upload else shown.query
         with self._lock:
             self._lab = state.for_task(self._lab, shown.task)
-            self._view = _View(shown.task, query, shown.lab)
+            before, reasons = self._view, shown.shows_reasons
+            behind = before.behind if before.open else reasons and not before.reasons
+            self._view = _View(shown.task, query, shown.lab, reasons, shown.lab and behind)
         self._worker.wake()
 
     def restore(self, session: SessionState, whole: bool = False) -> None:
@@ -277,6 +286,7 @@ class FailureLabWindow:
             self._place(None)
             return
         self._place(lab.full_height)
+        self._order.show(run(call("raiseReasons")) if view.behind else "")
         if findings is None:
             self._wait_for_table(lab)
             return
@@ -351,7 +361,9 @@ class FailureLabWindow:
         shell = lab.columns, lab.sort_column, lab.descending
         if self._shell[0] != shell:
             self._shell = shell, self._shell[1] + 1
-        height = max(self._size[1] - _FRAME_HEIGHT, 6 * _ROW_HEIGHT)
+        offered = self._workspace.second is not None and findings.second is None
+        frame = _FRAME_HEIGHT + (_OFFER_HEIGHT if offered else 0)
+        height = max(self._size[1] - frame, 6 * _ROW_HEIGHT)
         self._body.show(table.table(findings, lab, len(rows), self._shell[1], height))
         if not len(rows):
             self._data.show("")

@@ -67,13 +67,21 @@ class Controls:
 
         self.bind(field, handle, apply, lambda state: getattr(state, field))
 
-    def checkbox(self, label: str, field: str, *, visible: bool = True) -> viser.GuiCheckboxHandle:
-        """Add a checkbox for a boolean of the state."""
+    def checkbox(
+        self,
+        label: str,
+        field: str,
+        *,
+        visible: bool = True,
+        apply: Callable[[SessionState, bool], SessionState] | None = None,
+    ) -> viser.GuiCheckboxHandle:
+        """Add a checkbox for a boolean of the state; `apply` is what it does, by default no more than to set the boolean."""
+        change = apply or (lambda state, on: with_field(state, field, on))
         handle = self._gui.add_checkbox(label, getattr(self._initial, field), visible=visible)
         self.bind(
             field,
             handle,
-            lambda state, value: with_field(state, field, bool(value)),
+            lambda state, value: change(state, bool(value)),
             lambda state: getattr(state, field),
         )
         return handle

@@ -64,7 +64,7 @@ class FirstScreen:
             "start": session_state.to_first_screen,
             "data": session_state.leave_upload,
             "all": lambda state: replace(state, first_screen=False, why=False),
-            "cells": lambda state: replace(state, first_screen=False, why=True),
+            "cells": lambda state: replace(state, first_screen=False, why=True, why_tab="evidence"),
             "lab": lambda state: self._to_lab(state, "table"),
             "fails": lambda state: self._to_lab(state, "breakdown"),
             "map": lambda state: replace(state, map=True, why=False),

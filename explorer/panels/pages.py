@@ -8,10 +8,13 @@ from typing import Literal, NamedTuple
 
 from explorer import session_state
 from explorer.panels import answer_text
+from explorer.stage import pair_picture
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.task import Task
+from lpn.drawing import overlays
 
+_SCALE = 90, 8  # width and height of the heatmap legend's colours in pixels
 HEAT_NOTE = (
     "Activation (channel sum of the last feature map) belongs to one picture. Evidence belongs to the pair: "
     "orange raises its score, violet lowers it."
@@ -54,6 +57,16 @@ def keys(workspace: Workspace) -> str:
         network=workspace.model is not None,
         cells=not workspace.without_cells,
     )
+
+
+def heat_legend(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Return the legend of the heatmap over the stage's pair; empty without one."""
+    kind, part = pair_picture.heat_kind(analysis), analysis.state.heat_part
+    if kind is None or analysis.state.first_screen or analysis.state.shows_reasons or analysis.state.flight:
+        return ""
+    scale = overlays.evidence_scale if kind == "evidence" else overlays.heat_scale
+    shown = "" if part is None else f" of part {workspace.part_names[part]}"
+    return render("panels/heat_legend", kind=kind, shown=shown, scale=overlays.data_uri(scale(*_SCALE), 95))
 
 
 def header(workspace: Workspace, task: Task) -> str:

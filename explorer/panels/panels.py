@@ -10,6 +10,7 @@ from explorer.browse.feeds import Feeds
 from explorer.panels import parts_panel
 from explorer.panels.answer_panel import AnswerPanel
 from explorer.panels.controls import Controls
+from explorer.panels.error_notice import ErrorNotice
 from explorer.panels.navigation import Navigation
 from explorer.panels.query_panel import QueryPanel
 from explorer.panels.upload_control import UploadControl
@@ -32,6 +33,7 @@ class Panels:
         change: Callable[[StateChange], None],
     ) -> None:
         self._client, gui = client, client.gui
+        self._error = ErrorNotice(client)
         self.navigation = Navigation(workspace, client.add_notification)
         self.controls = Controls(gui, state, change)
         self._left = left = gui.add_panel()
@@ -47,7 +49,7 @@ class Panels:
         self.answer = AnswerPanel(gui, workspace, change)
         if self.query.own is not None:  # in the panel that is there on every screen: the left one may be folded
             self.query.own.run_scripts_in(gui)
-            UploadControl(gui, self.query.own.take, self.notify_error)
+            UploadControl(gui, self.query.own.take, self.notify_error, self.forget_error)
 
     def write(self, state: SessionState) -> None:
         """Write a state into the controls."""
@@ -66,5 +68,9 @@ class Panels:
         self._left.minimize() if small else self._left.expand()
 
     def notify_error(self, title: str, text: str) -> None:
-        """Show an error as a notification that stays until it is closed."""
-        self._client.add_notification(title, text, color="red", auto_close_seconds=None)
+        """Show an error, see `ErrorNotice`."""
+        self._error.show(title, text)
+
+    def forget_error(self) -> None:
+        """Take the last error away."""
+        self._error.forget()

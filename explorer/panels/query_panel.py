@@ -88,7 +88,7 @@ class QueryPanel:
             controls.checkbox(workspace.parts_word.capitalize(), "rings", visible=has_model or fixed)
             controls.checkbox("Take apart", "exploded", visible=has_model or fixed)
             has_places = any(task.geometry is not None for task in workspace.tasks.values())
-            controls.checkbox("Map", "map", visible=has_places)
+            controls.checkbox("Map", "map", visible=has_places, apply=session_state.show_map)
             self._city = controls.checkbox("City", "city", visible=False)
             has_cells = not workspace.without_cells
             controls.checkbox("Heatmap", "heat", visible=has_cells)

@@ -27,9 +27,14 @@ def add(
     change: Callable[[StateChange], None],
     bridge: PageBridge,
     window_commands: Sequence[tuple[str, str | None, Callable[[], None]]],
+    close_stories: Callable[[], bool],
 ) -> None:
-    """Register all commands for one browser."""
-    for label, key, state_change in _changes(workspace, panels):
+    """Register all commands for one browser.
+
+    Args:
+        close_stories: closes the window of stories; returns whether it was open.
+    """
+    for label, key, state_change in _changes(workspace, panels, close_stories):
         _register(gui, label, key, _with_change(change, state_change))
     for slot in range(9):
         _register(gui, f"Compare match {slot + 1}", str(slot + 1), panels.answer.compare(slot))
@@ -44,7 +49,9 @@ def add(
         _register(gui, label, key, _without_event(call))
 
 
-def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None, StateChange]]:
+def _changes(
+    workspace: Workspace, panels: Panels, close_stories: Callable[[], bool]
+) -> list[tuple[str, str | None, StateChange]]:
     """Return label, hotkey, and state change of each command."""
     navigation = panels.navigation
     changes: list[tuple[str, str | None, StateChange]] = [
@@ -59,7 +66,11 @@ def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None
         ("Compare the true tile", "T", lambda state: replace(state, selected=POSITIVE)),
         (f"Take the {workspace.parts_word} apart", "X", lambda state: replace(state, exploded=not state.exploded)),
         ("Map on or off", "M", lambda state: _flip_map(workspace, state)),
-        (f"Close the map, or put the {workspace.parts_word} together", "escape", session_state.leave_stage_view),
+        (
+            f"Close the explanation or the map, or put the {workspace.parts_word} together",
+            "escape",
+            lambda state: None if close_stories() else session_state.leave_stage_view(state),
+        ),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
         ("Failure laboratory: all queries", "B", session_state.flip_lab),
         *([("Flight over its map", "W", session_state.flip_flight)] if workspace.has_flight else []),
@@ -103,7 +114,7 @@ def _without_event(call: Callable[[], None]) -> Callable[[Any], None]:
 
 
 def _flip_map(workspace: Workspace, state: SessionState) -> SessionState:
-    return replace(state, map=not state.map and workspace.tasks[state.task].geometry is not None)
+    return session_state.show_map(state, not state.map and workspace.tasks[state.task].geometry is not None)
 
 
 def _flip_city(workspace: Workspace, state: SessionState) -> SessionState:

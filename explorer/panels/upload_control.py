@@ -18,12 +18,18 @@ class UploadControl:
     Args:
         take: takes the name and the content of each file.
         notify_error: shows an error with a title and a text.
+        forget_error: takes the last error away.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, take: Callable[[str, bytes], None], notify_error: Callable[[str, str], None]
+        self,
+        gui: viser.GuiApi,
+        take: Callable[[str, bytes], None],
+        notify_error: Callable[[str, str], None],
+        forget_error: Callable[[], None],
     ) -> None:
         self._take, self._notify_error, self._taking = take, notify_error, threading.Lock()
+        self._forget_error = forget_error
         # One picture, and the next of a batch, which may arrive before the thread of the one before has ended.
         self._reading = threading.BoundedSemaphore(2)
         self._button = gui.add_upload_button("Use my own picture", mime_type="image/jpeg,image/png,image/webp")
@@ -33,6 +39,7 @@ class UploadControl:
         )  # viser shows it even if `visible` is false
 
     def _on_upload(self, _: Any) -> None:
+        self._forget_error()
         if not self._reading.acquire(blocking=False):
             self._notify_error("Upload failed", "The previous picture is still being read; try again.")
             return

@@ -109,6 +109,13 @@ class StoryWindow:
         """The names of the stories."""
         return list(self._stories.by_name)
 
+    def close(self) -> bool:
+        """Close the window; return True if it was open."""
+        with self._lock:
+            was_open = self._open
+            self._set_open(False)
+            return was_open
+
     def show(self, analysis: StateAnalysis) -> None:
         """Remember what the page shows, for the caption of the next step."""
         self._analysis = analysis
@@ -300,5 +307,14 @@ class StoryWindow:
         self._head.show(
             render("stories/head", story=told, opened=opened, names=list(self._stories.by_name), limits=story)
         )
-        self._steps.show(render("stories/steps", story=told, revision=self._revision, limits=story, places=tour.PLACES))
+        self._steps.show(
+            render(
+                "stories/steps",
+                story=told,
+                revision=self._revision,
+                limits=story,
+                places=tour.PLACES,
+                summaries=[self._url_state.summary(step.shows) for step in told.steps],
+            )
+        )
         self._message.show(render("stories/message", text=text, good=good, changed=self._draft.changed))

@@ -75,7 +75,7 @@ class PageBridge:
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
-        self._address, self._ground, self._call = Html(gui), Html(gui), Html(gui)
+        self._address, self._ground, self._call, self._tab, self._legend = (Html(gui) for _ in range(5))
         self._calls = 0
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
@@ -86,10 +86,19 @@ class PageBridge:
         """Tell the page where the ground of the stage's map lies, see `GalleryMap.ground`; None without a map."""
         self._ground.show(run(call("stageMap", ground)))
 
+    def set_legend(self, html: str) -> None:
+        """Show the legend of what lies over the stage's pictures; none for an empty text."""
+        self._legend.show(run(call("legend", html)))
+
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of the page's script. The page may run only the last of several quick calls."""
         self._calls += 1
         self._call.show(run(f"{call(function, *arguments)};/*{self._calls}*/"))
+
+    def open_tab(self, name: str) -> None:
+        """Have the page open a tab of a window by its name; other calls do not replace this one."""
+        self._calls += 1
+        self._tab.show(run(f"{call('tab', name)};/*{self._calls}*/"))
 
     async def _updated(self, _: object) -> None:
         # viser runs a coroutine before it takes the next message. A function, in a thread of a pool, might find that one here.

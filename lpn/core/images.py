@@ -59,32 +59,32 @@ def load_picture(path: str | Path) -> UInt8Array:
     return decode_picture(data, printable(str(path)))
 
 
-def decode_picture(data: bytes, name: str) -> UInt8Array:
-    """Decode the bytes of a picture file, of an animation the first frame; `name` is used in messages only.
+def decode_picture(data: bytes, name: str, kinds: str = KINDS) -> UInt8Array:
+    """Decode the bytes of a picture file, of an animation the first frame; `name` and `kinds` are used in messages only.
 
     Raises:
         PictureError: if they are not a picture, or one of more than 64 megapixels.
     """
     if (found := header_error(io.BytesIO(data))) is not None:
-        raise PictureError(f"{name} {found}; expected a {KINDS} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
+        raise PictureError(f"{name} {found}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
     try:
         decoded = None if _overruns(data) else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except (cv2.error, MemoryError):
         decoded = None
     if decoded is None and data.startswith(b"GIF8"):  # OpenCV reads these since 4.11
-        return _first_frame(data, name)
+        return _first_frame(data, name, kinds)
     if decoded is None or decoded.ndim != 3 or decoded[..., 0].size > MAX_PIXELS:
-        raise PictureError(f"{name} is cut short or damaged; expected a whole {KINDS} file, so copy it again.")
+        raise PictureError(f"{name} is cut short or damaged; expected a whole {kinds} file, so copy it again.")
     return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
 
 
-def _first_frame(data: bytes, name: str) -> UInt8Array:
+def _first_frame(data: bytes, name: str, kinds: str) -> UInt8Array:
     try:
         with Image.open(io.BytesIO(data)) as animation:
             return np.asarray(animation.convert("RGB"))
     except (OSError, ValueError, SyntaxError, EOFError, MemoryError) as error:
         raise PictureError(
-            f"{name} is cut short or damaged; expected a whole {KINDS} file, so copy it again."
+            f"{name} is cut short or damaged; expected a whole {kinds} file, so copy it again."
         ) from error
 
 

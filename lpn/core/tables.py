@@ -57,6 +57,7 @@ class Column:
         unit: of numbers, such as "m"; may be empty.
         limit: a number above it is only known to be above it; None for no limit.
         texts: what is told in place of the numbers of some rows, which are sorted and compared by their numbers all the same.
+        about: what the values mean, in words; may be empty.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Column:
     unit: str = ""
     limit: float | None = None
     texts: Mapping[int, str] = field(default_factory=dict)
+    about: str = ""
 
     def text(self, row: int) -> str:
         """Return a value as text: numbers with up to four decimals, "" if unknown."""
@@ -103,14 +105,15 @@ def number_column(
     unit: str = "",
     limit: float | None = None,
     texts: Mapping[int, str] = MappingProxyType({}),
+    about: str = "",
 ) -> Column:
     """Return a column of numbers (N,), NaN if unknown; for the rest see `Column`."""
-    return Column(name, "number", np.asarray(values, np.float64), unit, limit, texts)
+    return Column(name, "number", np.asarray(values, np.float64), unit, limit, texts, about)
 
 
-def text_column(name: str, values: Iterable[str]) -> Column:
-    """Return a column of texts (N,), "" if unknown."""
-    return Column(name, "text", np.array(list(values), object))
+def text_column(name: str, values: Iterable[str], about: str = "") -> Column:
+    """Return a column of texts (N,), "" if unknown; for the rest see `Column`."""
+    return Column(name, "text", np.array(list(values), object), about=about)
 
 
 class Table:

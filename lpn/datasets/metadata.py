@@ -33,6 +33,13 @@ NAME = "metadata.csv"
 WORLD = "world.json"
 # The columns of a user's annotations.
 TAGS, NOTE = "tags", "note"
+_ABOUT = {
+    "altitude": "The height at which the camera flew",
+    "heading": "The direction in which the camera looked, clockwise from north",
+    "tilt": "The angle of the camera's view below the horizon: -90 looks straight down",
+    "fov": "The camera's field of view",
+    "width": "The width of the ground on the picture",
+}
 _UNITS = {"latitude": "°", "longitude": "°", "altitude": "m", "heading": "°", "tilt": "°", "fov": "°", "width": "m"}
 _OPERATOR_CHARACTERS = set('<>=!~"')
 
@@ -65,7 +72,9 @@ def _positions(root: Path, paths: Sequence[str]) -> list[Column]:
     names = [field.name for field in fields(geo.Position)]
     values = zip(*(astuple(place) for place in where.below(paths)), strict=True)
     return [
-        number_column(name, [math.nan if value is None else value for value in of_all], _UNITS[name])
+        number_column(
+            name, [math.nan if value is None else value for value in of_all], _UNITS[name], about=_ABOUT.get(name, "")
+        )
         for name, of_all in zip(names, values, strict=True)
     ]
 
@@ -90,11 +99,15 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
         ) from error
     district, character, kind, height, twins = zip(*rows, strict=True)
     return [
-        text_column("district", district),
-        text_column("character", character),
-        text_column("kind", kind),
-        number_column("height", height, "m"),
-        text_column("twins", twins),
+        text_column("district", district, "The district of the rendered city in which the building stands"),
+        text_column("character", character, "What the district is mostly used for"),
+        text_column(
+            "kind",
+            kind,
+            "The kind of building, by its use or its plan: lshape, tshape, and ushape are plans like L, T, and U",
+        ),
+        number_column("height", height, "m", about="The height of the building, not that of the flight"),
+        text_column("twins", twins, "Whether another building of the city looks the same on purpose"),
     ]
 
 

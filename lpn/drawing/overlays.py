@@ -42,6 +42,12 @@ def with_heat(picture: UInt8Array, activation: Float32Array, inside: BoolArray |
     return cast(UInt8Array, blended)
 
 
+def heat_scale(width: int, height: int) -> UInt8Array:
+    """Draw the colour scale of `with_heat`, from weak at the left to strong at the right."""
+    ramp = np.broadcast_to(np.linspace(0, 1, width, dtype=np.float32), (height, width))
+    return with_heat(np.full((height, width, 3), 90, np.uint8), ramp, None, 1.0)
+
+
 def evidence_alpha(values: FloatingArray, limit: float) -> Float32Array:
     """Return the opacity of each cell of evidence: 0 at zero, 1 at the limit; a gamma of 0.7 keeps small values visible."""
     return cast(Float32Array, np.clip(np.abs(values) / max(limit, 1e-12), 0, 1).astype(np.float32) ** 0.7)

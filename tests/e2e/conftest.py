@@ -293,6 +293,14 @@ class ExplorerPage:
         self.page.evaluate("document.activeElement.blur()")
         self.page.keyboard.press(key)
 
+    def explain(self) -> None:
+        """Press Y, and open the evidence, which is not what comes first for a wrong answer."""
+        wrong = "Wrong" in self.verdict.inner_text()
+        self.key("y")
+        if wrong:
+            expect(self.page.get_by_role("tab", name="True or wrong")).to_have_attribute("aria-selected", "true")
+            self.page.get_by_role("tab", name="Why").click()
+
     def tab(self, name: str) -> None:
         """Open a tab of a panel."""
         self.page.get_by_role("tab", name=name).click()

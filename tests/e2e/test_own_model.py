@@ -40,7 +40,7 @@ def test_a_registered_model_shows_its_own_parts_and_names_its_level(
         shown = explorer.stage()
         explorer.key("g")
         explorer.stage(lambda picture: difference(shown, picture) > 0.003)
-        explorer.key("y")
+        explorer.explain()
         why = explorer.page.locator("#lpn-why")
         expect(why).to_contain_text("Exact, with the regions of each picture held")
         expect(why).to_contain_text("No cell belongs to part 4 whole picture")
@@ -49,7 +49,7 @@ def test_a_registered_model_shows_its_own_parts_and_names_its_level(
         explorer.open(app.url)
         expect(explorer.page.locator("#lpn-without-cells")).to_contain_text("no cells (parts only")
         expect(explorer.field("Heatmap")).to_be_hidden()
-        explorer.key("y")
+        explorer.explain()
         expect(explorer.page.locator("#lpn-why")).to_contain_text(
             "its score cannot be split into places of the picture"
         )

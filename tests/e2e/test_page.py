@@ -508,9 +508,30 @@ def test_the_focus_follows_windows(explorer: ExplorerPage) -> None:
     explorer.page.keyboard.press("Enter")
     expect(explorer.page.locator("#lpn-lab-breakdown")).to_be_visible()
     expect(tab).to_be_focused()
+    views = explorer.page.locator(".lab-summary a", has_text="Views")
+    views.focus()
+    explorer.page.keyboard.press("Enter")
+    name = explorer.page.locator("#lpn-lab-view-name")
+    expect(name).to_be_focused()
+    explorer.page.keyboard.type("tops")  # no letter is a command
+    expect(name).to_have_value("tops")
+    explorer.page.keyboard.press("Escape")
+    expect(name).to_have_count(0)
+    expect(views).to_be_focused()
+    tab.focus()
     explorer.page.keyboard.press("b")
     expect(tab).to_have_count(0)
     expect(opener).to_be_focused()
+    explorer.explain()
+    close = explorer.page.locator(".close >> visible=true")
+    close.click()
+    expect(close).to_have_count(0)
+    expect(opener).to_be_focused()
+    explorer.explain()
+    explorer.key("m")  # this data set has no map
+    expect(close).to_have_count(1)
+    explorer.key("Escape")
+    expect(close).to_have_count(0)
 
 
 @pytest.mark.slow
@@ -529,6 +550,6 @@ def test_nothing_scrolls_a_phones_page(app: RunningApp, contexts: Callable[..., 
     assert all(explorer.page.evaluate(scroll))
     tops = "() => ['.mantine-ScrollArea-root', '#root', 'html'].map((one) => document.querySelector(one).scrollTop)"
     explorer.page.wait_for_function(f"({tops})().every((top) => top === 0)")
-    explorer.key("y")
+    explorer.explain()
     expect(explorer.page.get_by_text("Tap a cell to see")).to_be_visible()
     expect(explorer.page.get_by_text("Move over a cell to see")).to_be_hidden()

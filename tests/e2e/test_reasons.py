@@ -20,8 +20,8 @@ from tests.e2e.test_explorer import assert_shows, expected
 
 
 def open_window(explorer: ExplorerPage) -> Locator:
-    """Press Y and wait for the evidence."""
-    explorer.key("y")
+    """Open the evidence and wait for it."""
+    explorer.explain()
     found = explorer.page.locator("#lpn-why .lpn-map")
     expect(found).to_have_count(2)
     explorer.settle()

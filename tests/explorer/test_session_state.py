@@ -27,7 +27,7 @@ def test_the_flight_window_opens_in_place_of_the_others_and_comes_back_when_they
     assert (opened.flight, opened.why, opened.lab) == (True, False, False)
     behind = session_state.flip_why(opened)
     assert behind.flight
-    assert session_state.flip_flight(behind) == opened
+    assert session_state.flip_flight(behind) == replace(opened, why_tab="best")
     assert not session_state.flip_flight(opened).flight
 
 
@@ -151,11 +151,22 @@ def test_next_and_previous_go_through_an_order() -> None:
     assert session_state.step_in_order(session, 1, order[:0], 13) is session
 
 
-def test_escape_closes_the_map_then_puts_the_rings_together_and_nothing_under_a_window(state: SessionState) -> None:
+def test_escape_closes_one_thing_after_another_and_nothing_under_the_laboratory(state: SessionState) -> None:
     both = replace(state, map=True, exploded=True)
     apart = session_state.leave_stage_view(both)
     assert (apart.map, apart.exploded) == (False, True)
     assert session_state.leave_stage_view(apart) == state
-    for window in ("why", "lab", "flight"):
+    explained = replace(both, why=True)
+    assert session_state.leave_stage_view(explained) == both
+    for window in ("lab", "flight"):
         covered = session_state.with_field(both, window, True)
         assert session_state.leave_stage_view(covered) == covered
+
+
+def test_a_map_that_opens_is_not_hidden_by_the_explanation(state: SessionState) -> None:
+    explained = replace(state, why=True)
+    shown = session_state.show_map(explained, True)
+    assert (shown.map, shown.why) == (True, False)
+    both = replace(explained, map=True)  # the explanation was opened over the map
+    assert session_state.show_map(both, True) == both
+    assert session_state.show_map(both, False) == explained

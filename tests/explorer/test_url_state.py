@@ -45,7 +45,8 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         down=rng.randint(-32, 32),
         zoom=round(rng.uniform(0.25, 4), 2),
         region=tuple(sorted(rng.sample(range(count), rng.randrange(count)))),
-        why=rng.choice(chance),
+        why=(why := rng.choice(chance)),
+        why_tab=rng.choice(["evidence", "comparison", "sweep"]) if why else "evidence",
         lab=lab,
         laboratory=any_choices(rng, len(task.queries)) if lab else LabChoices(),
         heat=rng.choice(chance),
@@ -208,7 +209,7 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale", "first_screen": "screen"}
     named |= {"outcome": "only", "filter": "where", "name_search": "find", "sort_column": "sort", "descending": "order"}
-    named |= {"full_height": "tall", "map": "map", "colour": "by"}
+    named |= {"full_height": "tall", "map": "map", "colour": "by", "why_tab": "reason"}
     fields = (set(vars(state)) | set(vars(LabChoices()))) - left_out - {"laboratory"}
     assert {named.get(field, field) for field in fields} | {"show", "on"} == set(links.keys)
 
@@ -240,3 +241,21 @@ def test_ranges_are_short_and_exact() -> None:
     assert url_state.cells("3-5,8", 9) == (3, 4, 5, 8)
     assert url_state.ranges(range(256)) == "0-255"
     assert session_state.SessionState("t", 1).region == ()
+
+
+def test_an_address_is_summed_up_in_words(links: UrlState) -> None:
+    task = "task=drone-to-satellite"
+    assert links.summary(f"{task}&query=0005&with=0007&off=2&map=1") == "0005, with 0007, without part 2, map"
+    assert links.summary(f"{task}&query=0005&with=truth&why=1&lab=0") == "0005, with the true tile, explanation"
+    assert links.summary("") == "the page as it is"
+    assert "\n" not in links.summary("query=%0Ax")
+
+
+def test_the_tab_of_the_explanation_is_in_the_address(links: UrlState) -> None:
+    state = SessionState("drone-to-satellite", 4, why=True, why_tab="comparison")
+    assert "reason=comparison" in links.write(state)
+    assert links.read(links.write(state), SessionState("drone-to-satellite", 4)) == (state, [])
+    for tab, why in (("evidence", True), ("best", True), ("comparison", False)):
+        assert "reason" not in links.write(replace(state, why=why, why_tab=tab))
+    for wrong in ("best", "", "x"):
+        assert len(links.read(f"why=1&reason={wrong}", state)[1]) == 1

@@ -6,24 +6,35 @@
   // Milliseconds between two looks, and until an element that is gone is given up.
   const PERIOD = 150, WAIT = 3000;
   const DIALOG = ".mantine-Modal-content, .mantine-Spotlight-content";
+  const WHY = "#lpn-why, #lpn-heatmaps, #lpn-counterfactual, #lpn-profile, #lpn-region, #lpn-second-model, #lpn-model-comparison";
   // What shows that a window is open, and what of it takes the focus.
   const WINDOWS = [
     ["#lpn-first", "#lpn-first [data-act=why]"],
     ["#lpn-told", "#lpn-told .next"],
     [".lab-bar", "#lpn-lab-rows, .lab-map .marks, #lpn-lab-breakdown [tabindex]"],
+    ["#lpn-lab-tag", "#lpn-lab-tag input"],
+    ["#lpn-lab-views", "#lpn-lab-views input"],
     ["#lpn-flight", "#lpn-flight [tabindex='0']"],
     ["#lpn-stage-map", "#lpn-stage-map button"],
-    ["#lpn-why", "#lpn-why [tabindex='0']"],
+    [WHY, WHY.split(", ").map((tab) => tab + " [tabindex='0']").join(", ")],
+    ["#lpn-stories", "#lpn-stories .acts [tabindex='0']"],
   ];
   // What keeps the focus when a window opens: a person may go on with its keys.
   const KEEPS = "input, textarea, select, [contenteditable]:not([contenteditable=false]), [role=slider], [role=tab]";
   const focused = new Map(); // what had the focus when a window was first seen, by window
   const openers = new Map(); // what had the focus when a window was opened, by window
   let last = null; // what had the focus last, outside dialogs
+  let lastHome = null; // the window that it lay in
   let gone = 0; // since when the element of the focus is gone
   let acted = false; // a window of the page's address opens by itself, and leaves the focus where it is
   const there = (element) => element?.isConnected && element.getClientRects().length > 0;
   const lost = () => !document.activeElement || document.activeElement === document.body;
+  // The first selector's visible element, else the next one's.
+  const shown = (selectors) => selectors.split(", ").flatMap((one) => [...document.querySelectorAll(one)]).find(there);
+  const focus = (selectors) => shown(selectors)?.focus({ preventScroll: true });
+  const ANSWER = "#lpn-first [data-act=why], #lpn-matches [tabindex], #lpn-header [tabindex='0']";
+  // The window that an element lies in, in its panel.
+  const home = (element) => WINDOWS.find(([selector]) => element.closest(selector) || element.closest(".mantine-Paper-root")?.querySelector(selector));
 
   // An element that stands for one that is gone: of the same id, or that does the same.
   const successor = (element) => {
@@ -36,22 +47,27 @@
   };
   lpn.refocus = (element) => (element ? successor(element) : null)?.focus({ preventScroll: true });
   lpn.lastFocus = () => last;
+  // viser brings a window in front when it is pressed.
+  lpn.raise = (element) => element?.dispatchEvent(new PointerEvent("pointerdown", { bubbles: true }));
+  lpn.raiseReasons = () => lpn.raise(shown(WHY));
 
   document.addEventListener("focusin", ({ target }) => {
-    if (!target.closest(DIALOG) && target !== document.body) last = target;
+    if (target.closest(DIALOG) || target === document.body) return;
+    for (const [selector] of WINDOWS) if (!openers.has(selector) && target.closest(selector)) openers.set(selector, last);
+    [last, lastHome] = [target, home(target)];
   });
-  for (const act of ["keydown", "pointerdown"]) window.addEventListener(act, () => (acted = true), true);
+  for (const act of ["keydown", "pointerdown"]) window.addEventListener(act, ({ isTrusted }) => (acted ||= isTrusted), true);
   // A press beside all controls takes the focus away on purpose.
-  window.addEventListener("pointerdown", ({ target }) => !target.closest?.("a, button, input, textarea, select, [tabindex]") && (last = null), true);
+  window.addEventListener("pointerdown", ({ target, isTrusted }) => isTrusted && !target.closest?.("a, button, input, textarea, select, [tabindex]") && (last = null), true);
 
   const follow = () => {
     for (const [selector, inside] of WINDOWS) {
-      const root = document.querySelector(selector), open = there(root);
+      const root = shown(selector), open = !!root;
       if (!open) focused.delete(selector);
       else if (!focused.has(selector)) focused.set(selector, document.activeElement);
       if (open && !openers.has(selector)) {
         // Its content may be still to come.
-        const found = inside.split(", ").map((one) => document.querySelector(one)), target = found.find(there);
+        const target = shown(inside);
         if (!target) continue;
         openers.set(selector, last);
         const before = focused.get(selector), moved = before?.isConnected && before !== document.activeElement;
@@ -60,13 +76,18 @@
       } else if (!open && openers.has(selector)) {
         const opener = openers.get(selector);
         openers.delete(selector);
-        if (lost()) lpn.refocus(opener);
+        if (!lost()) continue;
+        lpn.refocus(opener);
+        if (lost() && !document.querySelector(DIALOG)) focus(ANSWER);
       }
     }
     if (!lost() || !last || last.isConnected) return void (gone = 0);
     gone ||= performance.now();
-    if (performance.now() - gone > WAIT) last = null;
-    else if (!document.querySelector(DIALOG)) lpn.refocus(last);
+    if (document.querySelector(DIALOG)) return;
+    if (performance.now() - gone < WAIT) return lpn.refocus(last);
+    last = null;
+    if (lastHome) focus(lastHome[1]);
+    if (lost()) focus(ANSWER);
   };
   setInterval(follow, PERIOD);
 
@@ -76,7 +97,6 @@
   skip.textContent = "Skip to the answer";
   skip.onclick = (event) => {
     event.preventDefault();
-    const answer = ["#lpn-matches [tabindex]", '#lpn-header [tabindex="0"]'];
-    answer.map((one) => document.querySelector(one)).find(there)?.focus();
+    focus(ANSWER);
   };
 })();

@@ -135,10 +135,13 @@
         below.firstElementChild.style.height = Math.max(total - last * height - top, 0) + "px";
         if (wanted.some((node, i) => body.children[i + 1] !== node)) body.replaceChildren(above, ...wanted, below);
       },
-      // Columns only grow while one scrolls; otherwise they would move with what is in sight.
+      // Columns only grow while one scrolls; otherwise they would move with what is in sight. Each asks for what its contents need,
+      // so that the room beyond is shared anew in another width, or by longer contents.
       rest: (root) => {
-        const heads = [...root.querySelectorAll("th")];
+        const heads = [...root.querySelectorAll("th")], table = root.querySelector("table");
+        table.style.width = "max-content";
         const widths = heads.map((head) => Math.ceil(head.getBoundingClientRect().width));
+        table.style.width = "";
         heads.forEach((head, i) => widths[i] > (head._width || 0) && (head.style.minWidth = (head._width = widths[i]) + "px"));
       },
       extent: () => {},
@@ -151,6 +154,7 @@
   const List = (root, kind) => {
     const layout = KINDS[kind], nodes = new Map();
     let data = null, source = null, cursor = -1, anchor = null, frame = 0, last = { top: 0, fast: 0 }, key = "";
+    let hidden = -1; // the entry to bring into sight when the list is shown again
     const rows = (columns) => Math.ceil(data.total / columns);
     // A list longer than a browser's longest element scrolls in proportion.
     const heights = (columns, height) => {
@@ -163,6 +167,7 @@
     const draw = () => {
       frame = 0;
       if (!data || !root.isConnected || !root.clientWidth) return;
+      if (hidden >= 0) reveal(hidden);
       const [columns, height] = layout.measure(root);
       const [, extent, ratio] = heights(columns, height);
       if (key !== columns + "," + height) {
@@ -213,7 +218,8 @@
       else root.removeAttribute("aria-activedescendant");
     };
     const reveal = (index) => {
-      if (index < 0 || !root.clientHeight) return;
+      if (index < 0 || !root.clientHeight) return void (hidden = index);
+      hidden = -1;
       const [columns, height] = layout.measure(root);
       const [, , ratio] = heights(columns, height);
       const head = root.querySelector("thead")?.offsetHeight || 0;
@@ -222,6 +228,14 @@
       if (top < at) root.scrollTop = top / ratio;
       else if (top + height > at + room) root.scrollTop = (top + height - room) / ratio;
       soon();
+    };
+    // Where keys begin: at the cursor, else at the chosen entry if it is in sight, else at the first entry in sight.
+    const start = () => {
+      if (cursor >= 0) return cursor;
+      const [columns, height] = layout.measure(root), [, , ratio] = heights(columns, height);
+      const head = root.querySelector("thead")?.offsetHeight || 0, top = root.scrollTop * ratio;
+      const first = Math.ceil(top / height) * columns, end = Math.floor((top + root.clientHeight - head) / height) * columns;
+      return data.chosen >= first && data.chosen < end ? data.chosen : Math.min(first, data.total - 1);
     };
     const go = (to) => {
       cursor = clamp(to, 0, data.total - 1);
@@ -267,14 +281,14 @@
       const page = Math.max(Math.floor(root.clientHeight / height) - 1, 1) * columns;
       const steps = { ArrowUp: -columns, ArrowDown: columns, PageUp: -page, PageDown: page };
       if (kind === "queries") Object.assign(steps, { ArrowLeft: -1, ArrowRight: 1 });
-      const from = cursor < 0 ? Math.max(data.chosen, 0) : cursor;
+      const from = start();
       // The next Shift begins where the cursor is then.
       if (control || event.key === "Escape" || (!event.shiftKey && (event.key in steps || event.key === "Home" || event.key === "End"))) anchor = null;
       if (control) layout.chooseAll(true);
       else if (layout.choose && event.key === "Escape" && data.marked?.length) layout.chooseAll(false);
       else if (layout.choose && event.key === " ") choose(from, event.shiftKey);
       else if (layout.choose && event.shiftKey && event.key in steps) extend(from, from + steps[event.key]);
-      else if (event.key in steps) go(cursor < 0 && data.chosen < 0 ? 0 : from + steps[event.key]);
+      else if (event.key in steps) go(cursor < 0 && data.chosen !== from ? from : from + steps[event.key]);
       else if (event.key === "Home") go(0);
       else if (event.key === "End") go(data.total - 1);
       else if (event.key === "Enter" || event.key === " ") pick(from);

@@ -164,10 +164,11 @@
     box._timer = setTimeout(() => lpn.send(kind, box.value), 250);
   };
 
-  // Enter in a box sends its text; no key typed there is a shortcut.
+  // Enter in a box of a drawer sends its text, and Escape closes the drawer; no key typed there is a shortcut.
   lpn.entered = (box, event, kind) => {
     event.stopPropagation();
     if (event.key === "Enter") lpn.send(kind, box.value);
+    else if (event.key === "Escape") lpn.send("lab-drawer", "");
   };
 
   lpn.note = (element) => {

@@ -178,7 +178,7 @@
       const { left, right, top, bottom } = notice.getBoundingClientRect();
       return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
     });
-  const pressed = (event) => told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
+  const pressed = (event) => event.isTrusted && told && free(told.steps[at]) && !document.getElementById("lpn-told").contains(event.target) && !inNotice(event) && end(true);
   // A finger that scrolls presses nothing: its pointer is cancelled before it is up.
   window.addEventListener("pointerdown", (event) => event.pointerType !== "touch" && pressed(event), true);
   window.addEventListener("pointerup", (event) => event.pointerType === "touch" && pressed(event), true);
@@ -223,10 +223,10 @@
 
   // Without storage, the tour would start at every visit.
   const seen = () => lpn.stored("local", SEEN) !== null;
-  // Called when the workbench is shown: it tells the story that waits for it, or unasked to a new visitor the tour. On a phone, whose
-  // stage a card would cover, the tour waits until it is asked for.
+  // Called when the workbench is shown: it tells the story that waits for it, or unasked to a new visitor the tour, unless a link led
+  // here. On a phone, whose stage a card would cover, the tour waits until it is asked for.
   lpn.welcome = (unasked) => {
-    const story = wanted || (unasked && !phone.matches && !seen() ? lpn.tour : null);
+    const story = wanted || (unasked && !phone.matches && !seen() && !lpn.linked ? lpn.tour : null);
     wanted = null;
     if (story) setTimeout(() => !told && lpn.screen() === "all" && lpn.tell(story), 700);
   };

@@ -39,7 +39,9 @@
     clearInterval(greeting);
     begun = true;
     document.getElementById("lpn-loading")?.remove(); // the page says from here on what it waits for
-    const first = lpn.prefersFirst() && ![...new URLSearchParams(search).keys()].some((key) => key !== "theme" && lpn.keys.includes(key));
+    const named = [...new URLSearchParams(search).keys()].some((key) => key !== "theme" && lpn.keys.includes(key));
+    lpn.linked ??= named;
+    const first = lpn.prefersFirst() && !named;
     if (first) lpn.opening();
     const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = setInterval(hello, 500);

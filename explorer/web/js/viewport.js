@@ -133,7 +133,20 @@
     const canvas = lpn.canvas();
     return canvas?.clientWidth && canvas.clientHeight ? [canvas.clientWidth, canvas.clientHeight] : null;
   };
+  // The legend of the heatmaps lies in a corner of the stage, above its captions.
+  const legend = element("lpn-legend", document.body);
+  const placeLegend = () => {
+    const box = lpn.canvas()?.getBoundingClientRect();
+    if (box) [legend.style.left, legend.style.top] = [box.left + 8 + "px", box.top + "px"];
+    if (box) legend.style.maxWidth = box.width - 16 + "px";
+  };
+  lpn.legend = (html) => {
+    legend.innerHTML = html;
+    legend.hidden = !html;
+    placeLegend();
+  };
   const stage = new ResizeObserver(() => {
+    placeLegend();
     clearTimeout(stage.sending);
     stage.sending = setTimeout(() => {
       const size = lpn.stageSize();
@@ -188,14 +201,24 @@
     const whole = target.closest?.("#lpn-flight-tall, #lpn-lab-tall");
     if (whole) lpn.reveal(whole.id === "lpn-flight-tall" ? "#lpn-flight" : ".lab-bar");
   });
-  // Open a tab of a window by its name, as soon as the window is in the page.
+  // Open a tab of a window by its name, as soon as the window is in the page, and bring the window in front of others.
+  let opening = 0;
+  const tabs = () => [...document.querySelectorAll('[role="tab"]')].filter((one) => one.offsetHeight);
   lpn.tab = (name, tries = 40) => {
-    const tabs = [...document.querySelectorAll('[role="tab"]')];
-    const tab = tabs.find((one) => one.textContent.trim() === name && one.offsetHeight);
-    if (!tab) return tries && setTimeout(() => lpn.tab(name, tries - 1), 250);
+    clearTimeout(opening);
+    const tab = tabs().find((one) => one.textContent.trim() === name);
+    if (!tab) return tries && (opening = setTimeout(() => lpn.tab(name, tries - 1), 250));
     tab.click(); // viser's tabs take it on a phone only, and a key elsewhere only
     tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
+    lpn.raise(tab.closest(".mantine-Paper-root"));
     if (phone.matches) setTimeout(() => scrollPanel(tab), 300);
   };
+  // Tell the server which tab a person opened: a link opens it, too.
+  const told = ({ target, isTrusted }) => {
+    const list = isTrusted && target.closest?.('[role="tab"]')?.closest(".mantine-Paper-root");
+    const tell = () => tabs().forEach((tab) => list.contains(tab) && tab.ariaSelected === "true" && lpn.send("tab", tab.textContent.trim()));
+    if (list) setTimeout(tell, 50);
+  };
+  for (const act of ["click", "keyup"]) window.addEventListener(act, told, true);
   phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
 })();

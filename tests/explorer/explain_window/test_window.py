@@ -21,7 +21,7 @@ from explorer.explain_window import activation, comparison, evidence, region, sw
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, StateChange
 from explorer.stage.viewport import Viewport
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
@@ -278,12 +278,16 @@ class WindowGui:
 
 
 def make_window(
-    workspace: Workspace, gui: WindowGui, errors: list[Exception], open_tab: Callable[[str], None] = lambda _: None
+    workspace: Workspace,
+    gui: WindowGui,
+    errors: list[Exception],
+    open_tab: Callable[[str], None] = lambda _: None,
+    change: Callable[[StateChange], None] = lambda _: None,
 ) -> ExplainWindow:
     return ExplainWindow(
         SimpleNamespace(gui=gui),  # type: ignore[arg-type]
         workspace,
-        lambda _: None,
+        change,
         errors.append,
         Viewport(),
         SimpleNamespace(),  # type: ignore[arg-type]
@@ -442,3 +446,36 @@ def test_a_window_fits_the_room_that_the_page_tells() -> None:
     room.update([700, 500])
     room.update([640, 500])
     assert told == [640]
+
+
+def test_the_window_opens_at_the_tab_that_answers_and_follows_the_page(workspace: Workspace) -> None:
+    ranks = workspace.rankings["drone-to-satellite"].ranks
+    opened: list[str] = []
+    changes: list[StateChange] = []
+    window = make_window(workspace, WindowGui(), [], opened.append, changes.append)
+    for query, tab in ((int(np.argmax(ranks)), "comparison"), (int(np.argmin(ranks)), "evidence")):
+        analysis = analysed(workspace, query=query, why_tab="best")
+        window.announce()
+        window.show_tab("best")  # waits for the answer
+        assert opened == []
+        window.show(analysis)
+        shown = changes.pop()(analysis.state)
+        assert shown is not None
+        assert shown.why_tab == tab
+        window.show_tab(shown.why_tab)
+        assert opened.pop() == {"comparison": "True or wrong", "evidence": "Why"}[tab]
+        window.show_tab(shown.why_tab)  # the page shows it by now
+        assert opened == []
+        assert changes == []
+        window.close()
+    window.announce()
+    window.handlers()["tab"]("Parts")  # of another window
+    window.handlers()["tab"](["Heatmaps"])
+    assert changes == []
+    window.handlers()["tab"]("Heatmaps")
+    followed = changes.pop()(analysis.state)
+    assert followed is not None
+    assert followed.why_tab == "heatmaps"
+    window.show_tab("heatmaps")
+    assert opened == []
+    window.leave()

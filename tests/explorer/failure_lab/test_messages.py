@@ -51,3 +51,16 @@ def test_a_second_click_removes_a_selection(findings: Findings, lab: LabState) -
     once = messages.apply(message, lab, findings)
     assert [selection.label for selection in once.selections] == ["weather sun"]
     assert messages.apply(message, once, findings).selections == ()
+
+
+def test_the_ground_is_the_first_map_until_another_is_chosen(findings: Findings, lab: LabState) -> None:
+    assert findings.task.geometry is not None
+    maps = messages.apply(messages.ShowTab("maps"), lab, findings)
+    assert (maps.tab, maps.map) == ("maps", "ground")
+    chosen = messages.apply(messages.ShowMap("pca"), maps, findings)
+    table = messages.apply(messages.ShowTab("table"), chosen, findings)
+    assert messages.apply(messages.ShowTab("maps"), table, findings).map == "pca"
+    linked = state.with_choices(
+        findings, lab, state.choices(chosen)
+    )  # an older address names no other map than the PCA
+    assert messages.apply(messages.ShowTab("maps"), linked, findings).map == "pca"

@@ -35,7 +35,7 @@ def test_what_is_offered_and_shown_fits_the_number_of_queries_and_the_filter(fin
         html = table.bar(findings, lab, count)
         assert "lab-report" not in html
         assert f"A report holds up to 200 queries; {count} are shown" in html
-        assert ">Report: up to 200 queries<" in html
+        assert '>Report<span class="roomy">: up to 200 queries<' in html
     rows = findings.table.rows()
     for before, shown in (("", "without a filter"), ("rank > 1", "of the last filter that could be read, rank &gt; 1")):
         wrong = state.set_filter(replace(lab, filter=before), "rank > 5 and", findings.table)
@@ -84,3 +84,21 @@ def test_a_bar_is_as_long_as_its_share(workspace: Workspace, findings: Findings,
     for _, bar, share in contents:  # type: ignore[misc]
         assert bar.share == 100 * share
         assert bar.low + bar.width <= 100.5
+
+
+def test_the_charts_keep_their_places_while_one_chooses(
+    workspace: Workspace, findings: Findings, lab: LabState
+) -> None:
+    def heights(lab: LabState) -> list[tuple[str, int]]:
+        html = breakdown_page.page(findings, lab, workspace)
+        return [
+            (re.findall(r"[^,;]*", title)[0], card.count('<div class="line') + card.count('<div class="dim"'))
+            for title, card in re.findall(
+                r'class="title"[^>]*>(.*?)</div>(.*?)(?=<div class="card">|$)', html, re.DOTALL
+            )
+        ]
+
+    one = Selection("some", "some", np.flatnonzero(findings.outcomes.failed)[:1])
+    whole, narrow = heights(lab), heights(state.add_selection(lab, one))
+    assert len(whole) > 2
+    assert whole == narrow

@@ -161,3 +161,16 @@ def test_a_message_that_is_none_reaches_no_handler() -> None:
     assert not got
     bridge.receive('{"kind": "small", "value": true}')
     assert got == [True]
+
+
+def test_the_heatmap_on_the_stage_has_a_legend(workspace: Workspace) -> None:
+    analyser, state = StateAnalyser(workspace), SessionState("drone-to-satellite", 4)
+
+    def legend(**changes: object) -> str:
+        return pages.heat_legend(analyser.analyse(replace(state, **changes), 10), workspace)  # type: ignore[arg-type]
+
+    assert "Activation: weak" in legend()
+    assert f"Activation of part {workspace.part_names[1]}:" in legend(heat_part=1)
+    assert "Evidence: against" in legend(heat_kind="evidence")
+    for hidden in ({"heat": False}, {"map": True}, {"first_screen": True}):
+        assert not legend(**hidden)

@@ -299,3 +299,11 @@ def test_a_copy_does_not_replace_what_was_opened(page: Page) -> None:
 def _plain(step: Step) -> dict[str, str]:
     plain: dict[str, str] = msgspec.to_builtins(step)
     return plain
+
+
+def test_escape_closes_the_window_of_stories_first(workspace: Workspace) -> None:
+    page = Page(workspace)
+    assert not page.window.close()
+    page.send("window")
+    assert page.window.close()
+    assert not page.window.close()

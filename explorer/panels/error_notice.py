@@ -1,0 +1,34 @@
+"""The notification of the last error in one browser."""
+
+from __future__ import annotations
+
+import threading
+
+import viser
+
+# Seconds for which an error is shown.
+_TOLD = 12.0
+
+
+class ErrorNotice:
+    """Shows one error at a time, which goes by itself; thread-safe."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client, self._lock = client, threading.Lock()
+        self._shown: viser.NotificationHandle | None = None
+
+    def show(self, title: str, text: str) -> None:
+        """Show an error in place of the one before."""
+        with self._lock:
+            self._take_away()
+            self._shown = self._client.add_notification(title, text, color="red", auto_close_seconds=_TOLD)
+
+    def forget(self) -> None:
+        """Take the last error away: it speaks of something that is over."""
+        with self._lock:
+            self._take_away()
+
+    def _take_away(self) -> None:
+        shown, self._shown = self._shown, None
+        if shown is not None:
+            shown.remove()
