@@ -102,7 +102,7 @@ def copy_run(run: Path, world: Path, docs: Path) -> None:
     tables = json.loads(msgspec.json.encode(read_measurements(run / "measured.json").tables))
     jobs = [json.loads(file.read_bytes()) for file in sorted((run / "runs").glob("lpn-seed*/job.json"))]
     settings = json.loads((world / PLAN).read_bytes())["settings"]
-    flags = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in settings.items())
+    flags = " ".join(_flag(name, value) for name, value in settings.items())
     tuning = run / "tuning.json"
     data = {
         "format": FORMAT,
