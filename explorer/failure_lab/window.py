@@ -25,7 +25,7 @@ from explorer.reports import Reporter
 from explorer.session_state import LabChoices, SessionState, StateChange
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
-from explorer.web.render import call, run
+from explorer.web.render import call, run, run_once
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.named_views import NamedView
 from lpn.core.arrays import Int64Array
@@ -46,14 +46,14 @@ class _View:
 
     Attributes:
         reasons: the explain window is open.
-        behind: both windows were opened at once, so that the explain window lies in front, as it does where a link was made.
+        order: a script that raises the explain window, where both windows were opened at once, as a link does; else empty.
     """
 
     task: str
     query: int | None
     open: bool
     reasons: bool = False
-    behind: bool = False
+    order: str = ""
 
 
 class FailureLabWindow:
@@ -113,8 +113,10 @@ class FailureLabWindow:
         with self._lock:
             self._lab = state.for_task(self._lab, shown.task)
             before, reasons = self._view, shown.shows_reasons
-            behind = before.behind if before.open else reasons and not before.reasons
-            self._view = _View(shown.task, query, shown.lab, reasons, shown.lab and behind)
+            order = before.order
+            if not before.open:
+                order = run_once(call("raiseReasons")) if shown.lab and reasons and not before.reasons else ""
+            self._view = _View(shown.task, query, shown.lab, reasons, order if shown.lab else "")
         self._worker.wake()
 
     def restore(self, session: SessionState, whole: bool = False) -> None:
@@ -286,7 +288,7 @@ class FailureLabWindow:
             self._place(None)
             return
         self._place(lab.full_height)
-        self._order.show(run(call("raiseReasons")) if view.behind else "")
+        self._order.show(view.order)
         if findings is None:
             self._wait_for_table(lab)
             return

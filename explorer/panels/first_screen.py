@@ -89,7 +89,8 @@ class FirstScreen:
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
         shown = state.laboratory
-        all_queries = LabChoices(tab, columns=shown.columns, full_height=shown.full_height)
+        kept = {name: getattr(shown, name) for name in ("columns", "full_height", "map", "colour")}
+        all_queries = LabChoices(tab, **kept)
         state = replace(state, lab=True, why=False, laboratory=all_queries)
         self._show_lab(state)
         return state

@@ -110,11 +110,10 @@ class StoryWindow:
         return list(self._stories.by_name)
 
     def close(self) -> bool:
-        """Close the window; return True if it was open."""
-        with self._lock:
-            was_open = self._open
-            self._set_open(False)
-            return was_open
+        """Close the window; return True if it was open. It takes no lock, as its caller may hold that of the session."""
+        was_open = self._open
+        self._set_open(False)
+        return was_open
 
     def show(self, analysis: StateAnalysis) -> None:
         """Remember what the page shows, for the caption of the next step."""
@@ -221,7 +220,10 @@ class StoryWindow:
             self._call("say", f"A story has {story.MOST_STEPS} steps at most: begin another one.")
             return
         caption = ""
-        if analysis is not None and replace(analysis.state, laboratory=state.laboratory) == state:
+        if (
+            analysis is not None
+            and replace(analysis.state, laboratory=state.laboratory, why_tab=state.why_tab) == state
+        ):
             _, headline, _ = answer_text.verdict(analysis, self._workspace.part_names)
             caption = f"{analysis.name}. {headline}."
         address = self._url_state.write(state)

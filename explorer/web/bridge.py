@@ -14,7 +14,7 @@ import viser
 from explorer.server.message_filter import MAX_TEXT
 from explorer.server.viser_compat import thread_pool, uuid_of
 from explorer.web.html import Html
-from explorer.web.render import call, render, run
+from explorer.web.render import call, render, run, run_once
 
 log = logging.getLogger(__name__)
 
@@ -97,8 +97,7 @@ class PageBridge:
 
     def open_tab(self, name: str) -> None:
         """Have the page open a tab of a window by its name; other calls do not replace this one."""
-        self._calls += 1
-        self._tab.show(run(f"{call('tab', name)};/*{self._calls}*/"))
+        self._tab.show(run_once(call("tab", name)))
 
     async def _updated(self, _: object) -> None:
         # viser runs a coroutine before it takes the next message. A function, in a thread of a pool, might find that one here.

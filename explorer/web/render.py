@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import uuid
 
 from markupsafe import Markup
 
@@ -35,6 +36,11 @@ def call(function: str, *arguments: object) -> str:
 def run(script: str) -> str:
     """Return HTML that runs a script when the page shows it."""
     return render("run_script", body=json.dumps(script))
+
+
+def run_once(script: str) -> str:
+    """Return HTML that runs a script when the page shows it, but not when viser draws the panel that it is in anew."""
+    return run(f"{call('once', uuid.uuid4().hex)}&&{script}")
 
 
 def render(template: str, **context: object) -> str:

@@ -55,7 +55,8 @@ def answers_alike(
     """Count how often the answers whose gaps are nearest to a given one are right; None where there are too few.
 
     The gap is d² of the second tile minus that of the answer. It needs no truth, so that it is the same for a graded query and
-    for a picture of one's own. The answers counted are the nearest tenth of all graded ones, and at least 50.
+    for a picture of one's own. The answers counted are the nearest tenth of all graded ones, at least 50, with those that are as
+    near as the farthest of them. A gap beyond those of all graded answers has none alike.
 
     Args:
         ranking: of all queries under the weights that the gap is from.
@@ -69,9 +70,13 @@ def answers_alike(
     rows = np.flatnonzero(graded)
     if gap is None or not np.isfinite(gap) or len(rows) < _FEWEST_GRADED:
         return None
+    gaps = ranking.gap[rows]
+    if not gaps.min() <= gap <= gaps.max():
+        return None
+    distance = np.abs(gaps - gap)
     count = max(_ALIKE, int(_ALIKE_SHARE * len(rows)))
-    nearest = rows[np.argsort(np.abs(ranking.gap[rows] - gap), kind="stable")[:count]]
-    return AlikeAnswers(count, int(np.count_nonzero(ranking.first[nearest] == 0)))
+    alike = rows[distance <= np.partition(distance, count - 1)[count - 1]]
+    return AlikeAnswers(len(alike), int(np.count_nonzero(ranking.first[alike] == 0)))
 
 
 def describe_lead(outcomes: Outcomes, lead: float) -> str:

@@ -19,7 +19,7 @@ def change_appearance(picture: UInt8Array, recipe: Recipe, rng: np.random.Genera
     """Change a picture as another day, camera, and height would: (H, W, 3) uint8.
 
     The order is that of nature: the ground's colours, shadows, what hides the ground, the lens, the sensor. A change that a
-    recipe has not draws no random number, so that a recipe without it trains as before.
+    recipe has not draws no random number.
     """
     changes = (
         (recipe.season, change_season),

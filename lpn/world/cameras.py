@@ -117,7 +117,7 @@ def any_drone_poses(aim: tuple[float, float, float], views: int, sight: float, r
     """Draw poses that look at a point from anywhere: 60 to 400 m above it, 40 to 90 degrees down, with any lens.
 
     The lens is such that the picture shows 0.6 to 2.2 times the ground of a tile side by side, where that takes a field of view
-    of 25 to 80 degrees. No picture shows ground farther than `sight` metres from the point.
+    of 25 to 80 degrees. No picture shows anything at the point's height that is farther than `sight` metres from it.
     """
     poses: list[Pose] = []
     while len(poses) < views:

@@ -109,7 +109,7 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
 
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
-    page = browser.new_page(viewport={"width": 1456, "height": 835})
+    page = browser.new_page(viewport={"width": 1456, "height": 835}, color_scheme="dark")
     page.add_init_script(RETURNING)
     page.goto(url + shot.address)
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)

@@ -90,7 +90,7 @@ class BrowserDriver:
         self._changed = began
 
     def _open(self) -> None:
-        self._context = self._browser.new_context(viewport={"width": 1280, "height": 800})
+        self._context = self._browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
         self._context.add_init_script(RETURNING)
         self._context.set_default_timeout(1000 * BOUND)
         self.page = self._context.new_page()

@@ -39,8 +39,9 @@
     clearInterval(greeting);
     begun = true;
     document.getElementById("lpn-loading")?.remove(); // the page says from here on what it waits for
-    const named = [...new URLSearchParams(search).keys()].some((key) => key !== "theme" && lpn.keys.includes(key));
-    lpn.linked ??= named;
+    const names = [...new URLSearchParams(search).keys()].filter((key) => key !== "theme" && lpn.keys.includes(key));
+    const named = names.length > 0;
+    lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at nothing
     const first = lpn.prefersFirst() && !named;
     if (first) lpn.opening();
     const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });

@@ -213,6 +213,9 @@
     lpn.raise(tab.closest(".mantine-Paper-root"));
     if (phone.matches) setTimeout(() => scrollPanel(tab), 300);
   };
+  // viser draws a panel anew when it is unfolded, and runs the scripts in it again; `run_once` asks here first.
+  const done = new Set();
+  lpn.once = (key) => !done.has(key) && Boolean(done.add(key));
   // Tell the server which tab a person opened: a link opens it, too.
   const told = ({ target, isTrusted }) => {
     const list = isTrusted && target.closest?.('[role="tab"]')?.closest(".mantine-Paper-root");

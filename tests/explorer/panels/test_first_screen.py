@@ -132,6 +132,7 @@ def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch
     monkeypatch.setattr("lpn.analysis.answer_context._FEWEST_GRADED", 10)
     result = workspace.rankings[TASK].result
     assert result is not None
+    told = 0
     for analysis in (own, wrong, right):
         gap, known = analysis.matches[0].gap, analysis.state.upload is None
         assert gap is not None
@@ -139,12 +140,18 @@ def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch
         nearest = sorted(others, key=lambda i: abs(result.ranking.gap[i] - gap))[:5]
         times = sum(int(result.ranking.first[i]) == 0 for i in nearest)
         shown = text(first_screen.page(analysis, workspace))
+        gaps = result.ranking.gap[others]
+        if not gaps.min() <= gap <= gaps.max():
+            assert "How far to trust it" not in shown, "no other answer was that far ahead"
+            continue
+        told += 1
         pictures = "5 other pictures" if known else "5 pictures"
         assert f"How far to trust it : among the {pictures} here whose answer was about as far ahead" in shown
         assert f"it was right {times} times ({20 * times} %)." in shown
         assert ("That holds for pictures like those of" in shown) != known
         reason = text(first_screen.page(analyse(workspace, replace(analysis.state, why=True)), workspace))
         assert f"The answer is {gap:.3f} ahead of the second best. How far to trust it" in reason
+    assert told >= 2
     # The gap of a graded query is the one that its ranking tells.
     assert result.ranking.gap[right.state.query] == pytest.approx(right.matches[0].gap, abs=1e-3)
     turned = analyse(workspace, replace(right.state, angle=20.0))

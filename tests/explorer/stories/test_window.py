@@ -94,9 +94,12 @@ def test_what_is_shown_is_recorded_with_the_verdict_as_its_caption(page: Page) -
     (step,) = page.draft.steps
     assert step.shows == f"task={TASK}&query={analysis.name}&why=1"
     assert re.fullmatch(rf"{analysis.name}\. (Found|Wrong): the t.*\.", step.caption)
-    page.state = replace(page.state, angle=30.0)
+    page.state = replace(page.state, why_tab="comparison")
     page.send("record")
-    assert page.draft.steps[1] == Step(f"task={TASK}&query={analysis.name}&angle=30&why=1"), (
+    assert page.draft.steps[1].caption == step.caption, "another tab of the explanation keeps the verdict"
+    page.state = replace(page.state, why_tab="evidence", angle=30.0)
+    page.send("record")
+    assert page.draft.steps[2] == Step(f"task={TASK}&query={analysis.name}&angle=30&why=1"), (
         "the verdict on another state is no caption"
     )
     assert page.calls[-1][0] == "say"

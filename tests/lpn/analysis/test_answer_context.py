@@ -74,7 +74,9 @@ def test_answers_of_a_like_gap_are_counted() -> None:
     gap = np.arange(1000) / 1000.0
     ranking = retrieval(np.where(gap >= 0.5, 0, 3), gap)
     assert answer_context.answers_alike(ranking, 0.9) == AlikeAnswers(100, 100)
-    assert answer_context.answers_alike(ranking, -0.1) == AlikeAnswers(100, 0)
+    assert answer_context.answers_alike(ranking, 0.0) == AlikeAnswers(100, 0)
+    for beyond in (-0.1, 1.1):
+        assert answer_context.answers_alike(ranking, beyond) is None
     middle = answer_context.answers_alike(ranking, 0.4995)
     assert middle is not None
     assert middle.share == 0.5
