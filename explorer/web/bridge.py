@@ -76,7 +76,6 @@ class PageBridge:
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
         self._address, self._ground, self._call, self._tab, self._legend = (Html(gui) for _ in range(5))
-        self._calls = 0
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
         """Replace the values of `keys` in the page's address by a query string without "?"."""
@@ -92,8 +91,7 @@ class PageBridge:
 
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of the page's script. The page may run only the last of several quick calls."""
-        self._calls += 1
-        self._call.show(run(f"{call(function, *arguments)};/*{self._calls}*/"))
+        self._call.show(run_once(call(function, *arguments)))
 
     def open_tab(self, name: str) -> None:
         """Have the page open a tab of a window by its name; other calls do not replace this one."""

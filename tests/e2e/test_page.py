@@ -553,3 +553,21 @@ def test_nothing_scrolls_a_phones_page(app: RunningApp, contexts: Callable[..., 
     explorer.explain()
     expect(explorer.page.get_by_text("Tap a cell to see")).to_be_visible()
     expect(explorer.page.get_by_text("Move over a cell to see")).to_be_hidden()
+
+
+def test_a_panel_that_is_unfolded_repeats_no_call(explorer: ExplorerPage) -> None:
+    page = explorer.page
+    page.evaluate("() => { window.said = []; lpn.say = (text) => said.push(text); }")
+    page.keyboard.press("s")
+    page.wait_for_function("said.length === 1")
+    handle = box(page.locator("[data-dock-region-collapse=right]"))
+    x, y = handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2
+    page.mouse.click(x, y)
+    page.wait_for_function("!lpn.field(lpn.bridge)")
+    page.mouse.click(x, y)
+    page.wait_for_function("lpn.field(lpn.bridge)")
+    page.keyboard.press("s")
+    page.wait_for_function("said.length > 1")
+    first, second = page.evaluate("said")
+    assert first.startswith("Step 1 ")
+    assert second.startswith("Step 2 ")
