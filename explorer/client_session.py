@@ -231,7 +231,7 @@ class ClientSession:
                 self._bridge.call("reveal", f"#lpn-lab-{state.laboratory.tab}")
             if state.shows_reasons:
                 self._explain_window.show_tab(state.why_tab)
-            only_windows = state == replace(self._state, laboratory=state.laboratory, why_tab=state.why_tab)
+            only_windows = state == session_state.with_windows(self._state, state)
             self._state = state
             if only_windows:  # nothing to analyse
                 self._write_address(state)
@@ -345,7 +345,7 @@ class ClientSession:
         if not self._greeted:  # the page would lose the address that it has yet to send
             return
         with self._lock:  # otherwise the worker could replace a newer address of the laboratory by an older one
-            shown = replace(state, laboratory=self._state.laboratory, why_tab=self._state.why_tab)
+            shown = session_state.with_windows(state, self._state)
             self._bridge.set_address(self._url_state.write(shown), self._url_state.keys)
 
     def _fit(self, small: Any) -> None:

@@ -199,6 +199,11 @@ def with_field(state: SessionState, field: str, value: Any) -> SessionState:
     return replace(state, **{field: value})
 
 
+def with_windows(state: SessionState, other: SessionState) -> SessionState:
+    """Return a state with the explain window's tab and the laboratory of another one: an analysis depends on neither."""
+    return replace(state, laboratory=other.laboratory, why_tab=other.why_tab)
+
+
 def leave_first_screen(before: SessionState, after: SessionState) -> SessionState:
     """Return `after` without the first screen if the change from `before` is to something that it does not show.
 

@@ -113,10 +113,10 @@ class FailureLabWindow:
         with self._lock:
             self._lab = state.for_task(self._lab, shown.task)
             before, reasons = self._view, shown.shows_reasons
-            order = before.order
-            if not before.open:
-                order = run_once(call("raiseReasons")) if shown.lab and reasons and not before.reasons else ""
-            self._view = _View(shown.task, query, shown.lab, reasons, order if shown.lab else "")
+            order = before.order if shown.lab else ""
+            if shown.lab and not before.open and reasons and not before.reasons:
+                order = run_once(call("raiseReasons"))
+            self._view = _View(shown.task, query, shown.lab, reasons, order)
         self._worker.wake()
 
     def restore(self, session: SessionState, whole: bool = False) -> None:

@@ -89,8 +89,9 @@ class FirstScreen:
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
         shown = state.laboratory
-        kept = {name: getattr(shown, name) for name in ("columns", "full_height", "map", "colour")}
-        all_queries = LabChoices(tab, **kept)
+        all_queries = LabChoices(
+            tab, columns=shown.columns, full_height=shown.full_height, map=shown.map, colour=shown.colour
+        )
         state = replace(state, lab=True, why=False, laboratory=all_queries)
         self._show_lab(state)
         return state

@@ -12,6 +12,7 @@ from typing import Any
 import msgspec
 import viser
 
+from explorer import session_state
 from explorer.panels import answer_text
 from explorer.reports import Reporter
 from explorer.server.message_filter import MAX_TEXT
@@ -220,10 +221,7 @@ class StoryWindow:
             self._call("say", f"A story has {story.MOST_STEPS} steps at most: begin another one.")
             return
         caption = ""
-        if (
-            analysis is not None
-            and replace(analysis.state, laboratory=state.laboratory, why_tab=state.why_tab) == state
-        ):
+        if analysis is not None and session_state.with_windows(analysis.state, state) == state:
             _, headline, _ = answer_text.verdict(analysis, self._workspace.part_names)
             caption = f"{analysis.name}. {headline}."
         address = self._url_state.write(state)

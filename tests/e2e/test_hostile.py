@@ -20,7 +20,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
-from tools.fixtures.chromium import RETURNING
+from tools.fixtures.chromium import returning
 
 # Without slashes, so that a folder can have such a name.
 NAMES = [
@@ -90,8 +90,7 @@ def walk(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactor
     """Every room of the page visited: the pair, the map, the laboratory's tabs, the window of reasons, an upload."""
     folder = tmp_path_factory.mktemp("walk")
     with started(places, model_file, folder / "cache") as running:
-        context = browser.new_context(viewport={"width": 1456, "height": 835}, color_scheme="dark")
-        context.add_init_script(RETURNING)
+        context = returning(browser, 1456, 835)
         walked = Walk(context.new_page(), running.url)
         page = walked.page
         page.on("request", lambda request: walked.asked.append(request.url))

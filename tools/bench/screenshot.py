@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, sync_playwright
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_MODEL, DEMO_QUERY
 from lpn.core.files import write_atomic
 from tools.bench.page import ServerProcess
-from tools.fixtures.chromium import RETURNING, launch
+from tools.fixtures.chromium import launch, returning
 from tools.fixtures.processes import free_port
 from tools.fixtures.published_models import golden
 
@@ -109,8 +109,8 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
 
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
-    page = browser.new_page(viewport={"width": 1456, "height": 835}, color_scheme="dark")
-    page.add_init_script(RETURNING)
+    context = returning(browser, 1456, 835)
+    page = context.new_page()
     page.goto(url + shot.address)
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     page.wait_for_timeout(4000)
@@ -135,7 +135,7 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
         assert shown is not None
         data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
     write_atomic(out / shot.file, data)
-    page.close()
+    context.close()
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from playwright.sync_api import Browser, BrowserContext, Error, Locator, Page, sync_playwright
 
-from tools.fixtures.chromium import RETURNING, launch
+from tools.fixtures.chromium import launch, returning
 from tools.soak import page_content
 from tools.soak.client_state import ClientState, PictureNames, UploadedPicture, shows_state, unexpected_links
 from tools.soak.websocket_driver import BOUND, RATE, FaultError, SettledPage, StoppedError
@@ -90,8 +90,7 @@ class BrowserDriver:
         self._changed = began
 
     def _open(self) -> None:
-        self._context = self._browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
-        self._context.add_init_script(RETURNING)
+        self._context = returning(self._browser, 1280, 800)
         self._context.set_default_timeout(1000 * BOUND)
         self.page = self._context.new_page()
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
