@@ -9,7 +9,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Layout:
-    """Positions and sizes in stage units: x from -4.15 to 4.15, y from -3.69 to 4.41.
+    """Positions and sizes in stage units: x from -4.15 to 4.15, y from -3.69 to 4.41, below the heatmaps' legend.
 
     Attributes:
         stacked: True if the compared tile is below the query, False if it is to the right.

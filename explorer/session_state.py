@@ -140,6 +140,11 @@ class SessionState:
         return values if any(values) else (1.0,) * self.n_parts
 
     @property
+    def parts_off(self) -> frozenset[int]:
+        """The parts that do not count."""
+        return frozenset(part for part, weight in enumerate(self.part_values()) if not weight)
+
+    @property
     def shows_window(self) -> bool:
         """Return True if a window is open, or something else that ends where it was begun: the map, or pulled rings."""
         return self.why or self.lab or self.flight or self.map or self.exploded

@@ -212,6 +212,9 @@ MESSAGES: dict[str, type[LabMessage]] = {
     "lab-close": CloseLab,
 }
 
+# A click on a line of a chart.
+OF_CHARTS = SelectPart, SelectPair, SelectBin
+
 
 def decode(kind: str, value: Any) -> LabMessage | None:
     """Return the message that a JSON value holds, None if it holds none of this kind."""

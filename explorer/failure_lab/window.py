@@ -246,7 +246,18 @@ class FailureLabWindow:
             if self._wanted is not None and isinstance(message, messages.ToggleFullHeight):
                 self._wanted = self._wanted[0], replace(self._wanted[1], full_height=changed.full_height)
         self._tell(changed)
+        if isinstance(message, messages.OF_CHARTS):
+            self._show_one(changed)
         self._worker.wake()
+
+    def _show_one(self, lab: LabState) -> None:
+        """Show the first of the selected queries, unless the page shows one of them."""
+        findings = self._service.findings(lab.task)
+        if findings is None or not lab.selections:
+            return
+        rows = self._rows(findings, lab)
+        if len(rows) and self._view.query not in rows:
+            self._open(int(rows[0]))
 
     def _tell(self, lab: LabState) -> None:
         """Let the address follow, unless the laboratory has yet to show what the address says."""

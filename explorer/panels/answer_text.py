@@ -98,6 +98,16 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
 
 
+def own_hint(analysis: StateAnalysis, rendered: bool) -> str:
+    """Say what is done with a picture of one's own, before one is chosen."""
+    task = analysis.task
+    city = ", which are of a rendered city: a photo of a real place has no right answer in it" if rendered else ""
+    return (
+        f"Choose one or several pictures on this device (JPEG, PNG, or WebP). The model finds the most similar of the "
+        f"{task.tiles:,} {_PICTURES[task.gallery_view]} here{city}."
+    )
+
+
 def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say that an own picture is pressed into the shape of the network's input; empty if it has that shape."""
     picture = analysis.state.upload

@@ -12,10 +12,11 @@ import viser
 from explorer import session_state
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
-from explorer.session_state import LabChoices, SessionState, StateChange, Tab
+from explorer.session_state import SessionState, StateChange, Tab
 from explorer.stage.pictures import draw_parts
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
+from explorer.web.style import verdict_ink
 from explorer.workspace import StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
@@ -88,10 +89,7 @@ class FirstScreen:
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
-        shown = state.laboratory
-        all_queries = LabChoices(
-            tab, columns=shown.columns, full_height=shown.full_height, map=shown.map, colour=shown.colour
-        )
+        all_queries = replace(state.laboratory, tab=tab, outcome="all", filter="", name_search="", chosen=())
         state = replace(state, lab=True, why=False, laboratory=all_queries)
         self._show_lab(state)
         return state
@@ -137,7 +135,9 @@ def page(
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         trust=answer_text.trust(analysis, workspace),
         gap=analysis.matches[0].gap,
+        bars=_bar_colours(lead),
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
+        own_hint=answer_text.own_hint(analysis, rendered),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
@@ -147,6 +147,13 @@ def page(
         rendered=rendered,
         alterations=alterations,
     )
+
+
+def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
+    """Return the colours of bars for and against: those of the frames, darker where they stand beside a text."""
+    if lead is None or not lead.sure:
+        return theme.css(theme.FOR), theme.css(theme.AGAINST)
+    return verdict_ink(True), verdict_ink(False)
 
 
 def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, altered: bool) -> str:

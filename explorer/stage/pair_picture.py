@@ -43,4 +43,4 @@ def draw(workspace: Workspace, analysis: StateAnalysis, side: int, areas: PartAr
         # A part without a cell has no place to show.
         if inside is None or inside.any():
             picture = overlays.with_heat(picture, activation, inside, state.opacity)
-    return overlays.with_parts(picture, areas, 3) if state.rings else picture
+    return overlays.with_parts(picture, areas, 3, state.parts_off) if state.rings else picture

@@ -36,7 +36,7 @@ _LIFT = 0.5
 _STEP = 0.12
 # Shift of an exploded picture towards the other picture, in stage units.
 _INWARD = 0.3
-_MIDDLE = (0.0, 0.36)
+_MIDDLE = (0.0, 0.51)
 # The area of the stage that is always in view, in stage units.
 SCENE = {"width": WIDTH, "height": HEIGHT, "middle": _MIDDLE}
 
@@ -259,7 +259,7 @@ class Stage:
             if analysis.pair_evidence is not None and state.heat_kind == "evidence"
             else None
         )
-        look = (state.heat, state.heat_kind, state.heat_part, state.opacity, state.rings)
+        look = (state.heat, state.heat_kind, state.heat_part, state.opacity, state.rings, state.parts_off)
         before = self._drawn[side]
         if before is None or before[0] is not described or before[1] is not evidence or before[2:4] != (view, look):
             picture = pair_picture.draw(self._workspace, analysis, side, areas)

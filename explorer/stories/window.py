@@ -282,11 +282,11 @@ class StoryWindow:
         )
 
     def _set_open(self, is_open: bool) -> None:
-        self._open = is_open
         if is_open:
             self._draw()
-            self._place()
-        self._panel.visible = is_open
+        self._open = is_open
+        self._place()
+        self._panel.visible = self._open  # another thread may have closed it meanwhile
 
     def _place(self) -> None:
         if self._open:

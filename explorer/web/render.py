@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import uuid
 
 from markupsafe import Markup
@@ -40,7 +41,7 @@ def run(script: str) -> str:
 
 def run_once(script: str) -> str:
     """Return HTML that runs a script when the page shows it, but not when viser draws the panel that it is in anew."""
-    return run(f"{call('once', uuid.uuid4().hex)}&&{script}")
+    return run(f"if({call('once', uuid.uuid4().hex)}){{{script}}}")
 
 
 def render(template: str, **context: object) -> str:
@@ -50,6 +51,8 @@ def render(template: str, **context: object) -> str:
 
 _ENVIRONMENT = environment("explorer.web")
 _ENVIRONMENT.filters["format"] = format
+# A figure and its unit stay on one line.
+_ENVIRONMENT.filters["tied"] = lambda text: re.sub(r"(?<=\d) (?=%|k?m\b)", "\N{NO-BREAK SPACE}", text)
 _ENVIRONMENT.globals.update(
     send=send,
     press=press,

@@ -56,7 +56,7 @@ def answers_alike(
 
     The gap is d² of the second tile minus that of the answer. It needs no truth, so that it is the same for a graded query and
     for a picture of one's own. The answers counted are the nearest tenth of all graded ones, at least 50, with those that are as
-    near as the farthest of them. A gap beyond those of all graded answers has none alike.
+    near as the farthest of them. A gap above those of all graded answers has none alike.
 
     Args:
         ranking: of all queries under the weights that the gap is from.
@@ -71,7 +71,7 @@ def answers_alike(
     if gap is None or not np.isfinite(gap) or len(rows) < _FEWEST_GRADED:
         return None
     gaps = ranking.gap[rows]
-    if not gaps.min() <= gap <= gaps.max():
+    if gap > gaps.max():
         return None
     distance = np.abs(gaps - gap)
     count = max(_ALIKE, int(_ALIKE_SHARE * len(rows)))

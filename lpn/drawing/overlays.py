@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Collection
 from typing import cast
 
 import cv2
@@ -11,7 +12,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, Int64Array, UInt8Array
 from lpn.drawing.part_areas import PartAreas
-from lpn.drawing.theme import AGAINST, FOR, Colour, part_colour
+from lpn.drawing.theme import AGAINST, FOR, UNKNOWN_COLOUR, Colour, part_colour
 
 
 def square(picture: UInt8Array, size: int) -> UInt8Array:
@@ -100,28 +101,35 @@ def heat_cells(values: FloatingArray, low: float, high: float) -> UInt8Array:
     return np.dstack([colours, np.where(np.isnan(values), 0, 255).astype(np.uint8)])
 
 
-def with_parts(picture: UInt8Array, areas: PartAreas | None, thickness: int = 2) -> UInt8Array:
+def with_parts(
+    picture: UInt8Array, areas: PartAreas | None, thickness: int = 2, off: Collection[int] = ()
+) -> UInt8Array:
     """Draw the border of each part in its colour, with a dark outline that is visible on bright ground.
 
     Args:
         areas: of the parts; nothing is drawn without them, and for a part that no cell belongs to most.
+        off: parts that do not count, which are drawn in grey.
     """
     drawn = np.ascontiguousarray(picture).copy()
     if areas is None:
         return drawn
     if not areas.straight:
-        return _with_outlines(drawn, areas.labels, thickness)
+        return _with_outlines(drawn, areas.labels, thickness, off)
     height, width = picture.shape[:2]
     for part, (left, top, right, bottom) in enumerate(areas.boxes):
         inset = thickness // 2 + 1
         first = (round(left * width) + inset, round(top * height) + inset)
         second = (round(right * width) - 1 - inset, round(bottom * height) - 1 - inset)
         cv2.rectangle(drawn, first, second, (0, 0, 0), thickness + 2)
-        cv2.rectangle(drawn, first, second, part_colour(part), thickness)
+        cv2.rectangle(drawn, first, second, _border_colour(part, off), thickness)
     return drawn
 
 
-def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int) -> UInt8Array:
+def _border_colour(part: int, off: Collection[int]) -> Colour:
+    return UNKNOWN_COLOUR if part in off else part_colour(part)
+
+
+def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int, off: Collection[int]) -> UInt8Array:
     """Draw the outline of each label's cells, just inside of them."""
     spread = images.enlarge(labels, *drawn.shape[:2])
     for part in range(int(labels.max()) + 1):
@@ -135,7 +143,7 @@ def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int) -> UIn
         )
         innermost = cv2.erode(inner, np.ones((3, 3), np.uint8))
         drawn[(inside > outer) | (inner > innermost)] = 0
-        drawn[outer > inner] = part_colour(part)
+        drawn[outer > inner] = _border_colour(part, off)
     return drawn
 
 

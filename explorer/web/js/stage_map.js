@@ -1,4 +1,5 @@
-// On the stage's map: a scale bar, north, and the position under the cursor, over the scene that viser draws.
+// On the stage's map: a scale bar, north, and the position under the cursor, over the scene that viser draws. It is moved as maps are:
+// a drag takes the ground along.
 (() => {
   const lpn = window.lpn;
   if (lpn.stageMap) return;
@@ -6,14 +7,17 @@
   const PERIOD = 150;
   // Where the bar begins and north stands on the canvas.
   const BAR = [52, 32], NORTH = [24, 22];
-  let place = null, following = 0, cursor = null, seen = "";
+  // The camera's largest angle from straight down: it stays above what it looks at. The view of the pair, which may come before the
+  // map is closed, has this angle exactly.
+  const LOWEST = Math.PI / 2;
+  let place = null, kept = null, following = 0, cursor = null, seen = "";
 
   const box = document.createElement("div");
   box.id = "lpn-stage-map";
   box.className = "num";
   box.innerHTML =
-    '<div class="read"></div><button type="button" title="Back to the pair (M or Escape)">✕ Close the map<span class="for-mouse">&nbsp;(M)</span></button><canvas role="img" aria-label="Scale and north"></canvas>';
-  const [read, close, canvas] = box.children;
+    '<div class="read"></div><button type="button" title="Back to the pair (M or Escape)">✕ Close the map<span class="for-mouse">&nbsp;(M)</span></button><div class="how"><span class="for-mouse">Drag to move, right button to turn, wheel to zoom</span><span class="for-touch">One finger moves, two turn and zoom</span></div><canvas role="img" aria-label="Scale and north"></canvas>';
+  const [read, close, , canvas] = box.children;
   close.onclick = () => lpn.send("map-close");
 
   // The point of the ground under a place on the screen, in metres east and north; null above the horizon.
@@ -26,6 +30,26 @@
     if (far.z > eye.z - 1e-9) return null;
     const t = eye.z / (eye.z - far.z);
     return [eye.x + t * (far.x - eye.x), eye.y + t * (far.y - eye.y)].map((value, axis) => (value - place.middle[axis]) * place.metres);
+  };
+
+  // viser turns the camera by a drag, also below the ground. `on`: while the map is shown.
+  const steer = (on) => {
+    const controls = window.__viserMutable?.cameraControl;
+    if (!controls || on === !!kept) return;
+    const action = controls.constructor.ACTION;
+    if (on) {
+      const { mouseButtons, touches, maxPolarAngle } = controls;
+      kept = [controls, { maxPolarAngle }, { ...mouseButtons }, { ...touches }];
+      controls.maxPolarAngle = LOWEST;
+      Object.assign(mouseButtons, { left: action.SCREEN_PAN, right: action.ROTATE });
+      Object.assign(touches, { one: action.TOUCH_SCREEN_PAN, two: action.TOUCH_DOLLY_ROTATE });
+    } else {
+      const [before, angles, buttons, fingers] = kept;
+      Object.assign(before, angles);
+      Object.assign(before.mouseButtons, buttons);
+      Object.assign(before.touches, fingers);
+      kept = null;
+    }
   };
 
   const drawMarks = (camera, size) => {
@@ -45,6 +69,7 @@
     const size = lpn.canvas()?.getBoundingClientRect();
     const camera = window.__viserMutable?.camera;
     if (!size || !camera || !window.__viserSceneTree) return;
+    steer(true);
     if (!box.isConnected) document.body.append(box);
     // A window over the stage covers the marks as well.
     box.hidden = document.elementFromPoint(size.left + 24, size.bottom - 24) !== lpn.canvas();
@@ -70,7 +95,10 @@
     place = given;
     clearInterval(following);
     for (const kind of ["pointermove", "pointerdown"]) window[given ? "addEventListener" : "removeEventListener"](kind, point, { capture: true, passive: true });
-    if (!given) return box.remove();
+    if (!given) {
+      steer(false);
+      return box.remove();
+    }
     following = setInterval(follow, PERIOD);
     follow();
   };

@@ -122,6 +122,18 @@
     draw();
   };
 
+  // A step of another query begins with the picture of the one before: its caption waits until the server has drawn it.
+  const LONGEST_WAIT = 5000;
+  let awaited = null, waiting = 0;
+  const queryOf = (address) => new URLSearchParams(address).get("query");
+  const wait = (query) => {
+    clearTimeout(waiting);
+    awaited = query;
+    document.getElementById("lpn-told")?.classList.toggle("waiting", query !== null);
+    if (query !== null) waiting = setTimeout(() => wait(null), LONGEST_WAIT);
+  };
+  lpn.storyDrawn = (address) => queryOf(address) === awaited && wait(null);
+
   const go = (to) => {
     if (to < 0 || to >= told.steps.length) return;
     at = to;
@@ -129,6 +141,8 @@
     if (!free(told.steps[at]) && !document.fullscreenElement) document.documentElement.requestFullscreen?.().catch(() => {});
     if (!told.steps[at].shows) return;
     moved = true;
+    const query = queryOf(told.steps[at].shows);
+    wait(query !== null && query !== queryOf(location.search) ? query : null);
     lpn.send("story-step", [at, told.steps[at].shows]);
   };
 
@@ -136,6 +150,7 @@
   const end = (stay = false, byBack = false) => {
     if (told.name === lpn.tour.name) lpn.store("local", SEEN, "seen");
     told = null;
+    wait(null);
     notes?.close();
     lpn.point(null);
     document.getElementById("lpn-told")?.remove();

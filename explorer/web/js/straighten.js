@@ -37,15 +37,19 @@
   const follow = () => {
     const now = pose(), canvas = lpn.canvas();
     if (!now || !canvas) return;
+    if (document.getElementById("lpn-stage-map")) {
+      straight = null; // the map is turned as one likes, and the server points the camera when it closes
+      return button.remove();
+    }
     const byPerson = held || performance.now() - acted < GLIDE;
     if (!straight || (!byPerson && !alike(now, seen))) straight = now;
     seen = now;
     const size = canvas.getBoundingClientRect();
-    const turned = !alike(now, straight) && !document.querySelector("#lpn-first, #lpn-stage-map") && size.width > 0;
+    const turned = !alike(now, straight) && !document.getElementById("lpn-first") && size.width > 0;
     if (!turned) return button.remove();
     if (!button.isConnected) document.body.append(button);
     button.style.left = size.left + 8 + "px";
-    button.style.top = size.top + 8 + "px";
+    button.style.top = size.top + 24 + "px"; // below the heatmaps' legend
   };
   setInterval(follow, PERIOD);
 })();

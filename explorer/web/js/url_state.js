@@ -11,7 +11,7 @@
   let begun = false; // a session of the server has begun, and has not answered yet
 
   // A change of these is a step of the browser's history, which Back undoes; other changes replace the address.
-  const STEPS = ["show", "task", "query", "screen"];
+  const STEPS = ["show", "task", "query", "screen", "why"];
   // In a flight, which plays, a frame is none: Back leaves the flight.
   const step = (text) => {
     const found = new URLSearchParams(text);
@@ -41,7 +41,7 @@
     document.getElementById("lpn-loading")?.remove(); // the page says from here on what it waits for
     const names = [...new URLSearchParams(search).keys()].filter((key) => key !== "theme" && lpn.keys.includes(key));
     const named = names.length > 0;
-    lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at nothing
+    lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
     const first = lpn.prefersFirst() && !named;
     if (first) lpn.opening();
     const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
@@ -51,6 +51,7 @@
 
   lpn.address = (query, keys) => {
     clearInterval(greeting);
+    lpn.storyDrawn(query);
     const server = new URLSearchParams(location.search).get("websocket"); // viser's own parameter, which viser may change
     const others = new URLSearchParams(search);
     for (const key of [...keys, "websocket"]) others.delete(key);

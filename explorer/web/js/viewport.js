@@ -192,7 +192,7 @@
       if (!target?.offsetHeight) return;
       const top = target.getBoundingClientRect().top;
       const sheet = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]')?.getBoundingClientRect();
-      const seen = sheet && top >= sheet.top && top < sheet.top + sheet.height / 2;
+      const seen = sheet && top >= sheet.top && top < sheet.top + 60;
       if (!seen) scrollPanel(target);
     }, 500);
   };
@@ -203,9 +203,11 @@
   });
   // Open a tab of a window by its name, as soon as the window is in the page, and bring the window in front of others.
   let opening = 0;
+  let newest = ""; // the tab that was opened last
   const tabs = () => [...document.querySelectorAll('[role="tab"]')].filter((one) => one.offsetHeight);
   lpn.tab = (name, tries = 40) => {
     clearTimeout(opening);
+    newest = name;
     const tab = tabs().find((one) => one.textContent.trim() === name);
     if (!tab) return tries && (opening = setTimeout(() => lpn.tab(name, tries - 1), 250));
     tab.click(); // viser's tabs take it on a phone only, and a key elsewhere only
@@ -219,9 +221,16 @@
   // Tell the server which tab a person opened: a link opens it, too.
   const told = ({ target, isTrusted }) => {
     const list = isTrusted && target.closest?.('[role="tab"]')?.closest(".mantine-Paper-root");
-    const tell = () => tabs().forEach((tab) => list.contains(tab) && tab.ariaSelected === "true" && lpn.send("tab", tab.textContent.trim()));
+    const tell = () => {
+      const tab = tabs().find((one) => list.contains(one) && one.ariaSelected === "true");
+      if (tab) lpn.send("tab", (newest = tab.textContent.trim()));
+    };
     if (list) setTimeout(tell, 50);
   };
   for (const act of ["click", "keyup"]) window.addEventListener(act, told, true);
-  phone.addEventListener("change", () => setTimeout(lpn.watch, 300));
+  // viser draws all windows anew, each with its first tab.
+  phone.addEventListener("change", () => setTimeout(() => {
+    lpn.watch();
+    if (tabs().some((one) => one.textContent.trim() === newest)) lpn.tab(newest);
+  }, 300));
 })();

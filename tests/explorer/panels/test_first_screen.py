@@ -141,7 +141,7 @@ def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch
         times = sum(int(result.ranking.first[i]) == 0 for i in nearest)
         shown = text(first_screen.page(analysis, workspace))
         gaps = result.ranking.gap[others]
-        if not gaps.min() <= gap <= gaps.max():
+        if gap > gaps.max():
             assert "How far to trust it" not in shown, "no other answer was that far ahead"
             continue
         told += 1
@@ -196,7 +196,9 @@ def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
 
 
 def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
-    chosen = LabChoices("map", "failed", "rank > 9", "0001", (Chosen("rows", "6 rows", (1, 2)),), columns=("rank",))
+    kept = LabChoices("table", sort_column="rank", columns=("rank",), full_height=True, map="umap", colour="altitude")
+    filters = {"outcome": "failed", "filter": "rank > 9", "name_search": "0001"}
+    chosen = replace(kept, chosen=(Chosen("rows", "6 rows", (1, 2)),), **filters)  # type: ignore[arg-type]
     state, shown = SessionState(TASK, 4, first_screen=True, laboratory=chosen), []
     gui, navigation = SimpleNamespace(add_html=lambda _: None), SimpleNamespace()
     for name in ("random", "previous", "next", "failure"):
@@ -212,7 +214,7 @@ def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
         assert shown[-1] == restored[-1]
         assert shown[-1] is not None
         assert shown[-1].lab
-        assert shown[-1].laboratory == LabChoices(tab, columns=("rank",)), "it shows all queries"
+        assert shown[-1].laboratory == replace(kept, tab=tab), "it shows all queries"
 
 
 def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,22 +70,25 @@ def retrieval(first: np.ndarray, gap: np.ndarray) -> Retrieval:
 
 
 def test_answers_of_a_like_gap_are_counted() -> None:
-    # Right from a gap of 0.5 on.
-    gap = np.arange(1000) / 1000.0
-    ranking = retrieval(np.where(gap >= 0.5, 0, 3), gap)
-    assert answer_context.answers_alike(ranking, 0.9) == AlikeAnswers(100, 100)
-    assert answer_context.answers_alike(ranking, 0.0) == AlikeAnswers(100, 0)
-    for beyond in (-0.1, 1.1):
-        assert answer_context.answers_alike(ranking, beyond) is None
-    middle = answer_context.answers_alike(ranking, 0.4995)
+    # Right from a gap of 500 on; whole numbers have no rounding.
+    gap = np.arange(1000.0)
+    ranking = retrieval(np.where(gap >= 500, 0, 3), gap)
+    assert answer_context.answers_alike(ranking, 900.1) == AlikeAnswers(100, 100)
+    assert answer_context.answers_alike(ranking, 900) == AlikeAnswers(101, 101), "two are equally near"
+    assert answer_context.answers_alike(ranking, 0) == AlikeAnswers(100, 0)
+    assert answer_context.answers_alike(ranking, -1) == AlikeAnswers(100, 0), "no surer than the least of them"
+    assert answer_context.answers_alike(ranking, 999.1) is None, "nothing was as far ahead"
+    middle = answer_context.answers_alike(ranking, 499.5)
     assert middle is not None
     assert middle.share == 0.5
     # The query that was asked tells nothing of itself, and neither does one of unknown truth.
-    assert answer_context.answers_alike(ranking, 0.9, besides=900) == AlikeAnswers(99, 99)
+    assert answer_context.answers_alike(ranking, 900.1, besides=900) == AlikeAnswers(99, 99)
     known = np.arange(1000) % 4 != 0
-    assert answer_context.answers_alike(ranking, 0.9, known) == AlikeAnswers(75, 75)
+    assert answer_context.answers_alike(ranking, 901.3, known) == AlikeAnswers(75, 75)
+    # Many answers have the same gap.
+    assert answer_context.answers_alike(retrieval(ranking.first, np.floor(gap / 250)), 2) == AlikeAnswers(250, 250)
     # A tenth is fewer than 50, so it is 50.
-    assert answer_context.answers_alike(retrieval(ranking.first[:200], gap[:200]), 0.1) == AlikeAnswers(50, 0)
+    assert answer_context.answers_alike(retrieval(ranking.first[:200], gap[:200]), 100.1) == AlikeAnswers(50, 0)
 
 
 def test_too_few_answers_have_none_alike() -> None:
