@@ -57,14 +57,18 @@ class RecipeTrial:
     Attributes:
         name: also of its runs' folders.
         changes: settings that differ from the common recipe.
+        teacher: the trial whose networks of the same fold, of all seeds, are its teachers; "" for none.
     """
 
     name: str
     changes: Mapping[str, Any]
+    teacher: str = ""
 
 
 def parse_trial(text: str, recipe: Recipe) -> RecipeTrial:
     """Read a trial, "NAME" or "NAME:setting=value,setting=value", and check it with the common recipe.
+
+    The setting `teacher` names another trial. The weight `distillation` is then 1 unless it is given.
 
     Raises:
         InputError: if the name, a setting, or a value is invalid, or settings exclude each other.
@@ -75,10 +79,13 @@ def parse_trial(text: str, recipe: Recipe) -> RecipeTrial:
             f"The trial {printable(text)[:80]!r} has no valid name; expected NAME or NAME:setting=value,setting=value, with "
             "letters, digits, dots, hyphens, and underscores in the name."
         )
-    types, changes = get_type_hints(Recipe), {}
+    types, changes, teacher = get_type_hints(Recipe), {}, ""
     for pair in filter(None, rest.split(",")):
         setting, equals, value = pair.partition("=")
         setting = setting.strip().replace("-", "_")
+        if setting == "teacher" and value.strip():
+            teacher = value.strip()
+            continue
         if not equals or setting not in types or setting == "seed":
             more = (
                 "; seeds are given with --seeds"
@@ -90,8 +97,10 @@ def parse_trial(text: str, recipe: Recipe) -> RecipeTrial:
             changes[setting] = msgspec.convert(value.strip(), types[setting], strict=False)
         except msgspec.ValidationError as error:
             raise InputError(f"The trial {name} has {printable(pair)[:80]!r} ({error}); give another value.") from error
+    if teacher and not recipe.distillation:
+        changes.setdefault("distillation", 1.0)
     replace(recipe, **changes)
-    return RecipeTrial(name, changes)
+    return RecipeTrial(name, changes, teacher)
 
 
 class _FoldFile(msgspec.Struct):
@@ -157,6 +166,12 @@ class CrossValidation:
                 f"Of {folds} folds, {run_folds} are to be trained with the seeds {', '.join(map(str, seeds)) or 'none'}; "
                 f"expected 0 for all folds, or up to {folds}, and at least one seed, each once."
             )
+        for trial in trials:
+            if trial.teacher and trial.teacher not in [other.name for other in trials if not other.teacher]:
+                raise InputError(
+                    f"The trial {trial.name} has the teacher {printable(trial.teacher)[:80]}; expected the name of another trial "
+                    "that has no teacher itself."
+                )
         self.console = console or wide_console()
         self.out, self.trials, self.folds = out, tuple(trials), folds
         self.source = Source(dataset, rendered=False)
@@ -167,10 +182,11 @@ class CrossValidation:
                 Training(trial.name, "lpn"),
                 seed,
                 replace(recipes[trial.name], seed=seed),
-                out / f"{trial.name}-seed{seed}-fold{number}",
+                _folder(out, trial.name, seed, number),
                 self.source,
                 starts.get(recipes[trial.name].backbone),
                 fold=Fold(number, folds),
+                teachers=tuple(_folder(out, trial.teacher, one, number) for one in seeds) if trial.teacher else (),
             )
             # All trials of a fold come first, so that a run that is stopped has whole comparisons.
             for seed in seeds
@@ -188,10 +204,13 @@ class CrossValidation:
             LPNError: as `lpn.training.trainer.Trainer`, except for a divergence, which leaves a trial without that fold.
         """
         check_writable(table)
-        for job in self.jobs[:: len(self.trials)]:
-            trainings.train([one for one in self.jobs if (one.seed, one.fold) == (job.seed, job.fold)], self.console)
-            values = self.table()
-            write_atomic(table, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
+        taught = [job for job in self.jobs if job.teachers]
+        # Teachers of all seeds come before what they teach.
+        for jobs in ([job for job in self.jobs if not job.teachers], taught):
+            for seed, fold in dict.fromkeys((job.seed, job.fold) for job in jobs):
+                trainings.train([job for job in jobs if (job.seed, job.fold) == (seed, fold)], self.console)
+                values = self.table()
+                write_atomic(table, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
         self.console.print(summary(values))
         return values
 
@@ -233,7 +252,7 @@ class CrossValidation:
         }
         start = None if job.start is None else {"file": job.start.name, "fingerprint": fingerprint(job.start)}
         return {
-            "changes": dict(trial.changes),
+            "changes": {**trial.changes, **({"teacher": trial.teacher} if trial.teacher else {})},
             "start": start,
             "runs": len(found),
             "diverged": [one.folder.name for one in self.jobs if one.training.name == trial.name and one.diverged],
@@ -276,6 +295,10 @@ class CrossValidation:
                 f"{backbone} starts from {starts[backbone].name}, of {place}.", soft_wrap=True, markup=False
             )
         return starts
+
+
+def _folder(out: Path, trial: str, seed: int, fold: int) -> Path:
+    return out / f"{trial}-seed{seed}-fold{fold}"
 
 
 def _fold(job: TrainingJob) -> Fold:

@@ -14,6 +14,7 @@ from lpn.core.files import fingerprint
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
+from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec
 from lpn.training.recipes import Recipe
 
@@ -26,7 +27,8 @@ def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
         InputError: when two files hold the same backbone.
     """
     found: dict[str, Path] = {}
-    for file in files:
+    for given in files:
+        file = model_file(given, trained=True)
         name = checkpoints.backbone_in(file)
         if name in found:
             raise InputError(f"{found[name]} and {file} both hold a {name}; give one of them with --init.")

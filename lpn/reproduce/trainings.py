@@ -56,6 +56,7 @@ class TrainingJob:
         start: pretrained weights of its backbone, None for random ones.
         held_out: share of the training places that are held out, and measured after the last epoch.
         fold: a fold of them that is held out instead, and measured by `lpn.reproduce.cross_validation`.
+        teachers: folders of trainings whose networks are its teachers.
     """
 
     training: Training
@@ -66,6 +67,7 @@ class TrainingJob:
     start: Path | None
     held_out: float = 0.0
     fold: Fold | None = None
+    teachers: tuple[Path, ...] = ()
 
     @property
     def name(self) -> str:
@@ -141,6 +143,7 @@ class TrainingJob:
             "start": fingerprint(self.start) if self.start else None,
             "held_out": self.held_out,
             "fold": list(self.fold) if self.fold else None,
+            "teachers": [folder.name for folder in self.teachers],
         }
 
     def check_same(self) -> None:
@@ -192,6 +195,7 @@ class TrainingJob:
                 validate=self.fold or self.held_out,
                 test=False,
                 from_scratch=self.start is None,
+                teachers=[folder / "last.safetensors" for folder in self.teachers],
             ).run()
         except DivergedError as error:
             ended = "diverged"

@@ -13,6 +13,7 @@ from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
 from lpn.training.descriptor_memory import DescriptorMemory
+from lpn.training.distillation import Teachers
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import total_loss
 from lpn.training.multi_process import ProcessGroup
@@ -28,12 +29,21 @@ class Learner:
         recipe: optimizer, rates, losses, and precision.
         group: the processes that share the training; `distribute` connects their gradients.
         compiled: compile the backbones, see `lpn.models.checkpoints.compile_backbones`.
+        teachers: whose similarities the network learns, if the recipe has distillation.
 
     Raises:
         InputError: if `compiled`, and torch finds no compiler.
     """
 
-    def __init__(self, network: LPN, recipe: Recipe, group: ProcessGroup, compiled: bool = False) -> None:
+    def __init__(
+        self,
+        network: LPN,
+        recipe: Recipe,
+        group: ProcessGroup,
+        compiled: bool = False,
+        teachers: Teachers | None = None,
+    ) -> None:
+        self.teachers = teachers
         self.network, self.recipe, self.group = network, recipe, group
         network.to(group.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         # Only the leader saves and tests the average.
@@ -78,7 +88,7 @@ class Learner:
             gathered = self.group.gather(outputs)
             labels = next(iter(batch.labels.values()))
             others = None if self.memory is None else self.memory.others(labels)
-            loss = total_loss(gathered, batch.labels, self.recipe, batch.overlaps, others)
+            loss = total_loss(gathered, batch.labels, self.recipe, batch.overlaps, others, self._taught(batch))
             if self.memory is not None:
                 self.memory.remember(gathered, labels)
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
@@ -87,6 +97,16 @@ class Learner:
             self.average.n_averaged.fill_(step + 1)
             self.average.update_parameters(self.network)
         return loss.detach(), self.rates[-1] * factor
+
+    def _taught(self, batch: TrainingBatch) -> dict[str, Tensor] | None:
+        """Return what the teachers say of the whole batch, (B, T) by picture set; None without teachers."""
+        if self.teachers is None:
+            return None
+        found = self.teachers.descriptors(batch.sets)
+        return {
+            name: one
+            for name, (one, _) in self.group.gather({name: (one, one[:, :1]) for name, one in found.items()}).items()
+        }
 
     def is_finite(self) -> bool:
         """Check that every weight is a finite number."""

@@ -74,6 +74,24 @@ def _smoothed(logits: Tensor, counted: Tensor, smoothing: float) -> Tensor:
     return -((1 - smoothing) * logs.diagonal() + smoothing * evenly).mean()
 
 
+def distillation_loss(first: Tensor, second: Tensor, taught: tuple[Tensor, Tensor], temperature: float) -> Tensor:
+    """Kullback-Leibler divergence from a teacher's similarities to those of two views, in both directions.
+
+    The similarities of each picture to all pictures of the other view in the batch become a distribution by a softmax.
+
+    Args:
+        first, second: descriptors (B, F).
+        taught: the teacher's descriptors of the same pictures, (B, T) each.
+        temperature: divides the mean cosine over parts, of both.
+    """
+    ours, theirs = first @ second.T / temperature, taught[0] @ taught[1].T / temperature
+    sides = [
+        F.kl_div(one.log_softmax(dim=1), other.log_softmax(dim=1), reduction="batchmean", log_target=True)
+        for one, other in ((ours, theirs), (ours.T, theirs.T))
+    ]
+    return (sides[0] + sides[1]) / 2
+
+
 def contrastive_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = False) -> Tensor:
     """Contrastive loss (Hadsell et al. 2006): d^2 of positives plus max(0, margin - d)^2 of negatives, each averaged.
 
@@ -125,6 +143,7 @@ def total_loss(
     recipe: Recipe,
     overlaps: Tensor | None = None,
     others: Mapping[str, Tensor] | None = None,
+    taught: Mapping[str, Tensor] | None = None,
 ) -> Tensor:
     """Compute a recipe's loss for one step.
 
@@ -133,6 +152,7 @@ def total_loss(
         labels: class of each row of each set, (B,). The InfoNCE and metric losses need the same labels in every set.
         overlaps: see `infonce_loss`.
         others: descriptors (M, F) of further places by picture set, as negatives of the InfoNCE loss.
+        taught: descriptors (B, T) that the teachers give each picture set; None without teachers.
     """
     loss = torch.zeros((), device=next(iter(labels.values())).device)
     if recipe.instance:
@@ -140,11 +160,18 @@ def total_loss(
             [instance_loss(s.float(), labels[name], recipe.label_smoothing) for name, (_, s) in outputs.items()]
         )
         loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
-    if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
+    if (recipe.infonce or taught or recipe.metric != "none") and "satellite" in outputs:
         embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
         tiles = embeddings.pop("satellite")
         pairs = [
-            _pair_loss(tiles, parts, recipe, overlaps, (others["satellite"], others[name]) if others else None)
+            _pair_loss(
+                tiles,
+                parts,
+                recipe,
+                overlaps,
+                (others["satellite"], others[name]) if others else None,
+                (taught["satellite"], taught[name]) if taught else None,
+            )
             for name, parts in embeddings.items()
         ]
         loss = loss + torch.stack(pairs).mean()
@@ -164,11 +191,18 @@ def drop_parts(descriptors: Tensor, n_parts: int, probability: float) -> Tensor:
 
 
 def _pair_loss(
-    tiles: Tensor, pictures: Tensor, recipe: Recipe, overlaps: Tensor | None, others: tuple[Tensor, Tensor] | None
+    tiles: Tensor,
+    pictures: Tensor,
+    recipe: Recipe,
+    overlaps: Tensor | None,
+    others: tuple[Tensor, Tensor] | None,
+    taught: tuple[Tensor, Tensor] | None,
 ) -> Tensor:
     """Sum the recipe's losses on the part embeddings (B, n, D) of two views."""
     loss = torch.zeros((), device=tiles.device)
     whole = descriptors(tiles), descriptors(pictures)
+    if taught:
+        loss = loss + recipe.distillation * distillation_loss(*whole, taught, recipe.temperature)
     if recipe.part_dropout:
         whole = whole[0], drop_parts(whole[1], tiles.shape[1], recipe.part_dropout)
     if recipe.infonce:

@@ -87,8 +87,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
         )
     if digest != places:
         raise InputError(
-            f"The run in {path.parent} was started with other training pictures; give the same --data or --map, "
-            "--window-sizes, and --validate, or "
-            "start anew in another --out."
+            f"The run in {path.parent} was started with other training pictures or teachers; give the same --data or --map, "
+            "--window-sizes, --validate, and --teacher, or start anew in another --out."
         )
     return state

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import BrowserContext, FloatRect, Page, expect
 
 import lpn
 from lpn import datasets, descriptors, retrieval
@@ -258,6 +260,32 @@ BAR_WIDTH = """() => {
 }"""
 
 
+CONTROLS = "window.__viserMutable.cameraControl"
+
+
+def check_moves_of_a_map(page: Page, box: FloatRect) -> None:
+    """Drag the map by both buttons: the ground goes along, and the camera stays above it."""
+    read = page.locator("#lpn-stage-map .read")
+
+    def drag(button: Literal["left", "right"], right: float, down: float) -> None:
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down(button=button)
+        page.mouse.move(box["x"] + box["width"] / 2 + right, box["y"] + box["height"] / 2 + down, steps=6)
+        page.mouse.up(button=button)
+        page.wait_for_function(f"!{CONTROLS}.active")
+
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    expect(read).not_to_be_empty()
+    start = read.inner_text()
+    drag("left", 60, 0)
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    expect(read).not_to_have_text(start)
+    before, after = (float(text.split(", ")[1]) for text in (start, read.inner_text()))
+    assert after < before, "a drag to the right shows what lies further west"
+    drag("right", 0, -0.9 * box["height"] / 2)
+    assert page.evaluate(f"{CONTROLS}.polarAngle") <= math.pi / 2
+
+
 @pytest.mark.slow
 def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_cursor(
     mapped_app: RunningApp, contexts: Callable[[], BrowserContext]
@@ -300,8 +328,11 @@ def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_c
     expect(marks).to_be_hidden()
     explorer.key("b")
     expect(marks).to_be_visible()
+    check_moves_of_a_map(explorer.page, box)
     marks.get_by_role("button", name="Close the map").click()
     expect(marks).to_have_count(0)
+    assert explorer.page.evaluate(f"{CONTROLS}.mouseButtons.left === {CONTROLS}.constructor.ACTION.ROTATE")
+    assert explorer.page.evaluate(f"{CONTROLS}.maxPolarAngle") == pytest.approx(math.pi)
     explorer.key("m")
     expect(marks).to_be_visible()
     explorer.page.keyboard.press("Control+k")

@@ -229,6 +229,8 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
     line = lab.page.locator(".card .line", has_text=f"{pair.place:04d} taken for")
     line.click()
     expect(lab.count).to_contain_text(f"{pair.count} of 40 queries, {pair.count} failed")
+    worst = min(pair.queries.tolist(), key=lambda query: outcomes.margin[query])
+    lab.expect_status("query", str(worst))
     expect(lab.page.locator(".lab-summary .pick")).to_contain_text(f"{pair.place:04d} taken for {pair.answered:04d}")
     lab.page.locator(".lab-summary .pick").click()
     expect(lab.count).to_contain_text("40 of 40 queries")

@@ -493,6 +493,18 @@ def test_a_turned_stage_is_straightened(explorer: ExplorerPage) -> None:
 
 
 @pytest.mark.slow
+def test_a_tab_stays_open_where_the_page_becomes_narrow(explorer: ExplorerPage) -> None:
+    explorer.key("y")
+    explorer.tab("Heatmaps")
+    heatmaps = explorer.page.locator("#lpn-heatmaps")
+    expect(heatmaps).to_be_visible()
+    for width in (500, 1280):
+        explorer.page.set_viewport_size({"width": width, "height": 800})
+        explorer.page.wait_for_timeout(600)  # viser draws the first tab at once
+        expect(heatmaps).to_be_visible()
+
+
+@pytest.mark.slow
 def test_the_focus_follows_windows(explorer: ExplorerPage) -> None:
     opener = explorer.page.locator("#lpn-header").get_by_text("Glossary", exact=True)
     opener.focus()

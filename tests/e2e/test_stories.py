@@ -171,6 +171,9 @@ def test_a_story_begun_on_the_first_screen_ends_there_and_no_tour_covers_it(
     assert "screen=" not in kept
 
     first.get_by_role("button", name="Two").click()
+    # The caption of another picture waits for it.
+    expect(told(page).locator(".caption")).to_be_visible()
+    assert explorer.status.get_attribute("data-name") == "0011"
     explorer.expect_status("name", "0011")
     expect(first).to_have_count(0)
     page.wait_for_timeout(1500)  # the tour comes after 0.7 s

@@ -53,8 +53,9 @@
 
   document.addEventListener("focusin", ({ target }) => {
     if (target.closest(DIALOG) || target === document.body) return;
-    for (const [selector] of WINDOWS) if (!openers.has(selector) && target.closest(selector)) openers.set(selector, last);
-    [last, lastHome] = [target, home(target)];
+    const panel = home(target); // its window may be closed by a button of the panel before it is first seen
+    for (const one of WINDOWS) if (!openers.has(one[0]) && (one === panel || target.closest(one[0]))) openers.set(one[0], last);
+    [last, lastHome] = [target, panel];
   });
   for (const act of ["keydown", "pointerdown"]) window.addEventListener(act, ({ isTrusted }) => (acted ||= isTrusted), true);
   // A press beside all controls takes the focus away on purpose.

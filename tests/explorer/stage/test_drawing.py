@@ -40,6 +40,17 @@ def test_drawn_rings_lie_on_the_boundaries() -> None:
     assert not changed[192, 150:234].any()
 
 
+@pytest.mark.parametrize("straight", [True, False])
+def test_a_ring_that_does_not_count_is_grey(straight: bool) -> None:
+    grey = np.full((64, 64, 3), 100, np.uint8)
+    areas = replace(PartAreas.of_partition(Partition("rings", 4), (16, 16)), straight=straight)
+    for off in range(4):
+        colours = {tuple(one) for one in overlays.with_parts(grey, areas, 1, {off}).reshape(-1, 3).tolist()}
+        parts = {theme.part_colour(part) for part in range(4)}
+        assert colours & parts == parts - {theme.part_colour(off)}
+        assert theme.UNKNOWN_COLOUR in colours
+
+
 def test_heat_of_one_part_leaves_the_others_without_colour() -> None:
     grey = np.full((64, 64, 3), 100, np.uint8)
     inside = PartAreas.of_partition(Partition("rings", 4), (16, 16)).mask(1, (64, 64))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+import threading
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -309,4 +310,14 @@ def test_escape_closes_the_window_of_stories_first(workspace: Workspace) -> None
     assert not page.window.close()
     page.send("window")
     assert page.window.close()
+    assert not page.window.close()
+
+
+def test_closing_waits_for_no_work_of_the_window(page: Page) -> None:
+    page.send("window")
+    with page.window._lock:  # a step that is kept meanwhile
+        closing = threading.Thread(target=page.window.close, daemon=True)
+        closing.start()
+        closing.join(30)
+        assert not closing.is_alive()
     assert not page.window.close()
