@@ -105,6 +105,11 @@ class TrainingJob:
         return self.folder / "last.safetensors"
 
     @property
+    def teacher_models(self) -> list[Path]:
+        """Paths of the networks that teach it."""
+        return [folder / "last.safetensors" for folder in self.teachers]
+
+    @property
     def work(self) -> float:
         """Relative cost of an epoch on the same pictures."""
         height, width = self.recipe.input_size
@@ -124,6 +129,7 @@ class TrainingJob:
                 console=Console(quiet=True),
                 test=False,
                 from_scratch=True,
+                teachers=self.teacher_models,
             )
             trainer.network.train()
             with closing(cast(Any, trainer.loader.stream(0, 1))) as stream:
@@ -195,7 +201,7 @@ class TrainingJob:
                 validate=self.fold or self.held_out,
                 test=False,
                 from_scratch=self.start is None,
-                teachers=[folder / "last.safetensors" for folder in self.teachers],
+                teachers=self.teacher_models,
             ).run()
         except DivergedError as error:
             ended = "diverged"

@@ -92,6 +92,7 @@ def test_folds_share_the_places_out_evenly_whatever_the_recipe_s_seed(places: Pa
         ("a:epochs=many", "has 'epochs=many' .* give another value"),
         ("a:epochs=0", "epochs = 0; expected 1 or more"),
         ("a:mining=best", "has 'mining=best'"),
+        ("a:teacher=", "has 'teacher='"),
     ],
 )
 def test_mistaken_trials_get_one_sentence(text: str, said: str) -> None:
@@ -106,6 +107,23 @@ def test_a_trial_has_values_of_its_settings_types() -> None:
         "lite", {"backbone": "efficientnet_lite0", "epochs": 20, "place_rotation": 5.0, "joint_views": False}
     )
     assert parse_trial("base", QUICK) == RecipeTrial("base", {})
+    assert parse_trial("taught:teacher=base", QUICK) == RecipeTrial("taught", {"distillation": 1.0}, "base")
+    assert parse_trial("taught:distillation=2,teacher=base", QUICK) == RecipeTrial(
+        "taught", {"distillation": 2.0}, "base"
+    )
+
+
+def test_a_trial_is_taught_by_another_one_s_networks_of_the_same_fold(places: Path, tmp_path: Path) -> None:
+    trials = (RecipeTrial("taught", {"distillation": 1.0}, "base"), RecipeTrial("base", {}))
+    values = validation(places, tmp_path / "runs", *trials, seeds=(0, 1)).run(tmp_path / "table.json")
+    assert values["trials"]["taught"]["runs"] == 4
+    assert values["trials"]["taught"]["changes"] == {"distillation": 1.0, "teacher": "base"}
+    for number in (0, 1):
+        job = json.loads((tmp_path / f"runs/taught-seed1-fold{number}/job.json").read_bytes())
+        assert job["identity"]["teachers"] == [f"base-seed{seed}-fold{number}" for seed in (0, 1)]
+    for teacher in ("taught", "other"):
+        with pytest.raises(InputError, match=f"has the teacher {teacher}; expected the name of another trial that"):
+            validation(places, tmp_path / "runs", RecipeTrial("taught", {"distillation": 1.0}, teacher))
 
 
 def test_trials_are_compared_place_by_place_on_training_pictures_alone(
