@@ -172,10 +172,9 @@
   };
   document.addEventListener("scroll", unscroll, { capture: true, passive: true });
   // Scroll the panel around an element to it, and nothing else.
-  const scrollPanel = (target) => {
-    const panel = target.closest(".mantine-ScrollArea-viewport");
-    panel?.scrollBy({ top: target.getBoundingClientRect().top - panel.getBoundingClientRect().top, behavior: "smooth" });
-  };
+  const panelOf = (target) => target.closest(".mantine-ScrollArea-viewport");
+  const belowTop = (target) => target.getBoundingClientRect().top - panelOf(target).getBoundingClientRect().top;
+  const scrollPanel = (target) => panelOf(target)?.scrollBy({ top: belowTop(target), behavior: "smooth" });
   // A part of the sheet that opens lies below its visible part: scroll to it. Its contents come later and move it, so it is
   // followed until the person acts.
   const ACTS = ["pointerdown", "wheel", "keydown"];
@@ -189,11 +188,7 @@
     following = setInterval(() => {
       const target = document.querySelector(selector);
       if (performance.now() > end) return stopFollowing();
-      if (!target?.offsetHeight) return;
-      const top = target.getBoundingClientRect().top;
-      const sheet = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]')?.getBoundingClientRect();
-      const seen = sheet && top >= sheet.top && top < sheet.top + 60;
-      if (!seen) scrollPanel(target);
+      if (target?.offsetHeight && panelOf(target) && Math.abs(belowTop(target)) > 20) scrollPanel(target);
     }, 500);
   };
   // A window that takes a phone's whole screen, or gives it back, is what one goes on to read.
