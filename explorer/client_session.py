@@ -26,7 +26,7 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService
 from explorer.flight_window.window import FlightWindow
-from explorer.panels import pages, shortcuts
+from explorer.panels import answer_text, pages, shortcuts
 from explorer.panels.first_screen import FirstScreen, plain_state
 from explorer.panels.glossary import Glossary
 from explorer.panels.panels import Panels
@@ -189,6 +189,7 @@ class ClientSession:
                 "places": tour.places(workspace.layout),
                 "scene": SCENE,
                 "keys": self._url_state.keys,
+                "ownHint": answer_text.own_hint(workspace),
             }
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
             windows = (self._explain_window, self._lab, self._flight)
@@ -228,7 +229,7 @@ class ClientSession:
             if state.flight and not self._state.flight:
                 self._bridge.call("reveal", "#lpn-flight")
             if state.lab and not self._state.lab:
-                self._bridge.call("reveal", f"#lpn-lab-{state.laboratory.tab}")
+                self._bridge.call("reveal", ".lab-bar")
             if state.shows_reasons:
                 self._explain_window.show_tab(state.why_tab)
             only_windows = state == session_state.with_windows(self._state, state)

@@ -145,9 +145,14 @@ class SessionState:
         return frozenset(part for part, weight in enumerate(self.part_values()) if not weight)
 
     @property
+    def windows(self) -> tuple[bool, ...]:
+        """Each window, and what else ends where it was begun, the map and pulled rings: True if it is open."""
+        return self.why, self.lab, self.flight, self.map, self.exploded
+
+    @property
     def shows_window(self) -> bool:
-        """Return True if a window is open, or something else that ends where it was begun: the map, or pulled rings."""
-        return self.why or self.lab or self.flight or self.map or self.exploded
+        """Return True if any of `windows` is open."""
+        return any(self.windows)
 
     @property
     def screen(self) -> tuple[bool, ...]:
@@ -213,11 +218,12 @@ def leave_first_screen(before: SessionState, after: SessionState) -> SessionStat
     """Return `after` without the first screen if the change from `before` is to something that it does not show.
 
     A change of the query shows the query's top match, whatever was compared before. The end of the last window that was opened
-    from the first screen leads back to it.
+    from the first screen leads back to it, unless another one took its place.
     """
     if not before.first_screen and not after.first_screen:
         ended = before.from_first_screen and before.shows_window and not after.shows_window
-        return to_first_screen(after) if ended else after
+        stays = any(then and now for then, now in zip(before.windows, after.windows, strict=True))
+        return to_first_screen(after) if ended else replace(after, from_first_screen=after.from_first_screen and stays)
     left = _without_first_screen(before, after)
     return replace(left, from_first_screen=not left.first_screen and left.shows_window)
 

@@ -24,7 +24,7 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import PictureError
 from lpn.core.views import View
-from lpn.datasets.rendered import is_rendered, is_rendered_flight
+from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import overlays, theme
 from lpn.drawing.theme import Colour
 from lpn.retrieval import DescribedPicture
@@ -107,7 +107,7 @@ def page(
         own_position: of the own picture that is shown, and the number of those held; None without one.
     """
     state, task = analysis.state, analysis.task
-    rendered = is_rendered(workspace.root) or is_rendered_flight(workspace.root)
+    rendered = shows_rendered(workspace.root)
     right, headline, sentence = answer_text.plain_verdict(analysis)
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
@@ -137,7 +137,7 @@ def page(
         gap=analysis.matches[0].gap,
         bars=_bar_colours(lead),
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
-        own_hint=answer_text.own_hint(analysis, rendered),
+        own_hint=answer_text.own_hint(workspace),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,

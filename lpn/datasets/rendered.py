@@ -25,6 +25,11 @@ def is_rendered(root: Path) -> bool:
     return True
 
 
+def shows_rendered(root: Path) -> bool:
+    """Return whether `lpn world` made a folder of pictures or photos; see both functions."""
+    return is_rendered(root) or is_rendered_flight(root)
+
+
 def is_rendered_flight(photos: Path) -> bool:
     """Return whether `lpn world --flight` made a folder of photos; its plan lies beside the folder."""
     return (photos.parent / FLIGHT_PLAN).is_file()

@@ -172,27 +172,38 @@ class CrossValidation:
                     f"The trial {trial.name} has the teacher {printable(trial.teacher)[:80]}; expected the name of another trial "
                     "that has no teacher itself."
                 )
+            if trial.changes.get("distillation") == 0 if trial.teacher else trial.changes.get("distillation"):
+                raise InputError(
+                    f"The trial {trial.name} has distillation = {trial.changes['distillation']:g} and "
+                    f"{'a' if trial.teacher else 'no'} teacher; give teacher=NAME and a weight above 0, or neither."
+                )
         self.console = console or wide_console()
         self.out, self.trials, self.folds = out, tuple(trials), folds
         self.source = Source(dataset, rendered=False)
-        recipes = {trial.name: replace(recipe, **trial.changes) for trial in trials}
+        untaught = replace(recipe, distillation=0.0)
+        recipes = {trial.name: replace(recipe if trial.teacher else untaught, **trial.changes) for trial in trials}
         starts = {} if from_scratch else self._starts(init, {found.backbone for found in recipes.values()})
-        self.jobs = [
-            TrainingJob(
-                Training(trial.name, "lpn"),
-                seed,
-                replace(recipes[trial.name], seed=seed),
-                _folder(out, trial.name, seed, number),
-                self.source,
-                starts.get(recipes[trial.name].backbone),
-                fold=Fold(number, folds),
-                teachers=tuple(_folder(out, trial.teacher, one, number) for one in seeds) if trial.teacher else (),
-            )
-            # All trials of a fold come first, so that a run that is stopped has whole comparisons.
-            for seed in seeds
-            for number in range(run_folds or folds)
-            for trial in trials
-        ]
+        self.jobs: list[TrainingJob] = []
+        # Teachers of all seeds come before what they teach. All trials of a fold come one after the other, so that a run that is
+        # stopped has whole comparisons.
+        for group in ([one for one in trials if not one.teacher], [one for one in trials if one.teacher]):
+            self.jobs += [
+                TrainingJob(
+                    Training(trial.name, "lpn"),
+                    seed,
+                    replace(recipes[trial.name], seed=seed),
+                    out / f"{trial.name}-seed{seed}-fold{number}",
+                    self.source,
+                    starts.get(recipes[trial.name].backbone),
+                    fold=Fold(number, folds),
+                    teachers=tuple(
+                        job for job in self.jobs if (job.training.name, _fold(job).number) == (trial.teacher, number)
+                    ),
+                )
+                for seed in seeds
+                for number in range(run_folds or folds)
+                for trial in group
+            ]
         for job in self.jobs:
             copy.copy(self.source.places(job.recipe.google)).hold_out(_fold(job), 0)
             job.check_same()
@@ -204,13 +215,10 @@ class CrossValidation:
             LPNError: as `lpn.training.trainer.Trainer`, except for a divergence, which leaves a trial without that fold.
         """
         check_writable(table)
-        taught = [job for job in self.jobs if job.teachers]
-        # Teachers of all seeds come before what they teach.
-        for jobs in ([job for job in self.jobs if not job.teachers], taught):
-            for seed, fold in dict.fromkeys((job.seed, job.fold) for job in jobs):
-                trainings.train([job for job in jobs if (job.seed, job.fold) == (seed, fold)], self.console)
-                values = self.table()
-                write_atomic(table, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
+        for step in dict.fromkeys(map(_step, self.jobs)):
+            trainings.train([job for job in self.jobs if _step(job) == step], self.console)
+            values = self.table()
+            write_atomic(table, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
         self.console.print(summary(values))
         return values
 
@@ -297,8 +305,9 @@ class CrossValidation:
         return starts
 
 
-def _folder(out: Path, trial: str, seed: int, fold: int) -> Path:
-    return out / f"{trial}-seed{seed}-fold{fold}"
+def _step(job: TrainingJob) -> tuple[bool, int, Fold]:
+    """Return what the trainings have in common that are one step of a run."""
+    return bool(job.teachers), job.seed, _fold(job)
 
 
 def _fold(job: TrainingJob) -> Fold:

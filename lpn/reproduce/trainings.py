@@ -56,7 +56,7 @@ class TrainingJob:
         start: pretrained weights of its backbone, None for random ones.
         held_out: share of the training places that are held out, and measured after the last epoch.
         fold: a fold of them that is held out instead, and measured by `lpn.reproduce.cross_validation`.
-        teachers: folders of trainings whose networks are its teachers.
+        teachers: trainings whose networks are its teachers, without those that diverge.
     """
 
     training: Training
@@ -67,7 +67,7 @@ class TrainingJob:
     start: Path | None
     held_out: float = 0.0
     fold: Fold | None = None
-    teachers: tuple[Path, ...] = ()
+    teachers: tuple[TrainingJob, ...] = ()
 
     @property
     def name(self) -> str:
@@ -106,8 +106,8 @@ class TrainingJob:
 
     @property
     def teacher_models(self) -> list[Path]:
-        """Paths of the networks that teach it."""
-        return [folder / "last.safetensors" for folder in self.teachers]
+        """Paths of the networks that teach it, as far as they are trained."""
+        return [job.model for job in self.teachers if job.done]
 
     @property
     def work(self) -> float:
@@ -149,7 +149,7 @@ class TrainingJob:
             "start": fingerprint(self.start) if self.start else None,
             "held_out": self.held_out,
             "fold": list(self.fold) if self.fold else None,
-            "teachers": [folder.name for folder in self.teachers],
+            "teachers": [fingerprint(model) for model in self.teacher_models],
         }
 
     def check_same(self) -> None:
@@ -167,8 +167,8 @@ class TrainingJob:
         ]
         if differs:
             raise InputError(
-                f"{self.folder} was trained with another {', '.join(differs)}; give the same data and settings, or another "
-                "--out."
+                f"{self.folder} was trained with other values of {', '.join(differs)}; give the same data and settings, or "
+                "another --out."
             )
 
     def write(self, ended: Literal["finished", "diverged"] | None) -> None:
@@ -225,9 +225,16 @@ class TrainingJob:
 def train(work: Sequence[TrainingJob], console: Console) -> None:
     """Train what is not trained yet, one after the other, and wait for what other processes train.
 
+    A training whose teachers all diverged is given up.
+
     Raises:
         LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
     """
+    for job in work:
+        if job.teachers and not job.teacher_models and not job.diverged:
+            job.folder.mkdir(parents=True, exist_ok=True)
+            job.write("diverged")
+            console.print(f"{job.name} is given up, as all of its teachers diverged.", markup=False)
     announced = False
     while left := [job for job in work if not job.done and not job.diverged]:
         if any(_train_alone(job, work, console) for job in left):

@@ -28,15 +28,20 @@ class Teachers:
         views: those of the training.
 
     Raises:
-        InputError: when a model lacks a view, or tells queries from the gallery, which the pictures of a training are not.
+        InputError: when a model lacks a view, unrolls tiles, or tells queries from the gallery, which the pictures of a training
+            are not.
     """
 
     def __init__(self, models: Sequence[Model], views: Sequence[View]) -> None:
         self.models = tuple(models)
         for model in models:
             lacks = [view for view in views if view not in model.views]
-            if lacks or model.contract.roles != "view":
-                reason = f"has no branch for {' and '.join(lacks)}" if lacks else "has branches for queries and gallery"
+            reason = f"has no branch for {' and '.join(lacks)}" if lacks else ""
+            if model.contract.roles != "view":
+                reason = "has branches for queries and gallery in place of views"
+            if model.contract.polar:
+                reason = "is shown unrolled tiles, which no other network is"
+            if reason:
                 raise InputError(f"The teacher {model.contract.title} {reason}; give another --teacher.")
 
     @classmethod

@@ -41,7 +41,7 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
     expect(fresh.locator("#lpn-why")).to_be_hidden()
     expect(button).to_be_focused()
     first.locator(".term").first.hover()
-    expect(fresh.locator("#lpn-term")).to_contain_text("ring: What lies between two squares")
+    expect(fresh.locator("#lpn-term")).to_contain_text("ring: A part between two squares")
     fresh.keyboard.press("Escape")
     expect(fresh.locator("#lpn-term")).to_have_count(0)
     fresh.wait_for_url(lambda url: "screen=first" in url and "why=1" in url)

@@ -38,7 +38,9 @@
     if (reason && (another || !explained)) {
       const button = page.querySelector("[data-act=why]").getBoundingClientRect(), pictures = pair.getBoundingClientRect().top;
       const top = button.bottom - pictures < 0.75 * page.clientHeight ? pictures : button.top - 8;
-      page.scrollTop += Math.min(Math.max(reason.getBoundingClientRect().bottom - page.clientHeight, 0), top);
+      const beyond = reason.getBoundingClientRect().bottom - page.clientHeight;
+      const heading = page.querySelector("h1").getBoundingClientRect().top - 8; // no half of the header stays
+      if (beyond > 0) page.scrollTop += Math.min(Math.max(beyond, heading), top);
     }
     document.getElementById("root")?.setAttribute("inert", "");
   };

@@ -62,10 +62,16 @@
   // viser's own chooser may lie in a part of the page that takes no input.
   const choose = (options) => {
     const chooser = Object.assign(document.createElement("input"), { type: "file", ...options });
-    chooser.addEventListener("change", () => take([...chooser.files]));
+    chooser.addEventListener("change", () => {
+      document.getElementById("lpn-notice")?.classList.remove("shown"); // what was said of the choice
+      take([...chooser.files]);
+    });
     chooser.click();
   };
-  lpn.upload = () => choose({ multiple: true, accept: "image/jpeg,image/png,image/webp" });
+  lpn.upload = () => {
+    lpn.say(lpn.ownHint, 15); // it stands beside the system's chooser
+    choose({ multiple: true, accept: "image/jpeg,image/png,image/webp" });
+  };
   const folder = () => choose({ webkitdirectory: true });
 
   // All files of what was dropped, folders included.

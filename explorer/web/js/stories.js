@@ -73,7 +73,7 @@
   const draw = () => {
     const bar = document.getElementById("lpn-told") || build();
     const step = told.steps[at], last = at === told.steps.length - 1, alone = free(step);
-    bar.className = (step.points_at ? "card" : "") + (alone ? " free" : "");
+    bar.className = (step.points_at ? "card" : "") + (alone ? " free" : "") + (waiting ? " waiting" : "");
     bar.setAttribute("aria-label", told.name);
     document.documentElement.classList.toggle("lpn-telling", !step.points_at);
     const caption = bar.querySelector(".caption"), lines = step.caption.split("\n");
@@ -124,15 +124,14 @@
 
   // A step of another query begins with the picture of the one before: its caption waits until the server has drawn it.
   const LONGEST_WAIT = 5000;
-  let awaited = null, waiting = 0;
-  const queryOf = (address) => new URLSearchParams(address).get("query");
+  let waiting = 0;
+  const drawn = () => document.getElementById("lpn-status")?.dataset.name;
   const wait = (query) => {
-    clearTimeout(waiting);
-    awaited = query;
-    document.getElementById("lpn-told")?.classList.toggle("waiting", query !== null);
-    if (query !== null) waiting = setTimeout(() => wait(null), LONGEST_WAIT);
+    clearInterval(waiting);
+    const end = performance.now() + LONGEST_WAIT, over = () => query === null || drawn() === query || performance.now() > end;
+    waiting = over() ? 0 : setInterval(() => over() && wait(null), 100);
+    document.getElementById("lpn-told")?.classList.toggle("waiting", waiting !== 0);
   };
-  lpn.storyDrawn = (address) => queryOf(address) === awaited && wait(null);
 
   const go = (to) => {
     if (to < 0 || to >= told.steps.length) return;
@@ -141,8 +140,7 @@
     if (!free(told.steps[at]) && !document.fullscreenElement) document.documentElement.requestFullscreen?.().catch(() => {});
     if (!told.steps[at].shows) return;
     moved = true;
-    const query = queryOf(told.steps[at].shows);
-    wait(query !== null && query !== queryOf(location.search) ? query : null);
+    wait(new URLSearchParams(told.steps[at].shows).get("query"));
     lpn.send("story-step", [at, told.steps[at].shows]);
   };
 

@@ -51,7 +51,6 @@
 
   lpn.address = (query, keys) => {
     clearInterval(greeting);
-    lpn.storyDrawn(query);
     const server = new URLSearchParams(location.search).get("websocket"); // viser's own parameter, which viser may change
     const others = new URLSearchParams(search);
     for (const key of [...keys, "websocket"]) others.delete(key);

@@ -137,7 +137,7 @@
   const legend = element("lpn-legend", document.body);
   const placeLegend = () => {
     const box = lpn.canvas()?.getBoundingClientRect();
-    if (box) [legend.style.left, legend.style.top] = [box.left + 8 + "px", box.top + "px"];
+    if (box) [legend.style.left, legend.style.top] = [box.left + 8 + "px", box.top + 2 + "px"];
     if (box) legend.style.maxWidth = box.width - 16 + "px";
   };
   lpn.legend = (html) => {
@@ -188,7 +188,10 @@
     following = setInterval(() => {
       const target = document.querySelector(selector);
       if (performance.now() > end) return stopFollowing();
-      if (target?.offsetHeight && panelOf(target) && Math.abs(belowTop(target)) > 20) scrollPanel(target);
+      const panel = target?.offsetHeight && panelOf(target);
+      if (!panel) return;
+      const below = belowTop(target), atEnd = panel.scrollTop + panel.clientHeight >= panel.scrollHeight - 1;
+      if (below < -20 || (below > 60 && !atEnd)) scrollPanel(target); // the tabs above it may stay
     }, 500);
   };
   // A window that takes a phone's whole screen, or gives it back, is what one goes on to read.

@@ -20,6 +20,7 @@ from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
+from lpn.datasets import rendered
 from lpn.drawing import theme
 from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
@@ -146,11 +147,14 @@ def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch
             continue
         told += 1
         pictures = "5 other pictures" if known else "5 pictures"
-        assert f"How far to trust it : among the {pictures} here whose answer was about as far ahead" in shown
+        words = (
+            "How far one would trust it, not knowing that it is wrong" if analysis is wrong else "How far to trust it"
+        )
+        assert f"{words} : among the {pictures} here whose answer was about as far ahead" in shown
         assert f"it was right {times} times ({20 * times} %)." in shown
         assert ("That holds for pictures like those of" in shown) != known
         reason = text(first_screen.page(analyse(workspace, replace(analysis.state, why=True)), workspace))
-        assert f"The answer is {gap:.3f} ahead of the second best. How far to trust it" in reason
+        assert f"The answer is {gap:.3f} ahead of the second best. {words}" in reason
     assert told >= 2
     # The gap of a graded query is the one that its ranking tells.
     assert result.ranking.gap[right.state.query] == pytest.approx(right.matches[0].gap, abs=1e-3)
@@ -222,7 +226,7 @@ def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: py
     assert "rendered city" not in first_screen.page(analysis, workspace)
     for kind in ("is_rendered", "is_rendered_flight"):
         with monkeypatch.context() as patch:
-            patch.setattr(first_screen, kind, lambda _: True)
+            patch.setattr(rendered, kind, lambda _: True)
             assert "pictures of a rendered city" in first_screen.page(analysis, workspace)
 
 
@@ -234,7 +238,7 @@ def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: 
     assert "not graded" in html
     assert "The city is rendered" not in html
     with monkeypatch.context() as patch:
-        patch.setattr(first_screen, "is_rendered", lambda _: True)
+        patch.setattr(rendered, "is_rendered", lambda _: True)
         closed = analyse(workspace, replace(analysis.state, why=False))
         assert "a photo of a real place has no right answer in it" in first_screen.page(closed, workspace)
     assert "Over all" not in html, "nobody knows how often the model is right on such pictures"
@@ -295,6 +299,9 @@ def test_what_was_opened_from_the_first_screen_leads_back_to_it() -> None:
     reason = replace(first, why=True)
     cells = leave(reason, replace(reason, first_screen=False))
     assert leave(cells, replace(cells, why=False)) == first
+    # What takes their place was asked for in the workbench.
+    mapped = leave(cells, replace(cells, why=False, map=True))
+    assert not leave(mapped, replace(mapped, map=False)).first_screen
 
 
 def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from lpn.core.errors import InputError
+from lpn.core.errors import DivergedError, InputError
+from lpn.core.files import fingerprint
 from lpn.datasets import open_dataset
 from lpn.datasets.university import University
 from lpn.reproduce import cross_validation
@@ -120,10 +122,44 @@ def test_a_trial_is_taught_by_another_one_s_networks_of_the_same_fold(places: Pa
     assert values["trials"]["taught"]["changes"] == {"distillation": 1.0, "teacher": "base"}
     for number in (0, 1):
         job = json.loads((tmp_path / f"runs/taught-seed1-fold{number}/job.json").read_bytes())
-        assert job["identity"]["teachers"] == [f"base-seed{seed}-fold{number}" for seed in (0, 1)]
+        teachers = [tmp_path / f"runs/base-seed{seed}-fold{number}/last.safetensors" for seed in (0, 1)]
+        assert job["identity"]["teachers"] == [fingerprint(teacher) for teacher in teachers]
+    validation(places, tmp_path / "runs", *trials, seeds=(0, 1))  # the same teachers
+    shutil.rmtree(tmp_path / "runs/base-seed1-fold0")
+    with pytest.raises(InputError, match="was trained with other values of teachers"):
+        validation(places, tmp_path / "runs", *trials, seeds=(0, 1))
     for teacher in ("taught", "other"):
         with pytest.raises(InputError, match=f"has the teacher {teacher}; expected the name of another trial that"):
             validation(places, tmp_path / "runs", RecipeTrial("taught", {"distillation": 1.0}, teacher))
+    for weight, teacher in ((0.0, "base"), (1.0, "")):
+        with pytest.raises(
+            InputError, match=r"has distillation = \d and (a|no) teacher; give teacher=NAME and a weight"
+        ):
+            validation(
+                places,
+                tmp_path / "runs",
+                RecipeTrial("base", {}),
+                RecipeTrial("odd", {"distillation": weight}, teacher),
+            )
+
+
+def test_a_trial_whose_teachers_diverge_is_given_up(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = Trainer.run
+
+    def diverges(trainer: Trainer) -> Path:
+        if not trainer.recipe.distillation:
+            raise DivergedError("The loss rose.")
+        return run(trainer)
+
+    monkeypatch.setattr(Trainer, "run", diverges)
+    trials = (RecipeTrial("base", {}), RecipeTrial("taught", {"distillation": 1.0}, "base"))
+    values = validation(places, tmp_path / "runs", *trials, run_folds=1).run(tmp_path / "table.json")
+    assert [values["trials"][name]["diverged"] for name in ("base", "taught")] == [
+        ["base-seed0-fold0"],
+        ["taught-seed0-fold0"],
+    ]
 
 
 def test_trials_are_compared_place_by_place_on_training_pictures_alone(
@@ -180,7 +216,7 @@ def test_trials_are_compared_place_by_place_on_training_pictures_alone(
     more = validation(places, runs, *trials, RecipeTrial("flat", {"scale": 0.0}), run_folds=1).run(table)
     assert trained == ["flat-seed0-fold0"]
     assert more["trained folds"] == 1
-    with pytest.raises(InputError, match="base-seed0-fold0 was trained with another lr"):
+    with pytest.raises(InputError, match="base-seed0-fold0 was trained with other values of lr"):
         validation(places, runs, RecipeTrial("base", {"lr": 0.1}))
 
 

@@ -211,11 +211,11 @@ def test_other_pictures_or_another_start_are_noticed(places: Path, tmp_path: Pat
     assert (tmp_path / "out" / "table5.csv").read_text() != before
     shutil.rmtree(tmp_path / "places" / "train" / "drone" / "0004")
     quick = {**QUICK, "batch": 3}
-    with pytest.raises(InputError, match="another batch, pictures"):
+    with pytest.raises(InputError, match="other values of batch, pictures"):
         reproduction(tmp_path / "places", tmp_path / "out", changes=quick).run(["table5"])
     start = tmp_path / "start.safetensors"
     save(small_worlds.make_network(), start)
-    with pytest.raises(InputError, match="another start"):
+    with pytest.raises(InputError, match="other values of start"):
         reproduction(places, tmp_path / "out", init=[start]).run(["table5"])
 
 
@@ -258,7 +258,7 @@ def test_an_unfinished_run_goes_on_only_as_it_began(
     monkeypatch.setattr(Trainer, "_epoch", original)
     start = tmp_path / "start.safetensors"
     save(small_worlds.make_network(), start)
-    with pytest.raises(InputError, match="another start"):
+    with pytest.raises(InputError, match="other values of start"):
         reproduction(places, out, init=[start], changes=longer).run(["table5"])
     note = out / "runs" / "lpn-seed0" / "job.json"
     kept = note.read_bytes()
@@ -416,7 +416,7 @@ def test_tuning_tries_each_setting_on_held_out_places_and_trains_the_best(
     again.run(["figure7"])
     assert "Plan" not in said(again)
     # Another recipe for the trials is noticed as for trainings.
-    with pytest.raises(InputError, match="instance-1 was trained with another batch"):
+    with pytest.raises(InputError, match="instance-1 was trained with other values of batch"):
         reproduction(places, tmp_path / "out", **{**options, "changes": {**options["changes"], "batch": 8}}).run(
             ["figure7"]
         )
