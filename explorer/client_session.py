@@ -223,7 +223,7 @@ class ClientSession:
                 self._panels.forget_error()
             if state.shows_reasons and not self._state.shows_reasons:
                 self._explain_window.announce()
-                self._bridge.call("reveal", "#lpn-why")
+                self._bridge.call("revealReasons")
             if self._state.shows_reasons and not state.shows_reasons:
                 self._explain_window.close()
             if state.flight and not self._state.flight:

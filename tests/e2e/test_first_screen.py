@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box
 from tools.fixtures import small_worlds
 
 
@@ -185,7 +185,14 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     close.tap()
     first.get_by_text("Where it fails").tap()
     expect(page.locator("#lpn-lab-breakdown [tabindex]").first).to_be_in_viewport(ratio=1)
+    expect(page.locator(".lab-bar")).to_be_in_viewport(ratio=1)
     page.keyboard.press("b")
+    link = context.new_page()
+    link.goto(f"{app.url}/?why=1&reason=comparison")
+    compared = link.locator("#lpn-counterfactual .facts")
+    expect(compared).to_be_in_viewport(ratio=0.95)
+    assert box(compared)["width"] <= 390, "it makes the sheet no wider"
+    link.close()
 
     # The tour waits until it is asked for, and a finger that scrolls does not end it.
     first.locator("[data-act=all]").tap()

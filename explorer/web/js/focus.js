@@ -49,6 +49,7 @@
   lpn.lastFocus = () => last;
   // viser brings a window in front when it is pressed.
   lpn.raise = (element) => element?.dispatchEvent(new PointerEvent("pointerdown", { bubbles: true }));
+  lpn.revealReasons = () => lpn.reveal(WHY);
   lpn.raiseReasons = () => lpn.raise(shown(WHY));
 
   document.addEventListener("focusin", ({ target }) => {

@@ -87,6 +87,7 @@
 
   const point = (event) => {
     const onStage = event.target === lpn.canvas();
+    if (onStage && event.type === "pointerdown") box.classList.add("used"); // it is known how the map moves
     if (onStage || event.pointerType === "mouse") cursor = onStage ? [event.clientX, event.clientY] : null;
   };
 
@@ -98,6 +99,7 @@
     for (const kind of ["pointermove", "pointerdown"]) window[given ? "addEventListener" : "removeEventListener"](kind, point, { capture: true, passive: true });
     if (!given) {
       steer(false);
+      box.classList.remove("used");
       return box.remove();
     }
     following = setInterval(follow, PERIOD);

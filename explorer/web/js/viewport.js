@@ -180,15 +180,16 @@
   const ACTS = ["pointerdown", "wheel", "keydown"];
   let following = 0;
   const stopFollowing = () => clearInterval(following);
-  for (const act of ACTS) window.addEventListener(act, stopFollowing, { capture: true, passive: true });
+  // The page itself sends such events to viser's tabs and windows.
+  for (const act of ACTS) window.addEventListener(act, ({ isTrusted }) => isTrusted && stopFollowing(), { capture: true, passive: true });
   lpn.reveal = (selector) => {
     stopFollowing();
     if (!phone.matches) return;
     const end = performance.now() + 60000;
     following = setInterval(() => {
-      const target = document.querySelector(selector);
+      const target = [...document.querySelectorAll(selector)].find((one) => one.offsetHeight);
       if (performance.now() > end) return stopFollowing();
-      const panel = target?.offsetHeight && panelOf(target);
+      const panel = target && panelOf(target);
       if (!panel) return;
       const below = belowTop(target), atEnd = panel.scrollTop + panel.clientHeight >= panel.scrollHeight - 1;
       if (below < -20 || (below > 60 && !atEnd)) scrollPanel(target); // the tabs above it may stay

@@ -1,0 +1,79 @@
+"""What it brings to describe each query at several turns: `python -m tools.turned_queries DATA MODEL --out FILE [--every N]`.
+
+The model is calibrated on the pictures first. The answers to each set of turns are read in two ways: by the mean of the
+descriptors of all turns (average), and by the turn at which the tile is nearest (search).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+import lpn
+from lpn.core.arrays import Float32Array, Int64Array
+from lpn.core.files import write_json
+from lpn.core.views import views_of
+from lpn.datasets import open_dataset
+from lpn.descriptors import descriptor_reader
+from lpn.descriptors.transforms import Change
+from lpn.reproduce.record import here
+from lpn.retrieval import metrics
+from lpn.retrieval.calibration import calibrate
+
+# Degrees; the first set is the query as it is.
+TURNS = ((0,), (-10, 0, 10), (-20, 0, 20), (0, 90, 180, 270), tuple(range(0, 360, 45)))
+
+
+def averaged(turned: Float32Array) -> Float32Array:
+    """Return the mean over turns of descriptors (t, Q, n, D), each part at its norm again: (Q, n, D)."""
+    total = turned.sum(axis=0)
+    parts = total.shape[1]
+    return np.asarray(total / np.linalg.norm(total, axis=2, keepdims=True) / np.sqrt(parts), np.float32)
+
+
+def searched(turned: Float32Array, tiles: Float32Array) -> Int64Array:
+    """Return the tile (G, n, D) that is nearest to each query at any of its turns (t, Q, n, D): (Q,)."""
+    scores = np.einsum("tqnd,gnd->tqg", turned, tiles).max(axis=0)
+    return np.asarray(scores.argmax(axis=1), np.int64)
+
+
+def measure(data: Path, name: str, every: int = 1) -> dict[str, Any]:
+    """Return R@1 in percent of each set of turns on the first task of a data set, on each N-th query."""
+    dataset, model = open_dataset(data), lpn.load(name)
+    query_view, gallery_view = views_of(dataset.tasks()[0])
+    queries, gallery = dataset.queries(query_view)[::every], dataset.gallery(gallery_view)
+    read, model = descriptor_reader(dataset.root), model.for_task(query_view, gallery_view)
+    found = calibrate(model, {query_view: [queries], gallery_view: [gallery]}, read)
+    tiles = found.read(model, gallery, gallery_view, read)
+    labels, places = (np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery))
+    described = {
+        turn: found.read(model, queries, query_view, read, Change(rotate=float(turn)))
+        for turn in sorted({*sum(TURNS, ())})
+    }
+    rows = []
+    for turns in TURNS:
+        turned = np.stack([described[turn] for turn in turns])
+        mean = metrics.retrieve(averaged(turned), labels, tiles, places).recall(1)
+        nearest = 100 * float((places[searched(turned, tiles)] == labels).mean())
+        rows.append({"turns": list(turns), "average": mean, "search": nearest})
+    made = msgspec.to_builtins(here())
+    made["command"] = made["command"].replace(f"{Path(__file__).name} ", "python -m tools.turned_queries ")
+    return {"data": data.resolve().name, "model": name, "queries": len(queries), "rows": rows, **made}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("model")
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--every", type=int, default=1)
+    options = parser.parse_args()
+    write_json(options.out, measure(options.data, options.model, options.every))
+
+
+if __name__ == "__main__":
+    main()
