@@ -109,7 +109,7 @@ def describe_failure(outcomes: Outcomes, table: Table, query: int) -> str:
     rate, column = max(kinds, key=lambda kind: kind[0].share)
     share, of_all = f"{100 * rate.share:.0f} %", f"({100 * overall:.0f} % of all do)"
     if (column.name, rate.name) == ("twins", "yes"):
-        return f"This building has a twin elsewhere, and {share} of the pictures of such buildings fail {of_all}."
+        return f"Among pictures of buildings with a twin elsewhere, like this one, {share} fail {of_all}."
     within = "in the range " if rate.low != rate.high and column.kind == "number" and rate.known else ""
     return f"This picture's {column.name} is {within}{rate.name}; {share} of such pictures fail {of_all}."
 

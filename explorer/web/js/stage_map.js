@@ -17,7 +17,7 @@
   box.className = "num";
   box.innerHTML =
     '<div class="read"></div><div class="how"><span class="for-mouse">Drag to move, right button or arrow keys to turn, wheel to zoom</span><span class="for-touch">One finger moves, two turn and zoom</span></div>' +
-    '<button type="button" title="Back to the pair (M or Escape)">✕ Close the map<span class="for-mouse">&nbsp;(M)</span></button><button type="button" title="Point the camera at the answer again">⟲ Whole view</button>' +
+    '<button type="button" title="Back to the pair (M or Escape)">✕ Close the map<span class="for-mouse">&nbsp;(M)</span></button><button type="button" title="Point the camera at the answer again">⟲ Reset view</button>' +
     '<canvas role="img" aria-label="Scale and north"></canvas>';
   const [read, , close, whole, canvas] = box.children;
   close.onclick = () => lpn.send("map-close");

@@ -51,7 +51,7 @@ def test_a_failure_names_the_kind_of_picture_that_fails_most(outcomes: Outcomes)
     )
     twin = answer_context.describe_failure(outcomes, table(altitude, twins), 90)
     assert twin == (
-        "This building has a twin elsewhere, and 91 % of the pictures of such buildings fail (20 % of all do)."
+        "Among pictures of buildings with a twin elsewhere, like this one, 91 % fail (20 % of all do)."
     )
     assert answer_context.describe_failure(outcomes, table(altitude, twins), 3) == "", "its kind fails seldom"
     assert answer_context.describe_failure(outcomes, table(), 90) == "", "nothing else is known"
