@@ -210,6 +210,8 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     expect(card).to_be_visible()
     page.touchscreen.tap(195, 620)
     expect(card).to_have_count(0)
+    page.get_by_label("Expand panel Query").tap()
+    expect(page.get_by_role("button", name="Use my own picture").first).to_be_in_viewport(ratio=1)
     context.close()
 
 

@@ -61,11 +61,12 @@
 
   // Show the screen, or close it for an empty text; a story comes only to the plain stage (`free`), unasked only if `unasked`.
   lpn.first = (html, free, unasked) => {
-    const now = html ? "first" : "all";
+    const now = html ? "first" : "all", before = shown;
     if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
     if (html) return open((newest = html));
     close();
+    if (now !== before && free) lpn.reveal("#lpn-header");
     if (free && !lpn.telling()) lpn.welcome(unasked);
   };
 })();

@@ -200,6 +200,13 @@
     const whole = target.closest?.("#lpn-flight-tall, #lpn-lab-tall");
     if (whole) lpn.reveal(whole.id === "lpn-flight-tall" ? "#lpn-flight" : ".lab-bar");
   });
+  // A folded panel at the end of the sheet would unfold below it. viser renames its head at once.
+  const EXPAND = "Expand panel ";
+  const unfolds = ({ target }) => {
+    const name = phone.matches && target.closest?.(`[aria-label^="${EXPAND}"]`)?.ariaLabel.slice(EXPAND.length);
+    if (name) setTimeout(() => tabs().filter((one) => one.textContent.trim() === name).forEach(scrollPanel), 400);
+  };
+  document.addEventListener("click", unfolds, true);
   // Open a tab of a window by its name, as soon as the window is in the page, and bring the window in front of others.
   let opening = 0;
   let newest = ""; // the tab that was opened last

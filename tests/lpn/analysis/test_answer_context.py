@@ -50,9 +50,7 @@ def test_a_failure_names_the_kind_of_picture_that_fails_most(outcomes: Outcomes)
         == "This picture's altitude is 240 m; 67 % of such pictures fail (20 % of all do)."
     )
     twin = answer_context.describe_failure(outcomes, table(altitude, twins), 90)
-    assert twin == (
-        "Among pictures of buildings with a twin elsewhere, like this one, 91 % fail (20 % of all do)."
-    )
+    assert twin == ("Among pictures of buildings with a twin elsewhere, like this one, 91 % fail (20 % of all do).")
     assert answer_context.describe_failure(outcomes, table(altitude, twins), 3) == "", "its kind fails seldom"
     assert answer_context.describe_failure(outcomes, table(), 90) == "", "nothing else is known"
     kind = text_column("kind", ["dormitory" if i >= 70 else "hall" for i in range(COUNT)])
