@@ -11,6 +11,13 @@ from playwright.sync_api import Browser, Page, expect
 from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box
 from tools.fixtures import small_worlds
 
+# Check that a phone's sheet has not scrolled since the last look.
+AT_REST = """() => {
+  const before = window.before, now = document.querySelector(".mantine-ScrollArea-viewport").scrollTop;
+  window.before = now;
+  return before === now;
+}"""
+
 
 @pytest.fixture
 def fresh(browser: Browser) -> Iterator[Page]:
@@ -208,6 +215,8 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
         touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
     expect(page.locator("#lpn-header")).not_to_be_in_viewport()
     expect(card).to_be_visible()
+    # A tap on a sheet that still glides stops it, and nothing else.
+    page.wait_for_function(AT_REST, polling=400)
     page.touchscreen.tap(195, 620)
     expect(card).to_have_count(0)
     page.get_by_label("Expand panel Query").tap()
