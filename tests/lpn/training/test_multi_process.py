@@ -12,7 +12,8 @@ from safetensors.torch import load_file
 
 from lpn.core.errors import InputError
 from lpn.training.multi_process import ProcessGroup
-from tests.lpn.training.two_processes import INDEPENDENT, trainer
+from lpn.training.recipes import Recipe
+from tests.lpn.training.two_processes import INDEPENDENT, TAUGHT, trainer
 from tools.fixtures import small_worlds
 
 ROOT = Path(__file__).parents[3]
@@ -56,12 +57,17 @@ def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_two_processes_share_sets_that_are_shuffled_on_their_own(places: Path, shared: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "recipe"), [("independent", INDEPENDENT), ("taught", TAUGHT)])
+def test_two_processes_train_as_one_does_by_other_recipes(
+    places: Path, shared: Path, tmp_path: Path, name: str, recipe: Recipe
+) -> None:
+    """Sets that are shuffled on their own, and similarities of a teacher."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    trainer(places, tmp_path / "alone", recipe=INDEPENDENT).run()
+    teachers = [shared / "whole" / "last.safetensors"] if recipe.distillation else []
+    trainer(places, tmp_path / "alone", recipe=recipe, teachers=teachers).run()
     torch.set_num_threads(threads)
-    assert losses(shared / "independent") == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
+    assert losses(shared / name) == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
 
 
 @pytest.mark.slow
