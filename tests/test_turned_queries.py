@@ -1,42 +1,46 @@
-"""The two readings of a query that is described at several turns."""
+"""The two readings of a query that is described at several turns, measured by the program on small data."""
 
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tools import turned_queries
+import lpn
+from lpn.datasets import open_dataset
+from lpn.descriptors import descriptor_reader
+from lpn.descriptors.transforms import Change
+from lpn.retrieval.calibration import calibrate
 from tools.fixtures import small_worlds
-from tools.turned_queries import TURNS, averaged, searched
+
+ROOT = Path(__file__).parents[1]
 
 
-def test_a_turn_is_averaged_or_searched() -> None:
-    noise = np.random.default_rng(0)
-    tiles = averaged(noise.standard_normal((1, 6, 2, 8)).astype(np.float32))
-    np.testing.assert_allclose(np.linalg.norm(tiles, axis=(1, 2)), 1.0, rtol=1e-5)
-    other = averaged(noise.standard_normal((1, 6, 2, 8)).astype(np.float32))
-    # At one of two turns each query is its tile.
-    turned = np.stack([np.where(np.arange(6)[:, None, None] % 2 == turn, tiles, other) for turn in (0, 1)])
-    np.testing.assert_array_equal(searched(turned, tiles), np.arange(6))
-    by_hand = turned[0] + turned[1]
-    np.testing.assert_allclose(
-        averaged(turned), by_hand / np.linalg.norm(by_hand, axis=2, keepdims=True) / np.sqrt(2), rtol=1e-5
-    )
-
-
-def test_each_set_of_turns_is_measured(tmp_path: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lpn.retrieval.calibration.MIN_PICTURES", 4)
-    data = small_worlds.make_dataset(tmp_path / "places", train=1, test=6)
-    out = tmp_path / "turns.json"
-    monkeypatch.setattr(sys, "argv", ["turned_queries.py", str(data), str(model_file), "--out", str(out)])
-    turned_queries.main()
+def test_each_set_of_turns_is_averaged_and_searched(tmp_path: Path, model_file: Path) -> None:
+    data, out = small_worlds.make_dataset(tmp_path / "places", train=1, test=24), tmp_path / "turns.json"
+    command = [sys.executable, "-m", "tools.turned_queries", str(data), str(model_file), "--out", str(out)]
+    subprocess.run(command, check=True, cwd=ROOT)
     found = json.loads(out.read_bytes())
-    assert [tuple(row["turns"]) for row in found["rows"]] == list(TURNS)
-
-    assert found["queries"] == 6
-
-    assert found["rows"][0]["average"] == pytest.approx(found["rows"][0]["search"])
+    assert (found["queries"], found["data"]) == (24, "places")
+    # By hand, for the first set and for three turns.
+    dataset, model = open_dataset(data), lpn.load(model_file)
+    read = descriptor_reader(dataset.root)
+    queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
+    calibration = calibrate(model, {"drone": [queries], "satellite": [gallery]}, read)
+    tiles = calibration.read(model, gallery, "satellite", read)
+    places = np.array([picture.label for picture in gallery])
+    labels = np.array([picture.label for picture in queries])
+    turned = [calibration.read(model, queries, "drone", read, Change(float(turn))) for turn in (-10, 0, 10)]
+    for row, descriptors in zip(found["rows"], ([turned[1]], turned), strict=False):
+        scores = np.array([np.einsum("qnd,gnd->qg", one, tiles) for one in descriptors])
+        searched = places[scores.max(axis=0).argmax(axis=1)] == labels
+        total = np.sum(descriptors, axis=0)
+        total /= np.linalg.norm(total, axis=2, keepdims=True)
+        averaged = places[np.einsum("qnd,gnd->qg", total, tiles).argmax(axis=1)] == labels
+        assert row["search"] == pytest.approx(100 * searched.mean())
+        assert row["average"] == pytest.approx(100 * averaged.mean())
+    assert [row["turns"] for row in found["rows"][:2]] == [[0], [-10, 0, 10]]

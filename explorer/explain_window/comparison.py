@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from explorer.stage.pictures import draw_parts, lead_cells
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
 from lpn.core.arrays import UInt8Array
-from lpn.drawing import charts, overlays, verdicts
+from lpn.drawing import charts, overlays, theme, verdicts
+from lpn.drawing.theme import Colour
 from lpn.drawing.verdicts import ordinal
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 
 # Side of the pictures of the query and the two tiles, in pixels.
 _SIZE = 176
+# Height of the painted query, and the largest width of a panorama, in pixels.
+_PAINTED = 300, 700
 
 
 def page(
@@ -44,6 +48,8 @@ def page(
         region=analysis.state.region,
         part_names=names,
         steps=charts.waterfall(margin),
+        painted=_painted(analysis, workspace, comparison),
+        swatches=[theme.css(colour) for colour in _colours(comparison)],
         ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
         depth=ranking.depth,
@@ -51,6 +57,20 @@ def page(
         effect_sentence=_sentence(verdicts.describe_effect(effect)) if effect else "",
         computing=computing,
     )
+
+
+def _colours(comparison: Comparison) -> tuple[Colour, Colour]:
+    """Return the colours of what speaks for the followed tile, and against it: those of frames where one is known to be true."""
+    return (theme.TRUE_COLOUR, theme.FALSE_COLOUR) if comparison.followed.true else (theme.FOR, theme.AGAINST)
+
+
+def _painted(analysis: StateAnalysis, workspace: Workspace, comparison: Comparison) -> str:
+    """Return the query with its parts, painted by the lead of the followed tile, as a data URI; "" where no cell is known."""
+    cells = lead_cells(analysis, comparison.followed.index, comparison.other.index)
+    if cells is None:
+        return ""
+    view, colours = analysis.task.query_view, _colours(comparison)
+    return overlays.data_uri(draw_parts(workspace, analysis.query, view, _PAINTED, cells, colours=colours), 85)
 
 
 def _picture(picture: UInt8Array) -> str:

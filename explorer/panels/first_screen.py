@@ -13,12 +13,11 @@ from explorer import session_state
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange, Tab
-from explorer.stage.pictures import draw_parts
+from explorer.stage.pictures import draw_parts, lead_cells
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
 from explorer.workspace import StateAnalysis, Workspace
-from lpn import explain
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.arrays import Float64Array
@@ -65,7 +64,7 @@ class FirstScreen:
             "start": session_state.to_first_screen,
             "data": session_state.leave_upload,
             "all": lambda state: replace(state, first_screen=False, why=False),
-            "cells": lambda state: replace(state, first_screen=False, why=True, why_tab="evidence"),
+            "cells": lambda state: replace(state, first_screen=False, why=True, why_tab="comparison"),
             "lab": lambda state: self._to_lab(state, "table"),
             "fails": lambda state: self._to_lab(state, "breakdown"),
             "map": lambda state: replace(state, map=True, why=False),
@@ -168,23 +167,11 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, alte
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:
-    """Return each cell's share of the lead on the query's side, (h, w), so that cells and bars agree.
-
-    None without a network, and while only some cells of the query are searched by.
-    """
-    if (
-        analysis.state.region
-        or analysis.query.trace is None
-        or analysis.tile.trace is None
-        or analysis.chosen.rank != 1
-    ):
+    """Return each cell's share of the lead, so that cells and bars agree; None where the answer is not what is compared."""
+    if analysis.chosen.rank != 1:
         return None
-    answer, other = analysis.tile.trace.embedding, analysis.task.stored_descriptor(lead.index)
-    ahead, behind = (
-        explain.side_evidence(analysis.query.trace, tile).score_map(analysis.ranking.weights)
-        for tile in (answer, other)
-    )
-    return 2 * (ahead - behind) if lead.of_answer else 2 * (behind - ahead)
+    answer = analysis.chosen.index
+    return lead_cells(analysis, *((answer, lead.index) if lead.of_answer else (lead.index, answer)))
 
 
 def _picture(

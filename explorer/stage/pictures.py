@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from explorer.workspace import Workspace
+from explorer.workspace import StateAnalysis, Workspace
+from lpn import explain
 from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.views import View
@@ -37,3 +38,23 @@ def draw_parts(
     elif cells is not None:
         drawn = overlays.with_evidence(drawn, cells, limit)
     return overlays.with_parts(drawn, workspace.areas(view, described))
+
+
+def lead_cells(analysis: StateAnalysis, leader: int, follower: int) -> Float64Array | None:
+    """Return each cell's share, on the query's side, of the lead of one tile over another in d²: (h, w).
+
+    With the constants of both tiles the cells add up to the lead. None without a network, and while only some cells of the query
+    are searched by.
+
+    Args:
+        leader, follower: positions in the gallery; positive cells speak for the leader.
+    """
+    if analysis.state.region or analysis.query.trace is None:
+        return None
+    ahead, behind = (
+        explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index)).score_map(
+            analysis.ranking.weights
+        )
+        for index in (leader, follower)
+    )
+    return 2 * (ahead - behind)

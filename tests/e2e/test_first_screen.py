@@ -58,9 +58,9 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
     expect(first.locator("figcaption").first).to_contain_text("0008")
     fresh.go_forward()
     expect(first.locator(".reason .track")).to_have_count(4)
-    first.get_by_role("button", name="Look closer, place by place").click()
+    first.get_by_role("button", name="Look closer").click()
     expect(first).to_have_count(0)
-    expect(fresh.locator("#lpn-why .lpn-map")).to_have_count(2)
+    expect(fresh.locator("#lpn-counterfactual .painted img")).to_be_visible()
 
     # A link opens what it names; the browser remembers that the rest is unfolded.
     fresh.goto(link)
