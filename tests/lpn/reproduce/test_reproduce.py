@@ -196,7 +196,7 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
     again.run(["table4"])
     assert "Epoch" not in said(again)
     assert (tmp_path / "table4.md").read_text() == text
-    with pytest.raises(InputError, match="another epochs"):
+    with pytest.raises(InputError, match="other values of epochs"):
         reproduction(places, tmp_path, changes={**QUICK, "epochs": 2}).run(["table4"])
 
 
