@@ -62,12 +62,14 @@
   // viser's own chooser may lie in a part of the page that takes no input.
   const choose = (options) => {
     const chooser = Object.assign(document.createElement("input"), { type: "file", ...options });
-    for (const end of ["change", "cancel"]) chooser.addEventListener(end, () => document.getElementById("lpn-notice")?.classList.remove("shown"));
-    chooser.addEventListener("change", () => take([...chooser.files]));
+    chooser.addEventListener("change", () => {
+      document.getElementById("lpn-notice")?.classList.remove("shown"); // what was said of the choice
+      take([...chooser.files]);
+    });
     chooser.click();
   };
   lpn.upload = () => {
-    lpn.say(lpn.ownHint, 10); // beside the system's chooser, until it closes
+    lpn.say(lpn.ownHint, 8); // beside the system's chooser
     choose({ multiple: true, accept: "image/jpeg,image/png,image/webp" });
   };
   const folder = () => choose({ webkitdirectory: true });
