@@ -6,7 +6,7 @@ from explorer.stage.pictures import draw_parts, lead_cells
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.drawing import charts, overlays, theme, verdicts
 from lpn.drawing.theme import Colour
 from lpn.drawing.verdicts import ordinal
@@ -35,6 +35,7 @@ def page(
     margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
     names, name = workspace.part_names, "the true tile" if followed.true else "this tile"
     without = comparison.without
+    cells = lead_cells(analysis, followed.index, comparison.other.index)
     return render(
         "explain/comparison",
         comparison=comparison,
@@ -48,7 +49,9 @@ def page(
         region=analysis.state.region,
         part_names=names,
         steps=charts.waterfall(margin),
-        painted=_painted(analysis, workspace, comparison),
+        painted="" if cells is None else _painted(analysis, workspace, cells, _colours(comparison)),
+        places=0.0 if cells is None else float(cells.sum()),
+        total=float(margin.sum()),
         swatches=[theme.css(colour) for colour in _colours(comparison)],
         ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
@@ -64,12 +67,9 @@ def _colours(comparison: Comparison) -> tuple[Colour, Colour]:
     return (theme.TRUE_COLOUR, theme.FALSE_COLOUR) if comparison.followed.true else (theme.FOR, theme.AGAINST)
 
 
-def _painted(analysis: StateAnalysis, workspace: Workspace, comparison: Comparison) -> str:
-    """Return the query with its parts, painted by the lead of the followed tile, as a data URI; "" where no cell is known."""
-    cells = lead_cells(analysis, comparison.followed.index, comparison.other.index)
-    if cells is None:
-        return ""
-    view, colours = analysis.task.query_view, _colours(comparison)
+def _painted(analysis: StateAnalysis, workspace: Workspace, cells: Float64Array, colours: tuple[Colour, Colour]) -> str:
+    """Return the query with its parts, painted by its cells' shares (h, w) of the margin, as a data URI."""
+    view = analysis.task.query_view
     return overlays.data_uri(draw_parts(workspace, analysis.query, view, _PAINTED, cells, colours=colours), 85)
 
 

@@ -135,6 +135,7 @@ def page(
         trust=answer_text.trust(analysis, workspace),
         gap=analysis.matches[0].gap,
         bars=_bar_colours(lead),
+        places=None if cells is None else float(cells.sum()),
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
         own_hint=answer_text.own_hint(workspace),
         part_names=workspace.part_names,
