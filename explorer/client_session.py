@@ -45,6 +45,7 @@ from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
+from lpn.datasets.rendered import shows_rendered
 
 log = logging.getLogger(__name__)
 
@@ -189,7 +190,7 @@ class ClientSession:
                 "places": tour.places(workspace.layout),
                 "scene": SCENE,
                 "keys": self._url_state.keys,
-                "ownHint": answer_text.own_hint(workspace),
+                "ownHint": answer_text.own_hint(workspace, shows_rendered(workspace.root)),
             }
             self._bridge = PageBridge(client.gui, handlers, properties, style.STYLE)
             windows = (self._explain_window, self._lab, self._flight)

@@ -1,4 +1,4 @@
-"""What it brings to describe each query at several turns: `python -m tools.turned_queries DATA MODEL --out FILE [--every N]`.
+"""Measure queries that are described at several turns: `python -m tools.turned_queries DATA MODEL --out FILE [--every N]`.
 
 The model is calibrated on the pictures first. The answers to each set of turns are read in two ways: by the mean of the
 descriptors of all turns (average), and by the turn at which the tile is nearest (search).
@@ -23,16 +23,10 @@ from lpn.descriptors.transforms import Change
 from lpn.reproduce.record import here
 from lpn.retrieval import metrics
 from lpn.retrieval.calibration import calibrate
+from lpn.retrieval.protocol import averaged
 
 # Degrees; the first set is the query as it is.
 TURNS = ((0,), (-10, 0, 10), (-20, 0, 20), (0, 90, 180, 270), tuple(range(0, 360, 45)))
-
-
-def averaged(turned: Float32Array) -> Float32Array:
-    """Return the mean over turns of descriptors (t, Q, n, D), each part at its norm again: (Q, n, D)."""
-    total = turned.sum(axis=0)
-    parts = total.shape[1]
-    return np.asarray(total / np.linalg.norm(total, axis=2, keepdims=True) / np.sqrt(parts), np.float32)
 
 
 def searched(turned: Float32Array, tiles: Float32Array) -> Int64Array:
@@ -57,9 +51,11 @@ def measure(data: Path, name: str, every: int = 1) -> dict[str, Any]:
     rows = []
     for turns in TURNS:
         turned = np.stack([described[turn] for turn in turns])
-        mean = metrics.retrieve(averaged(turned), labels, tiles, places).recall(1)
+        rows_of_turns = np.tile(np.arange(len(queries)), len(turns))
+        mean, _ = averaged(np.concatenate(turned), rows_of_turns)
+        found_first = metrics.retrieve(mean, labels, tiles, places).recall(1)
         nearest = 100 * float((places[searched(turned, tiles)] == labels).mean())
-        rows.append({"turns": list(turns), "average": mean, "search": nearest})
+        rows.append({"turns": list(turns), "average": found_first, "search": nearest})
     made = msgspec.to_builtins(here())
     made["command"] = made["command"].replace(f"{Path(__file__).name} ", "python -m tools.turned_queries ")
     return {"data": data.resolve().name, "model": name, "queries": len(queries), "rows": rows, **made}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from explorer.stage.pictures import draw_parts, lead_cells
+from explorer.stage.pictures import draw_parts, lead_cells, lead_colours
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
@@ -36,6 +36,7 @@ def page(
     names, name = workspace.part_names, "the true tile" if followed.true else "this tile"
     without = comparison.without
     cells = lead_cells(analysis, followed.index, comparison.other.index)
+    colours = lead_colours(followed.true is True)
     return render(
         "explain/comparison",
         comparison=comparison,
@@ -49,10 +50,10 @@ def page(
         region=analysis.state.region,
         part_names=names,
         steps=charts.waterfall(margin),
-        painted="" if cells is None else _painted(analysis, workspace, cells, _colours(comparison)),
+        painted="" if cells is None else _painted(analysis, workspace, cells, colours),
         places=0.0 if cells is None else float(cells.sum()),
         total=float(margin.sum()),
-        swatches=[theme.css(colour) for colour in _colours(comparison)],
+        swatches=[theme.css(colour) for colour in colours],
         ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
         depth=ranking.depth,
@@ -60,11 +61,6 @@ def page(
         effect_sentence=_sentence(verdicts.describe_effect(effect)) if effect else "",
         computing=computing,
     )
-
-
-def _colours(comparison: Comparison) -> tuple[Colour, Colour]:
-    """Return the colours of what speaks for the followed tile, and against it: those of frames where one is known to be true."""
-    return (theme.TRUE_COLOUR, theme.FALSE_COLOUR) if comparison.followed.true else (theme.FOR, theme.AGAINST)
 
 
 def _painted(analysis: StateAnalysis, workspace: Workspace, cells: Float64Array, colours: tuple[Colour, Colour]) -> str:

@@ -10,7 +10,6 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance
-from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts
 from lpn.retrieval import Match
 
@@ -99,12 +98,16 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
 
 
-def own_hint(workspace: Workspace) -> str:
-    """Say which pictures of one's own are taken, and what is done with them, before one is chosen."""
+def own_hint(workspace: Workspace, rendered: bool) -> str:
+    """Say which pictures of one's own are taken, and what is done with them, before one is chosen.
+
+    Args:
+        rendered: the workspace shows a rendered city.
+    """
     task = next(iter(workspace.tasks.values()))
     above = "" if task.query_view == "street" else ", best of the ground seen from above"
     city = ""
-    if shows_rendered(workspace.root):
+    if rendered:
         city = " They show a rendered city: a photo of a real place has no right answer among them."
     return (
         f"Choose pictures on this device (JPEG, PNG, or WebP){above}. The model finds the most similar of the {task.tiles:,} "

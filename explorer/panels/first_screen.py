@@ -13,7 +13,7 @@ from explorer import session_state
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange, Tab
-from explorer.stage.pictures import draw_parts, lead_cells
+from explorer.stage.pictures import draw_parts, lead_cells, lead_colours
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
@@ -111,8 +111,7 @@ def page(
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
     # What speaks for a picture has the colour of its frame.
-    graded = lead is not None and lead.sure
-    colours = (theme.TRUE_COLOUR, theme.FALSE_COLOUR) if graded else (theme.FOR, theme.AGAINST)
+    colours = lead_colours(lead is not None and lead.sure)
     alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
     if third is None and right is False and positive is not None and not positive.beyond:
@@ -137,7 +136,7 @@ def page(
         bars=_bar_colours(lead),
         places=None if cells is None else float(cells.sum()),
         full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
-        own_hint=answer_text.own_hint(workspace),
+        own_hint=answer_text.own_hint(workspace, rendered),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
@@ -152,7 +151,8 @@ def page(
 def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
     """Return the colours of bars for and against: those of the frames, darker where they stand beside a text."""
     if lead is None or not lead.sure:
-        return theme.css(theme.FOR), theme.css(theme.AGAINST)
+        leader, follower = lead_colours(False)
+        return theme.css(leader), theme.css(follower)
     return verdict_ink(True), verdict_ink(False)
 
 

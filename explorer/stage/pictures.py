@@ -7,7 +7,7 @@ from lpn import explain
 from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.views import View
-from lpn.drawing import overlays
+from lpn.drawing import overlays, theme
 from lpn.drawing.theme import Colour
 from lpn.retrieval import DescribedPicture
 
@@ -58,3 +58,12 @@ def lead_cells(analysis: StateAnalysis, leader: int, follower: int) -> Float64Ar
         for index in (leader, follower)
     )
     return 2 * (ahead - behind)
+
+
+def lead_colours(sure: bool) -> tuple[Colour, Colour]:
+    """Return the colours of what speaks for the leader, and for the follower.
+
+    Args:
+        sure: the leader is known to be true; the colours are then those of the frames of true and false tiles.
+    """
+    return (theme.TRUE_COLOUR, theme.FALSE_COLOUR) if sure else (theme.FOR, theme.AGAINST)

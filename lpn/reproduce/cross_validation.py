@@ -172,9 +172,10 @@ class CrossValidation:
                     f"The trial {trial.name} has the teacher {printable(trial.teacher)[:80]}; expected the name of another trial "
                     "that has no teacher itself."
                 )
-            if trial.changes.get("distillation") == 0 if trial.teacher else trial.changes.get("distillation"):
+            weight = trial.changes.get("distillation")
+            if weight is not None and bool(weight) != bool(trial.teacher):
                 raise InputError(
-                    f"The trial {trial.name} has distillation = {trial.changes['distillation']:g} and "
+                    f"The trial {trial.name} has distillation = {weight:g} and "
                     f"{'a' if trial.teacher else 'no'} teacher; give teacher=NAME and a weight above 0, or neither."
                 )
         self.console = console or wide_console()

@@ -102,11 +102,8 @@ class Learner:
         """Return what the teachers say of the whole batch, (B, T) by picture set; None without teachers."""
         if self.teachers is None:
             return None
-        found = self.teachers.descriptors(batch.sets)
-        return {
-            name: one
-            for name, (one, _) in self.group.gather({name: (one, one[:, :1]) for name, one in found.items()}).items()
-        }
+        found = {name: (one,) for name, one in self.teachers.descriptors(batch.sets).items()}
+        return {name: one for name, (one,) in self.group.gather(found).items()}
 
     def is_finite(self) -> bool:
         """Check that every weight is a finite number."""

@@ -17,6 +17,7 @@ from lpn.core.errors import InputError, LPNError
 from lpn.models.checkpoints import best_device
 
 T = TypeVar("T")
+Tensors = TypeVar("Tensors", bound=tuple[Tensor, ...])
 
 # Processes wait while the leader tests. If one dies, torchrun ends the others at once.
 _TIMEOUT = timedelta(days=1)
@@ -57,7 +58,7 @@ class ProcessGroup:
             )
         return slice(self.rank * each, (self.rank + 1) * each)
 
-    def gather(self, outputs: Mapping[str, tuple[Tensor, Tensor]]) -> dict[str, tuple[Tensor, Tensor]]:
+    def gather(self, outputs: Mapping[str, Tensors]) -> dict[str, Tensors]:
         """Gather the outputs of all processes in the order of the batch: each tensor (b, ...) becomes (b size, ...).
 
         Every process computes the loss of the whole batch from them. The gradient flows into the process's own rows only,
@@ -65,12 +66,12 @@ class ProcessGroup:
         """
         if self.size == 1:
             return dict(outputs)
-        flat = [tensor.float().flatten(1) for pair in outputs.values() for tensor in pair]
+        flat = [tensor.float().flatten(1) for tensors in outputs.values() for tensor in tensors]
         rows = cast(Tensor, _Gather.apply(torch.cat(flat, 1), self))  # type: ignore[no-untyped-call]
         columns = iter(torch.split(rows, [tensor.shape[1] for tensor in flat], 1))
         return {
-            name: cast("tuple[Tensor, Tensor]", tuple(next(columns).reshape(-1, *own.shape[1:]) for own in pair))
-            for name, pair in outputs.items()
+            name: cast(Tensors, tuple(next(columns).reshape(-1, *own.shape[1:]) for own in tensors))
+            for name, tensors in outputs.items()
         }
 
     def run_on_all(self, work: Callable[[], T]) -> T:

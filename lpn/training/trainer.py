@@ -142,8 +142,8 @@ class Trainer:
         network = LPN(_spec(recipe, self.places))
         if init is not None and not resume:
             self._load_init(network, init)
-        self.teachers = Teachers.load(teachers, self.places.views) if teachers else None
-        self.learner = Learner(network, recipe, self.group, compiled, self.teachers)
+        loaded = Teachers.load(teachers, self.places.views) if teachers else None
+        self.learner = Learner(network, recipe, self.group, compiled, loaded)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         self.test_split: TestSplit | None = None
@@ -152,7 +152,7 @@ class Trainer:
             if tasks and (test or (evaluate_every and not held)):
                 self.test_split = TestSplit(source, tasks, recipe.zoom)
         self.validator: Validator | None = HeldOut(held, recipe.zoom) if held else self.test_split
-        self._places_digest = self.places.digest() + ("" if self.teachers is None else f" {self.teachers.digest}")
+        self._places_digest = self.places.digest() + ("" if loaded is None else f" {loaded.digest}")
         if resume:
             self._resume()
 

@@ -304,7 +304,7 @@ def test_what_was_opened_from_the_first_screen_leads_back_to_it() -> None:
     reason = replace(first, why=True)
     cells = leave(reason, replace(reason, first_screen=False))
     assert leave(cells, replace(cells, why=False)) == first
-    # What takes their place was asked for in the workbench.
+    # The map that takes their place was opened in the workbench, so its end stays there.
     mapped = leave(cells, replace(cells, why=False, map=True))
     assert not leave(mapped, replace(mapped, map=False)).first_screen
 
