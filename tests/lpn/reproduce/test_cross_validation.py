@@ -20,12 +20,11 @@ from lpn.datasets.university import University
 from lpn.reproduce import cross_validation
 from lpn.reproduce.cross_validation import CrossValidation, RecipeTrial, parse_trial, summary
 from lpn.retrieval import calibration
-from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold, TrainingSet
-from tools.fixtures import small_worlds
+from tools.fixtures import small_worlds, trainings
 
-QUICK = replace(RECIPES["small"], size=32, epochs=1, batch=4, warmup_epochs=0, precision="float32", n_parts=2)
+QUICK = replace(trainings.QUICK, epochs=1, n_parts=2)
 
 
 @pytest.fixture(scope="module")

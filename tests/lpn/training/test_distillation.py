@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,19 +28,10 @@ from lpn.training.losses import descriptors, distillation_loss, total_loss
 from lpn.training.recipes import RECIPES
 from lpn.training.trainer import Trainer
 from tools.fixtures import small_worlds
+from tools.fixtures.trainings import QUICK, losses
 
 VIEWS: tuple[View, ...] = ("satellite", "drone")
-ALONE = replace(
-    RECIPES["small"],
-    size=32,
-    epochs=4,
-    batch=8,
-    warmup_epochs=0,
-    precision="float32",
-    instance=0.0,
-    infonce=0.0,
-    distillation=1.0,
-)
+ALONE = replace(QUICK, epochs=4, batch=8, instance=0.0, infonce=0.0, distillation=1.0)
 
 
 def network(seed: int, size: int = 32, views: tuple[View, ...] = VIEWS) -> TorchModel:
@@ -137,11 +127,6 @@ def trainer(places: Path, out: Path, *teachers: Path, recipe: object = ALONE, re
     return Trainer(open_dataset(places), out, recipe, **options)  # type: ignore[arg-type]
 
 
-def losses(out: Path) -> list[float]:
-    with (out / "log.csv").open() as file:
-        return [float(row["loss"]) for row in csv.DictReader(file)]
-
-
 def test_a_training_learns_the_teacher_s_similarities_and_goes_on_with_no_other(
     places: Path, teacher: Path, tmp_path: Path
 ) -> None:
@@ -154,7 +139,7 @@ def test_a_training_learns_the_teacher_s_similarities_and_goes_on_with_no_other(
 
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 def test_a_teacher_and_its_weight_come_together(places: Path, teacher: Path, tmp_path: Path, weight: float) -> None:
-    recipe = replace(RECIPES["small"], size=32, batch=8, distillation=weight)
+    recipe = replace(QUICK, distillation=weight)
     with pytest.raises(InputError, match=r"distillation = \d, and (a|no) --teacher is given; give both, or neither"):
         trainer(places, tmp_path / "run", *([] if weight else [teacher]), recipe=recipe)
 

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import csv
 import io
 from dataclasses import replace
 from functools import partial
@@ -25,6 +24,7 @@ from lpn.training.map_windows import MapWindows, draw_photo, overlaps
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 from tests.lpn.maps import small_maps
+from tools.fixtures.trainings import losses
 
 pytest.importorskip("rasterio")
 
@@ -196,11 +196,6 @@ def test_overlapping_windows_are_no_negatives() -> None:
     assert infonce_loss(first, second, 0.1).item() > loss.item()
     loss.backward()  # type: ignore[no-untyped-call]
     assert torch.isfinite(second.grad if second.grad is not None else torch.tensor(torch.nan)).all()
-
-
-def losses(out: Path) -> list[float]:
-    with (out / "log.csv").open() as file:
-        return [float(row["loss"]) for row in csv.DictReader(file)]
 
 
 def train(town: Map, out: Path, recipe: Recipe = QUICK, **options: object) -> tuple[Path, str]:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import csv
 import shutil
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import Recipe
 from tests.lpn.training.two_processes import INDEPENDENT, TAUGHT, trainer
 from tools.fixtures import small_worlds
+from tools.fixtures.trainings import losses
 
 ROOT = Path(__file__).parents[3]
 
@@ -23,11 +23,6 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Two processes on this machine, as a person starts them."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *arguments]
     return subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, timeout=300, cwd=ROOT)
-
-
-def losses(out: Path) -> list[float]:
-    with (out / "log.csv").open() as file:
-        return [float(row["loss"]) for row in csv.DictReader(file)]
 
 
 @pytest.fixture(scope="module")

@@ -26,19 +26,13 @@ from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
-
-QUICK = replace(RECIPES["small"], size=32, epochs=3, batch=4, warmup_epochs=0, precision="float32")
+from tools.fixtures.trainings import QUICK, losses
 
 
 def trainer(data: Path, out: Path, recipe: Recipe = QUICK, **options: object) -> tuple[Trainer, io.StringIO]:
     said = io.StringIO()
     options.setdefault("from_scratch", "init" not in options)
     return Trainer(open_dataset(data), out, recipe, console=Console(file=said, width=200), **options), said  # type: ignore[arg-type]
-
-
-def losses(out: Path) -> list[float]:
-    with (out / "log.csv").open() as file:
-        return [float(row["loss"]) for row in csv.DictReader(file)]
 
 
 @pytest.fixture(scope="module")

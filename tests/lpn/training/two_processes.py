@@ -14,21 +14,11 @@ from torch import nn
 
 from lpn.datasets import open_dataset
 from lpn.training.multi_process import ProcessGroup, join
-from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.recipes import Recipe
 from lpn.training.trainer import Trainer
+from tools.fixtures.trainings import QUICK
 
-RECIPE = replace(
-    RECIPES["small"],
-    size=32,
-    epochs=2,
-    batch=8,
-    warmup_epochs=0,
-    precision="float32",
-    optimizer="sgd",
-    lr=0.01,
-    dropout=0.0,
-    ema=0.8,
-)
+RECIPE = replace(QUICK, epochs=2, batch=8, optimizer="sgd", lr=0.01, dropout=0.0, ema=0.8)
 
 
 # Sets shuffled on their own, each with its own labels.
