@@ -97,8 +97,8 @@ def parse_trial(text: str, recipe: Recipe) -> RecipeTrial:
             changes[setting] = msgspec.convert(value.strip(), types[setting], strict=False)
         except msgspec.ValidationError as error:
             raise InputError(f"The trial {name} has {printable(pair)[:80]!r} ({error}); give another value.") from error
-    if teacher and not recipe.distillation:
-        changes.setdefault("distillation", 1.0)
+    if teacher:
+        changes.setdefault("distillation", recipe.distillation or 1.0)
     replace(recipe, **changes)
     return RecipeTrial(name, changes, teacher)
 
@@ -217,7 +217,10 @@ class CrossValidation:
         """
         check_writable(table)
         for step in dict.fromkeys(map(_step, self.jobs)):
-            trainings.train([job for job in self.jobs if _step(job) == step], self.console)
+            jobs = [job for job in self.jobs if _step(job) == step]
+            for job in jobs:
+                job.check_same()  # by now all of its teachers are trained
+            trainings.train(jobs, self.console)
             values = self.table()
             write_atomic(table, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
         self.console.print(summary(values))

@@ -99,8 +99,10 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert "comes from no place" not in text(html), "this network's constants are 0"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(first_screen, "_lead_cells", lambda *_: np.full_like(cells, (lead.total + 1) / cells.size))
-        rest = f"A further −1.000 comes from no place: by that much the model favours {lead.follower} by itself."
-        assert rest in text(first_screen.page(analysis, workspace))
+        rest = (
+            "A further −1.000 comes from no place, but from what the model gives the two satellite pictures themselves"
+        )
+        assert f"{rest}, and speaks for {lead.follower}." in text(first_screen.page(analysis, workspace))
     assert html.count("<img") == 3, "the other tile stands beside the answer"
     assert ("The best wrong picture" if found else "The right one") in html
     plain = first_screen.page(before, workspace)

@@ -124,6 +124,8 @@ def test_a_trial_is_taught_by_another_one_s_networks_of_the_same_fold(places: Pa
         teachers = [tmp_path / f"runs/base-seed{seed}-fold{number}/last.safetensors" for seed in (0, 1)]
         assert job["identity"]["teachers"] == [fingerprint(teacher) for teacher in teachers]
     validation(places, tmp_path / "runs", *trials, seeds=(0, 1))  # the same teachers
+    with pytest.raises(InputError, match="was trained with other values of teachers"):
+        validation(places, tmp_path / "runs", *trials, seeds=(0, 1, 2)).run(tmp_path / "table.json")
     shutil.rmtree(tmp_path / "runs/base-seed1-fold0")
     with pytest.raises(InputError, match="was trained with other values of teachers"):
         validation(places, tmp_path / "runs", *trials, seeds=(0, 1))
