@@ -494,7 +494,7 @@ def test_a_turned_stage_is_straightened(explorer: ExplorerPage) -> None:
 
 @pytest.mark.slow
 def test_a_tab_stays_open_where_the_page_becomes_narrow(explorer: ExplorerPage) -> None:
-    explorer.key("y")
+    explorer.explain()
     explorer.tab("Heatmaps")
     heatmaps = explorer.page.locator("#lpn-heatmaps")
     expect(heatmaps).to_be_visible()

@@ -225,18 +225,31 @@
   const done = new Set();
   lpn.once = (key) => !done.has(key) && Boolean(done.add(key));
   // Tell the server which tab a person opened: a link opens it, too.
-  const told = ({ target, isTrusted }) => {
-    const list = isTrusted && target.closest?.('[role="tab"]')?.closest(".mantine-Paper-root");
+  const selected = (one) => one.ariaSelected === "true";
+  let keeping = 0;
+  const told = ({ target, type, isTrusted }) => {
+    const tab = isTrusted && target.closest?.('[role="tab"]');
+    if (!tab) return;
+    clearInterval(keeping);
+    if (type === "click") newest = tab.textContent.trim(); // at once, as the page may be drawn anew before it is told
+    const list = tab.closest(".mantine-Paper-root");
     const tell = () => {
-      const tab = tabs().find((one) => list.contains(one) && one.ariaSelected === "true");
-      if (tab) lpn.send("tab", (newest = tab.textContent.trim()));
+      const open = tabs().find((one) => list.contains(one) && selected(one));
+      if (open) lpn.send("tab", (newest = open.textContent.trim()));
     };
-    if (list) setTimeout(tell, 50);
+    setTimeout(tell, 50);
   };
   for (const act of ["click", "keyup"]) window.addEventListener(act, told, true);
-  // viser draws all windows anew, each with its first tab.
-  phone.addEventListener("change", () => setTimeout(() => {
-    lpn.watch();
-    if (tabs().some((one) => one.textContent.trim() === newest)) lpn.tab(newest);
-  }, 300));
+  // viser draws all windows anew, each with its first tab, and takes its time on a busy machine.
+  const KEPT = 5000; // ms
+  phone.addEventListener("change", () => {
+    const end = performance.now() + KEPT;
+    clearInterval(keeping);
+    keeping = setInterval(() => {
+      if (performance.now() > end) return clearInterval(keeping);
+      lpn.watch();
+      const again = tabs().filter((one) => one.textContent.trim() === newest);
+      if (again.length && !again.some(selected)) lpn.tab(newest);
+    }, 300);
+  });
 })();
