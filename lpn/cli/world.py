@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from lpn.core.errors import InputError
+from lpn.world.variety import FACTORS, Factor
 
 # Options of the pictures of places, and those of --flight.
-_OF_PLACES = ("views", "pixels", "tile_pixels", "streets", "panoramas", "varied", "part")
+_OF_PLACES = ("views", "pixels", "tile_pixels", "streets", "panoramas", "vary", "part")
 _OF_FLIGHTS = ("frames", "width", "map_pixel")
 
 
@@ -34,9 +36,9 @@ class WorldCommand:
     """Street-level pictures of each place; can be increased in an existing world."""
     panoramas: int = 0
     """Panoramas near each place, in cvusa/ with a tile around each; can be increased in an existing world."""
-    varied: bool = False
-    """Draw any two days of the year for each district, and any height, tilt, lens, and camera for each picture, in place of
-    University-1652's spiral; for training."""
+    vary: tuple[Factor | Literal["all"], ...] = ()
+    """What is drawn at random, for training: days (two of the year for each district), cameras, poses (in place of
+    University-1652's spiral), materials (roofs, walls, pavements), traffic, construction, snow, and plan (streets and blocks)."""
     part: str = "1/1"
     """Part i/k of the work: k processes with the same --out render one world."""
     threads: int = 0
@@ -67,7 +69,7 @@ class WorldCommand:
             self.samples,
             self.streets,
             self.panoramas,
-            self.varied,
+            tuple(factor for factor in FACTORS if factor in self.vary or "all" in self.vary),
         )
         tally = build_world(settings, self.out, RenderShare.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")

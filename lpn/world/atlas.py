@@ -25,6 +25,7 @@ from lpn.world.cameras import Panorama, Pose, Site, Tile, any_drone_poses, drone
 from lpn.world.city import City, Target
 from lpn.world.ground_level import GroundLevel, panoramas, street_poses
 from lpn.world.plan import plan_city
+from lpn.world.variety import Factor
 
 EDITION = 2  # counts changes of the code that change the pictures of a seed
 SIGHT = 312.0  # metres around a target that its drone can see, at most
@@ -43,7 +44,7 @@ class Settings:
         samples: light paths per pixel.
         streets: street-level pictures of each building.
         panoramas: panoramas near each building.
-        varied: every district has any two days of the year, and every picture any camera, height, tilt, and lens.
+        vary: what is drawn at random in place of what every world has, see `lpn.world.variety`; in the order of `FACTORS`.
     """
 
     seed: int
@@ -54,7 +55,7 @@ class Settings:
     samples: int
     streets: int = 0
     panoramas: int = 0
-    varied: bool = False
+    vary: tuple[Factor, ...] = ()
 
 
 View = Literal["satellite", "drone", "street", "panorama"]
@@ -223,7 +224,7 @@ def make_atlas(settings: Settings) -> Atlas:
     Raises:
         InputError: when no city can be planned with these settings.
     """
-    city = plan_city(settings.seed, settings.buildings)
+    city = plan_city(settings.seed, settings.buildings, "plan" in settings.vary)
     groups: dict[int, list[Target]] = defaultdict(list)
     for target in city.targets:
         groups[city.buildings[target.building].district].append(target)
@@ -282,7 +283,7 @@ def _frames(city: City, target: Target, settings: Settings) -> list[PlannedPictu
     rng = np.random.default_rng([city.seed, 23, target.number])
     aim = _aim(city, target)
     poses = (
-        any_drone_poses(aim, settings.views, SIGHT, rng) if settings.varied else drone_poses(aim, settings.views, rng)
+        any_drone_poses(aim, settings.views, SIGHT, rng) if "poses" in settings.vary else drone_poses(aim, settings.views, rng)
     )
     return [
         PlannedPicture(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, "drone", pose)

@@ -177,7 +177,7 @@ class _SectorRenderer:
 
     def frames(self, sector: Sector, shots: list[PlannedPicture]) -> None:
         """Render the drone pictures."""
-        look = photo.drone_look(self.atlas.settings.seed, sector.district, self.atlas.settings.varied)
+        look = photo.drone_look(self.atlas.settings.seed, sector.district, self.atlas.settings.vary)
         made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
         for shot in shots:
             assert isinstance(shot.camera, Pose)
@@ -209,7 +209,7 @@ class _SectorRenderer:
 
     def _cut(self, sector: Sector, shots: list[PlannedPicture], x: float, y: float, reach: float) -> None:
         settings, city = self.atlas.settings, self.atlas.city
-        look = photo.satellite_look(settings.seed, sector.district, settings.varied)
+        look = photo.satellite_look(settings.seed, sector.district, settings.vary)
         rng = np.random.default_rng([settings.seed, 31, sector.number])
         pixels = round(2 * reach * settings.tile_pixels / TILE)
         height = city.height(x, y)
@@ -240,9 +240,9 @@ class _SectorRenderer:
         return made
 
     def _develop(self, shot: PlannedPicture, light: Float32Array, look: photo.Look, pose: Pose | None = None) -> None:
-        """Develop a picture and write it, in a varied world by a camera and with a compression of its own."""
+        """Develop a picture and write it; where cameras vary, by a camera and with a compression of its own."""
         settings, quality = self.atlas.settings, _QUALITY
-        if settings.varied and shot.view in ("drone", "satellite"):
+        if "cameras" in settings.vary and shot.view in ("drone", "satellite"):
             rng = np.random.default_rng([settings.seed, 33, hash_of(shot.paths[0])])
             look, quality = photo.any_camera(look, rng), int(rng.integers(40, 93))
         noise = np.random.default_rng([settings.seed, 32, hash_of(shot.paths[0])])
@@ -284,7 +284,9 @@ def check_folder(settings: Settings, out: Path) -> None:
         if is_newer(held.get("format"), WORLD):
             raise OutputError(newer_version(file, held["format"], WORLD))
         # Worlds were made before there were any of these.
-        had = {**dict.fromkeys(_ADDED, 0), "varied": False, **held["settings"]}
+        had = {**dict.fromkeys(_ADDED, 0), "vary": [], **held["settings"]}
+        # A world was once varied as a whole.
+        had["vary"] = ("days", "cameras", "poses") if had.pop("varied", False) else tuple(had["vary"])
         same = {**had, **{name: wanted[name] for name in _ADDED}} == wanted
         fewer = [name for name in _ADDED if wanted[name] < had[name]]
         edition = held["edition"]

@@ -92,6 +92,14 @@ def building(look: Architecture) -> Mesh:
     return mesh
 
 
+def snow(mesh: Mesh, amount: float, colour: Colour) -> None:
+    """Cover the roofs of a building with snow: wholly at 1, not at all at 0."""
+    for i, (material, tint) in enumerate(zip(mesh.materials, mesh.tints, strict=True)):
+        if material.startswith("roof"):
+            red, green, blue = (own + amount * (white - own) for own, white in zip(tint, colour, strict=True))
+            mesh.tints[i] = red, green, blue
+
+
 def _part(mesh: Mesh, part: Volume, start: float) -> None:
     ring = np.array(part.outline)
     if area(ring) < 0:

@@ -18,20 +18,25 @@ from lpn.world.streets import beside
 
 @dataclass(frozen=True)
 class Season:
-    """The appearance of plants on one day.
+    """The appearance of plants and ground on one day.
 
     Attributes:
         grass, dry: reflectance of watered and of dry grass.
         dryness: fraction of dry grass, 0 to 1.
         leaves: reflectances of leaves.
+        pavement: factor of the reflectance of hard ground (red, green, blue).
+        snow: how much of the ground has snow, 0 to 1; streets are cleared.
     """
 
     grass: Colour
     dry: Colour
     dryness: float
     leaves: tuple[Colour, ...]
+    pavement: Colour = (1.0, 1.0, 1.0)
+    snow: float = 0.0
 
 
+SNOW: Colour = (0.76, 0.78, 0.82)
 ASPHALT: Colour = (0.125, 0.125, 0.13)
 PAVING: Colour = (0.33, 0.315, 0.285)
 LINE: Colour = (0.62, 0.62, 0.60)
@@ -74,6 +79,7 @@ def ground(
     for path in city.paths:
         if seen(path.line):
             colour, grain, blotch = _GROUND.get(path.surface, _GROUND["gravel"])
+            colour = _hard(colour, season)
             canvas.line(path.line, path.width + 0.8, colour, 0.2, 0.35, 0.2)
             canvas.line(path.line, path.width, colour, grain, 0.92, blotch)
     for patch in city.patches:
@@ -83,9 +89,23 @@ def ground(
         ring = city.footprint(building)
         if seen(ring):
             canvas.fill(_grown(ring, 1.3), (0.24, 0.22, 0.18), 0.15, 0.3, 0.45, soft=0.5)
+    _snow(canvas, season.snow)
     _streets(canvas, [street for street in city.streets if seen(street.line)], season)
     _river(canvas, city, window)
     return np.clip(canvas.colour, 0.005, 0.85), np.clip(canvas.water, 0, 1)
+
+
+def _hard(colour: Colour, season: Season, factor: float = 1.0) -> Colour:
+    red, green, blue = (factor * value * gain for value, gain in zip(colour, season.pavement, strict=True))
+    return red, green, blue
+
+
+def _snow(canvas: Canvas, amount: float) -> None:
+    """Cover the ground with snow: all of it at 1, in blotches below, and nothing at 0."""
+    if amount:
+        everything = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
+        cover = np.clip(2.4 * amount - 0.9 + 0.35 * canvas.field(7, *everything), 0, 0.96)[..., None]
+        canvas.colour += (cover * (1 - canvas.water[..., None])).astype(np.float32) * (SNOW - canvas.colour)
 
 
 def _grown(ring: Float64Array, by: float) -> Float64Array:
@@ -121,8 +141,7 @@ def _surface(canvas: Canvas, polygon: Float64Array, surface: str, season: Season
             canvas.fill(polygon, (0.09, 0.075, 0.04), 0.2, 0.3, 0.6)
     else:
         colour, grain, blotch = _GROUND[surface]
-        factor = 0.8 + 0.4 * shade
-        canvas.fill(polygon, tuple(factor * v for v in colour), grain, blotch)  # type: ignore[arg-type]
+        canvas.fill(polygon, _hard(colour, season, 0.8 + 0.4 * shade), grain, blotch)
         _stains(canvas, polygon)
 
 
@@ -207,7 +226,7 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     elif patch.surface == "parking":
         colour, grain, blotch = _GROUND["parking"]
         canvas.fill(_grown(patch.polygon, 0.4), PAVING, 0.06, 0.1)
-        canvas.fill(patch.polygon, tuple((0.7 + 0.8 * patch.shade) * v for v in colour), grain, blotch)  # type: ignore[arg-type]
+        canvas.fill(patch.polygon, _hard(colour, season, 0.7 + 0.8 * patch.shade), grain, blotch)
         _stains(canvas, patch.polygon, 0.006)
         for y in parking_rows(width):
             for x in np.arange(-length / 2 + 0.15, length / 2, 2.5):
@@ -275,8 +294,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10) + 1)
         tone = rng.uniform(0.6, 1.15)
-        paving: Colour = (PAVING[0] * tone, PAVING[1] * tone, PAVING[2] * tone)
-        canvas.line(street.line, street.width + 2 * street.pavement, paving, 0.08, 1.0, 0.16)
+        canvas.line(street.line, street.width + 2 * street.pavement, _hard(PAVING, season, tone), 0.08, 1.0, 0.16)
         if street.pavement > 1.5 and rng.random() < 0.4:  # a verge between kerb and pavement
             for side in (-1, 1):
                 canvas.line(beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
@@ -286,7 +304,7 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[0].sum()) * 10))
         factor = rng.uniform(0.8, 1.8)
-        canvas.line(street.line, street.width, tuple(factor * v for v in ASPHALT), 0.07, 1.0, 0.14)  # type: ignore[arg-type]
+        canvas.line(street.line, street.width, _hard(ASPHALT, season, factor), 0.07, 1.0, 0.14)
     for street in streets:
         rng = np.random.default_rng(int(abs(street.line[-1].sum()) * 10))
         offsets = (-5.3, -1.9, 1.9, 5.3) if street.kind == "arterial" else (-1.6, 1.6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -12,6 +13,7 @@ from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world.architecture import Colour
 from lpn.world.cameras import Pose
 from lpn.world.paint import Season
+from lpn.world.variety import Factor, Materials
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,9 @@ class Look:
         noise: deviation of the displayed sensor noise.
         traffic: seed of the vehicles.
         clouds: fraction of the sky with clouds, 0 to 1.
+        cars: factor of how many vehicles there are.
+        unbuilt: share of the buildings that do not stand on this day; all stand that are photographed.
+        materials: those of the district; None for those of the plan.
     """
 
     season: Season
@@ -44,6 +49,9 @@ class Look:
     noise: float
     traffic: int
     clouds: float = 0.0
+    cars: float = 1.0
+    unbuilt: float = 0.0
+    materials: Materials | None = None
 
 
 _METER = 0.1  # usual light of a scene, as a mean of logarithms
@@ -68,6 +76,7 @@ SATELLITES = (
 _AUTUMN = ((0.11, 0.095, 0.02), (0.17, 0.09, 0.02), (0.05, 0.07, 0.022), (0.20, 0.10, 0.02), (0.13, 0.11, 0.03))
 # Twigs and some evergreens.
 _BARE = ((0.10, 0.085, 0.06), (0.085, 0.075, 0.055), (0.04, 0.06, 0.025), (0.12, 0.10, 0.075), (0.09, 0.08, 0.05))
+_SNOWY = 0.35  # of a varied world's days, with its factor snow
 # The day of a flight, in autumn, and that of its map, in spring.
 FLIGHT = replace(
     DRONE, season=Season((0.11, 0.12, 0.045), (0.25, 0.20, 0.09), 0.55, _AUTUMN), sun=(34.0, 190.0), exposure=1.75,
@@ -85,16 +94,21 @@ STREETS = (
 )  # fmt: skip
 
 
-def drone_look(seed: int, district: int, any_day: bool = False) -> Look:
-    """Vary the drone's day for a district, or draw any day of the year."""
+def drone_look(seed: int, district: int, vary: Sequence[Factor] = ()) -> Look:
+    """Vary the drone's day for a district, or draw any day of the year, and what else varies in the world."""
     rng = np.random.default_rng([seed, 41, district])
-    return _any_day(rng) if any_day else _varied(DRONE, rng)
+    look = _any_day(rng) if "days" in vary else _varied(DRONE, rng)
+    return _altered(look, (seed, district, 0), vary)
 
 
-def satellite_look(seed: int, district: int, any_day: bool = False) -> Look:
-    """Draw the satellite's day for a district: a variation of one of a few, or any day of the year."""
+def satellite_look(seed: int, district: int, vary: Sequence[Factor] = ()) -> Look:
+    """Draw the satellite's day for a district: a variation of one of a few, or any day, and what else varies in the world."""
     rng = np.random.default_rng([seed, 42, district])
-    return _any_day(rng) if any_day else _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
+    look = _any_day(rng) if "days" in vary else _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
+    look = _altered(look, (seed, district, 1), vary)
+    if "construction" not in vary:
+        return look
+    return replace(look, unbuilt=float(np.random.default_rng([seed, 49, district]).uniform(0, 0.15)))
 
 
 def street_look(seed: int, district: int) -> Look:
@@ -143,6 +157,21 @@ def _any_day(rng: np.random.Generator) -> Look:
     season = Season(_colour(green), _colour(dry), float(rng.uniform(0.05, 0.9)), leaves)
     sun = float(rng.uniform(24, 66)), float(rng.uniform(95, 265))
     return replace(DRONE, season=season, sun=sun, traffic=int(rng.integers(100, 1_000_000)))
+
+
+def _altered(look: Look, day: tuple[int, int, int], vary: Sequence[Factor]) -> Look:
+    """Draw materials, traffic, and snow, each on its own, for a day of a district: seed, district, and number of the day."""
+    seed, district, _ = day
+    if "materials" in vary:
+        materials = Materials.draw(seed, district)
+        look = replace(look, materials=materials, season=replace(look.season, pavement=materials.pavement))
+    if "traffic" in vary:
+        look = replace(look, cars=float(np.random.default_rng([50, *day]).uniform(0, 2)))
+    if "snow" in vary:
+        rng = np.random.default_rng([51, *day])
+        if rng.random() < _SNOWY:
+            look = replace(look, season=replace(look.season, leaves=_BARE, snow=float(rng.uniform(0.3, 1))))
+    return look
 
 
 def _colour(values: Float64Array) -> Colour:

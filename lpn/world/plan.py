@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -27,7 +27,7 @@ from lpn.world.city import (
     Trees,
 )  # fmt: skip
 from lpn.world.districts import develop
-from lpn.world.geometry import Waves, inset
+from lpn.world.geometry import Waves, area, inset
 from lpn.world.grounds import along_street
 from lpn.world.plot import ArchitecturePool, Plot
 from lpn.world.streets import ARTERIAL, RIM, SIDE, STRIP, Quad, Warp, densified, divide, margin, street
@@ -61,8 +61,11 @@ _BLOCKS: dict[Character, tuple[float, float, float]] = {  # longest, widest, sla
 }
 
 
-def plan_city(seed: int, buildings: int) -> City:
+def plan_city(seed: int, buildings: int, varied: bool = False) -> City:
     """Plan a city around `buildings` targets.
+
+    Args:
+        varied: draw how much streets bend and slant, and how large the blocks of each district are.
 
     Raises:
         InputError: when the seed is negative or fewer than 2 buildings are asked for.
@@ -72,13 +75,41 @@ def plan_city(seed: int, buildings: int) -> City:
             f"The world has seed {seed} and {buildings} buildings; expected a seed from 0, 2 buildings or more."
         )
     for more in range(1, 6):
-        city = _attempt(seed, buildings, more)
+        city = _attempt(seed, buildings, more, _Style.draw(seed) if varied else _Style())
         if city is not None:
             return city
     raise InputError(f"No city with {buildings} buildings came of seed {seed}; try another seed.")
 
 
-def _attempt(seed: int, wanted: int, more: int) -> City | None:
+@dataclass(frozen=True)
+class _Style:
+    """How a city is laid out.
+
+    Attributes:
+        bend: about how far waves bend streets, in metres.
+        jitter: how far the corners of districts lie off a square grid, in metres at most.
+        slant: factor of the slant of streets within districts.
+        spread: how many times larger or smaller the blocks of a district may be.
+    """
+
+    bend: float = 24.0
+    jitter: float = 32.0
+    slant: float = 1.0
+    spread: float = 1.0
+
+    @classmethod
+    def draw(cls, seed: int) -> _Style:
+        rng = np.random.default_rng([seed, 8])
+        return cls(*map(float, (rng.uniform(0, 55), rng.uniform(0, 50), rng.uniform(0, 2), 1.4)))
+
+    def blocks(self, character: Character, seed: int, column: int, row: int) -> tuple[float, float, float]:
+        """Return length, width, and slant of a district's blocks at most."""
+        long, wide, slant = _BLOCKS[character]
+        scale = float(np.exp(np.random.default_rng([seed, 9, column, row]).uniform(-1, 1) * np.log(self.spread)))
+        return long * scale, wide * scale, slant * self.slant
+
+
+def _attempt(seed: int, wanted: int, more: int, style: _Style) -> City | None:
     rng = np.random.default_rng([seed, 1])
     count = max(2, round(wanted / PER_DISTRICT) + (more - 1) * max(1, round(wanted / PER_DISTRICT / 5)))
     rows = max(1, round(np.sqrt(count * 0.8)))
@@ -88,10 +119,10 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
     heights = [RIM] + [SIDE] * rows + [RIM]
     xs = np.concatenate([[0], np.cumsum(widths)]) - sum(widths) / 2
     ys = np.concatenate([[0], np.cumsum(heights)]) - sum(heights) / 2
-    warp = Warp(Waves.draw(rng, 24, 700, 2200), Waves.draw(rng, 24, 700, 2200))
+    warp = Warp(Waves.draw(rng, style.bend, 700, 2200), Waves.draw(rng, style.bend, 700, 2200))
     nodes = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1)
     inner = nodes[1:-1, 1:-1]
-    inner += rng.uniform(-32, 32, inner.shape)
+    inner += rng.uniform(-style.jitter, style.jitter, inner.shape)
     # The river's banks stay as far apart as they were drawn.
     drift = rng.uniform(-30, 30, len(ys))
     nodes[west + 1, :, 0], nodes[west + 2, :, 0] = xs[west + 1] + drift, xs[west + 2] + drift
@@ -123,10 +154,12 @@ def _attempt(seed: int, wanted: int, more: int) -> City | None:
         own = np.random.default_rng([seed, 3, i, j])
         quad = Quad(corners, (margin("arterial"),) * 4)
         for number, piece in enumerate(
-            divide(quad, *_BLOCKS[character], own, warp, streets, character == "countryside")
+            divide(quad, *style.blocks(character, seed, i, j), own, warp, streets, character == "countryside")
         ):
             block_rng = np.random.default_rng([seed, 4, i, j, number])
             outline = inset(warp(piece.corners), np.array(piece.margins))
+            if area(outline) <= 0:  # its streets take all of it
+                continue
             plot = Plot(outline, districts[-1], block_rng, draft, pools, terrain)
             surface = develop(plot)
             blocks.append(Block(outline, districts[-1].number, surface))

@@ -22,6 +22,7 @@ from lpn.world.cameras import Panorama, Pose, SatelliteImage
 from lpn.world.city import SPECIES, VEHICLES, City
 from lpn.world.flight_plan import AerialPose
 from lpn.world.photo import Look
+from lpn.world.variety import unbuilt
 
 SCALE = 0.25  # metres a pixel of the ground's texture
 _VARIANTS = 4
@@ -199,13 +200,17 @@ class BlenderScene:
     def _buildings(self) -> None:
         city = self._city
         made: dict[int, Any] = {}
+        materials, missing = self._look.materials, unbuilt(city, self._look.unbuilt, self._look.traffic)
         x, y = (np.array([getattr(b, k) for b in city.buildings]) for k in ("x", "y"))
         for i in self._seen(x, y, 20):
+            if i in missing:
+                continue
             b = city.buildings[i]
             if b.architecture not in made:
-                made[b.architecture] = self._mesh(
-                    f"look {b.architecture}", meshes.building(city.architectures[b.architecture])
-                )
+                look = city.architectures[b.architecture]
+                shape = meshes.building(materials.dress(look, b.architecture) if materials else look)
+                meshes.snow(shape, self._look.season.snow, paint.SNOW)
+                made[b.architecture] = self._mesh(f"look {b.architecture}", shape)
             self._put(made[b.architecture], _matrix(b.x, b.y, city.height(b.x, b.y), b.angle), f"building {i}")
 
     def _trees(self) -> None:
@@ -227,7 +232,7 @@ class BlenderScene:
     def _vehicles(self) -> None:
         stalls = self._city.stalls
         draw = np.random.default_rng([self._city.seed, 12, self._look.traffic])
-        there = draw.random(len(stalls.x)) < stalls.chance
+        there = draw.random(len(stalls.x)) < stalls.chance * self._look.cars
         colours = draw.integers(len(_PAINTS), size=len(stalls.x))
         shift = draw.normal(0, 0.25, (2, len(stalls.x)))
         shapes = [self._mesh(kind, meshes.vehicle(kind)) for kind in VEHICLES]

@@ -10,7 +10,7 @@ import json
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from lpn.cli import main
 from lpn.core.errors import InputError, OutputError
 from lpn.datasets import Picture, open_dataset
 from lpn.datasets.geo import Position, Positions, camera, metres
-from lpn.world import cameras, photo
+from lpn.world import cameras, meshes, paint, photo
 from lpn.world.atlas import SIGHT, Atlas, Settings, make_atlas
 from lpn.world.build import RenderShare, Tally, build_world, check_folder
 from lpn.world.canvas import Canvas
@@ -31,6 +31,7 @@ from lpn.world.geometry import area, overlap, rectangle, segment_distance, withi
 from lpn.world.ground_level import GroundLevel
 from lpn.world.plan import SPACING, plan_city
 from lpn.world.surroundings import Obstacles
+from lpn.world.variety import FACTORS, Materials, unbuilt
 
 SETTINGS = Settings(seed=5, buildings=24, views=4, pixels=48, tile_pixels=64, samples=1)
 WALKED = replace(SETTINGS, streets=3, panoramas=2)
@@ -210,8 +211,9 @@ def test_poses_of_a_varied_world_look_at_the_building_from_anywhere_and_see_no_g
     assert poses == cameras.any_drone_poses(aim, 200, SIGHT, np.random.default_rng(1))
 
 
-def test_a_varied_world_has_the_same_plan_and_tiles_and_other_poses(atlas: Atlas) -> None:
-    varied = make_atlas(replace(SETTINGS, varied=True))
+def test_a_world_of_varied_poses_has_the_same_plan_and_tiles(atlas: Atlas) -> None:
+    varied = make_atlas(replace(SETTINGS, vary=("days", "cameras", "poses", "materials", "snow")))
+    assert varied.city.buildings == atlas.city.buildings
     assert [shot.paths for shot in varied.shots] == [shot.paths for shot in atlas.shots]
     for one, other in zip(varied.shots, atlas.shots, strict=True):
         assert (one.camera == other.camera) == (one.view == "satellite")
@@ -219,17 +221,111 @@ def test_a_varied_world_has_the_same_plan_and_tiles_and_other_poses(atlas: Atlas
 
 
 def test_days_and_cameras_of_a_varied_world_differ() -> None:
-    days = [photo.drone_look(1, district, any_day=True) for district in range(40)]
+    days = [photo.drone_look(1, district, ["days"]) for district in range(40)]
     assert len({day.season.leaves for day in days}) == 6
     assert min(day.sun[0] for day in days) < 30 < 60 < max(day.sun[0] for day in days)
     assert len({day.traffic for day in days}) == 40
-    assert photo.satellite_look(1, 3, any_day=True) != photo.drone_look(1, 3, any_day=True)
-    assert photo.drone_look(1, 3, any_day=True) == days[3]
+    assert photo.satellite_look(1, 3, ["days"]) != photo.drone_look(1, 3, ["days"])
+    assert photo.drone_look(1, 3, ["days"]) == days[3]
     light = np.full((32, 32, 3), 0.2, np.float32)
     rng = np.random.default_rng(0)
     pictures = [photo.develop(light, photo.any_camera(days[0], rng), rng) for _ in range(20)]
     assert np.ptp([picture.mean() for picture in pictures]) > 30
     assert np.ptp([picture.std(axis=(0, 1)).mean() for picture in pictures]) > 2
+
+
+def test_each_factor_changes_its_own_properties_of_a_day_and_no_other() -> None:
+    plain = photo.satellite_look(1, 3)
+    changed = {"materials": {"materials", "season"}, "traffic": {"cars"}, "construction": {"unbuilt"}, "days": {"sun"}}
+    for factor, names in changed.items():
+        varied = photo.satellite_look(1, 3, [factor])
+        differ = {f.name for f in fields(photo.Look) if getattr(varied, f.name) != getattr(plain, f.name)}
+        assert differ >= names
+        assert differ == names or factor == "days"
+        # Another factor beside it draws nothing else for it.
+        both = photo.satellite_look(1, 3, [factor, "cameras"])
+        assert both == varied
+    assert photo.satellite_look(1, 3, ["cameras", "poses", "plan"]) == plain
+    assert photo.drone_look(1, 3, ["construction"]) == photo.drone_look(1, 3)
+    cars = [photo.drone_look(1, district, ["traffic"]).cars for district in range(40)]
+    assert min(cars) < 0.2
+    assert max(cars) > 1.8
+    snow = [photo.drone_look(1, district, ["snow"]).season.snow for district in range(100)]
+    assert 20 < np.count_nonzero(snow) < 55
+    assert photo.satellite_look(1, 3, ["materials"]).materials == photo.drone_look(1, 3, ["materials"]).materials
+
+
+def test_no_building_that_is_photographed_is_under_construction(city: City) -> None:
+    missing = unbuilt(city, 0.5, 7)
+    photographed = {target.building for target in city.targets}
+    assert 0.35 * len(city.buildings) < len(missing) < 0.6 * len(city.buildings)
+    assert not missing & photographed
+    assert missing == unbuilt(city, 0.5, 7) != unbuilt(city, 0.5, 8)
+    assert unbuilt(city, 0.0, 7) == set()
+
+
+def test_materials_change_the_colours_of_a_building_and_not_its_shape(city: City) -> None:
+    one, other = Materials.draw(1, 3), Materials.draw(1, 4)
+    tints = set()
+    for number, architecture in enumerate(city.architectures):
+        dressed = one.dress(architecture, number)
+        assert dressed == one.dress(architecture, number)
+        assert dressed.outline == architecture.outline
+        for part, before in zip(dressed.parts, architecture.parts, strict=True):
+            tints.add(part.cover_tint)
+            assert (part.outline, part.eaves, part.roof) == (before.outline, before.eaves, before.roof)
+            pitched = before.cover in ("tiles", "seams")
+            assert (part.cover in ("tiles", "seams")) == pitched
+            if before.cover != "seats":
+                assert part.cover_tint in (one.pitched if pitched else one.flat)
+    assert len(tints) >= 7
+    assert one.dress(city.architectures[0], 0) != other.dress(city.architectures[0], 0)
+
+
+def test_snow_lies_on_roofs_and_ground_and_neither_on_streets_nor_on_water(city: City) -> None:
+    season = photo.DRONE.season
+    targets = [city.buildings[target.building] for target in city.targets]
+    west, north = targets[0].x - 120, targets[0].y + 120
+    bare, _ = paint.ground(city, west, north, 240, 1.0, season)
+    some, _ = paint.ground(city, west, north, 240, 1.0, replace(season, snow=0.4))
+    full, water = paint.ground(city, west, north, 240, 1.0, replace(season, snow=1.0))
+    white = (full.min(axis=-1) > 0.6).mean()
+    assert white > 0.4
+    assert 0 < (some.min(axis=-1) > 0.6).mean() < white
+    assert (bare.min(axis=-1) > 0.6).mean() < 0.05
+    assert np.array_equal(full[water == 1], bare[water == 1])
+    streets = [city.streets[i] for i in range(len(city.streets))]
+    cleared = 0
+    for street in streets:
+        at = ((street.line[len(street.line) // 2] - (west, north)) * (1, -1)).astype(int)
+        if (at >= 0).all() and (at < 240).all():
+            cleared += 1
+            assert np.array_equal(full[at[1], at[0]], bare[at[1], at[0]])
+    assert cleared > 0
+    shape = meshes.building(city.architectures[targets[0].architecture])
+    before = list(shape.tints)
+    meshes.snow(shape, 1.0, paint.SNOW)
+    for material, tint, was in zip(shape.materials, shape.tints, before, strict=True):
+        assert tint == (pytest.approx(paint.SNOW) if material.startswith("roof") else was)
+
+
+def test_pavements_of_a_district_have_its_colour(city: City) -> None:
+    season = photo.DRONE.season
+    west, north = city.buildings[city.targets[0].building].x - 120, city.buildings[city.targets[0].building].y + 120
+    bare, _ = paint.ground(city, west, north, 240, 1.0, season)
+    red, _ = paint.ground(city, west, north, 240, 1.0, replace(season, pavement=(1.5, 1.0, 1.0)))
+    ratio = red / bare
+    assert ratio[..., 0].max() == pytest.approx(1.5, rel=0.05)
+    assert np.median(ratio[..., 1]) == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(1, 9))
+def test_cities_of_varied_plans_have_blocks_of_several_sizes(seed: int) -> None:
+    plain, varied = plan_city(seed, 60), plan_city(seed, 60, varied=True)
+    assert len(varied.targets) == 60
+    assert varied.buildings != plain.buildings
+    assert all(area(block.polygon) > 0 for block in varied.blocks)
+    assert varied.buildings == plan_city(seed, 60, varied=True).buildings
 
 
 def test_what_lies_ahead_of_the_drone_is_higher_in_the_picture() -> None:
@@ -484,7 +580,7 @@ def test_another_world_in_the_folder_is_left_alone(tmp_path: Path, atlas: Atlas)
 
 def test_a_world_can_be_added_to_but_not_taken_from(tmp_path: Path, atlas: Atlas, walked: Atlas) -> None:
     old = json.loads(atlas.world_json())
-    for name in ("streets", "panoramas", "varied"):  # worlds were made before there were these settings
+    for name in ("streets", "panoramas", "vary"):  # worlds were made before there were these settings
         del old["settings"][name]
     (tmp_path / "world.json").write_text(json.dumps(old))
     check_folder(SETTINGS, tmp_path)
@@ -492,7 +588,15 @@ def test_a_world_can_be_added_to_but_not_taken_from(tmp_path: Path, atlas: Atlas
     with pytest.raises(OutputError, match="other settings"):
         check_folder(replace(WALKED, views=5), tmp_path)
     with pytest.raises(OutputError, match="other settings"):
-        check_folder(replace(SETTINGS, varied=True), tmp_path)
+        check_folder(replace(SETTINGS, vary=("days",)), tmp_path)
+    old["settings"]["varied"] = True  # as worlds were once varied
+    (tmp_path / "world.json").write_text(json.dumps(old))
+    check_folder(replace(SETTINGS, vary=("days", "cameras", "poses")), tmp_path)
+    with pytest.raises(OutputError, match="other settings"):
+        check_folder(SETTINGS, tmp_path)
+    snowy = replace(SETTINGS, vary=("snow", "plan"))
+    (tmp_path / "world.json").write_bytes(make_atlas(snowy).world_json())
+    check_folder(snowy, tmp_path)
     (tmp_path / "world.json").write_bytes(walked.world_json())
     check_folder(replace(WALKED, streets=4), tmp_path)
     with pytest.raises(OutputError, match="3 streets and 2 panoramas of each place; ask for as many or more"):
@@ -543,8 +647,8 @@ def test_a_small_world_is_rendered_resumed_and_repeated(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="other settings"):
         build_world(Settings(3, 2, 2, 40, 48, 1), first)
     varied = tmp_path / "varied"
-    build_world(replace(small, varied=True), varied)
-    assert all(_digest(varied / file.relative_to(first)) != kept[file] for file in kept)
+    build_world(replace(small, vary=FACTORS), varied)
+    assert all(_digest(file) not in kept.values() for file in varied.rglob("*.jpg"))
 
 
 def _digest(file: Path) -> str:
