@@ -43,4 +43,8 @@ def test_each_set_of_turns_is_averaged_and_searched(tmp_path: Path, model_file: 
         averaged = places[np.einsum("qnd,gnd->qg", total, tiles).argmax(axis=1)] == labels
         assert row["search"] == pytest.approx(100 * searched.mean())
         assert row["average"] == pytest.approx(100 * averaged.mean())
+        for name in ("average", "search"):
+            gain = row[f"{name} gain"]
+            assert gain["difference"] == pytest.approx(row[name] - found["rows"][0][name])
+            assert gain["interval"][0] <= gain["difference"] <= gain["interval"][1]
     assert [row["turns"] for row in found["rows"][:2]] == [[0], [-10, 0, 10]]

@@ -1,7 +1,8 @@
 """Measure queries that are described at several turns: `python -m tools.turned_queries DATA MODEL --out FILE [--every N]`.
 
 The model is calibrated on the pictures first. The answers to each set of turns are read in two ways: by the mean of the
-descriptors of all turns (average), and by the turn at which the tile is nearest (search).
+descriptors of all turns (average), and by the turn at which the tile is nearest (search). Each is compared with the queries as
+they are, with a 95 % interval (bootstrap over places).
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import msgspec
 import numpy as np
 
 import lpn
-from lpn.core.arrays import Float32Array, Int64Array
+from lpn.analysis.model_table import intervals
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.files import write_json
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
@@ -25,6 +27,7 @@ from lpn.retrieval import metrics
 from lpn.retrieval.calibration import calibrate
 from lpn.retrieval.protocol import averaged
 
+SEED, RESAMPLES = 0, 1000  # of the bootstrap
 # Degrees; the first set is the query as it is.
 TURNS = ((0,), (-10, 0, 10), (-20, 0, 20), (0, 90, 180, 270), tuple(range(0, 360, 45)))
 
@@ -48,14 +51,21 @@ def measure(data: Path, name: str, every: int = 1) -> dict[str, Any]:
         turn: found.read(model, queries, query_view, read, Change(rotate=float(turn)))
         for turn in sorted({*sum(TURNS, ())})
     }
-    rows = []
+    rows: list[dict[str, Any]] = []
+    as_it_is: list[Float64Array] = []
     for turns in TURNS:
         turned = np.stack([described[turn] for turn in turns])
         rows_of_turns = np.tile(np.arange(len(queries)), len(turns))
         mean, _ = averaged(np.concatenate(turned), rows_of_turns)
-        found_first = metrics.retrieve(mean, labels, tiles, places).recall(1)
-        nearest = 100 * float((places[searched(turned, tiles)] == labels).mean())
-        rows.append({"turns": list(turns), "average": found_first, "search": nearest})
+        nearest = (metrics.retrieve(mean, labels, tiles, places).best, searched(turned, tiles))
+        hits = [(places[one] == labels).astype(np.float64) for one in nearest]
+        as_it_is = as_it_is or hits
+        row: dict[str, Any] = {"turns": list(turns)}
+        gains = np.stack([one - before for one, before in zip(hits, as_it_is, strict=True)])
+        for name, hit, gain in zip(("average", "search"), hits, intervals(gains, labels, SEED, RESAMPLES), strict=True):
+            row[name] = 100 * float(hit.mean())
+            row[f"{name} gain"] = {"difference": gain.value, "interval": [gain.low, gain.high]}
+        rows.append(row)
     made = msgspec.to_builtins(here())
     made["command"] = made["command"].replace(f"{Path(__file__).name} ", "python -m tools.turned_queries ")
     return {"data": data.resolve().name, "model": name, "queries": len(queries), "rows": rows, **made}

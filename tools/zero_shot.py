@@ -1,4 +1,4 @@
-"""Measure groups of networks on pictures that none was trained on: `python -m tools.zero_shot DATA NAME=MODEL,MODEL ... --out FILE`.
+"""Measure groups of networks on pictures that none was trained on: `python -m tools.zero_shot DATA NAME=MODEL,MODEL --out FILE`.
 
 A group is one way of training with several seeds. Each network is read plain, calibrated, and calibrated with CSLS, in both
 directions. Each group is compared with the first one query by query, seed by seed, with 95 % intervals (bootstrap over places).

@@ -283,7 +283,9 @@ def _frames(city: City, target: Target, settings: Settings) -> list[PlannedPictu
     rng = np.random.default_rng([city.seed, 23, target.number])
     aim = _aim(city, target)
     poses = (
-        any_drone_poses(aim, settings.views, SIGHT, rng) if "poses" in settings.vary else drone_poses(aim, settings.views, rng)
+        any_drone_poses(aim, settings.views, SIGHT, rng)
+        if "poses" in settings.vary
+        else drone_poses(aim, settings.views, rng)
     )
     return [
         PlannedPicture(_paths(target, "drone", f"image-{i + 1:02d}.jpg"), target.number, "drone", pose)

@@ -61,7 +61,6 @@ ON_PANORAMAS: dict[str, dict[str, Any]] = {
     "lpn-strips": {"width": 256},
     "safa": {"size": 32, "width": 128},
     "safa-lpn": {"size": 32, "width": 128},
-    "safa-lpn on vgg16_bn": {"size": 32, "width": 256, "backbone": "vgg16_bn", "last_layer": "layer4"},
     "safa-lpn on vgg16": {
         "size": 32,
         "width": 256,
