@@ -26,6 +26,8 @@ from lpn.retrieval.published_results import load_saved
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 
+DEMO = Path(__file__).parents[3] / "assets" / "demo"
+
 TASK = "drone-to-satellite"
 
 
@@ -333,3 +335,28 @@ def test_terms_have_the_glossary_s_meaning() -> None:
     assert html.endswith(">Lead &lt;1&gt;</span>")
     with pytest.raises(KeyError):
         terms.term("no such term")
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_on_the_demo_what_comes_from_no_place_is_what_the_constants_of_both_tiles_make(found: bool) -> None:
+    demo = open_model(DEMO, DEMO / "lpn.onnx")
+    before = query(demo, found)
+    analysis = analyse(demo, replace(before.state, why=True))
+    lead = answer_text.lead(analysis)
+    assert lead is not None
+    assert analysis.query.trace is not None
+    weights = analysis.ranking.weights
+    answer, other = (
+        float(
+            (
+                explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index)).constants * weights
+            ).sum()
+        )
+        for index in (before.matches[0].index, lead.index)
+    )
+    rest = (1 if found else -1) * 2 * (answer - other)
+    assert abs(rest) > 0.005, "the demo's network has constants"
+    shown = text(first_screen.page(analysis, demo))
+    assert f"A further {rest:+.3f} comes from no place".replace("-", "−") in shown
+    assert f"All places together make {lead.total - rest:+.3f}.".replace("-", "−") in shown
+    assert f"and speaks for {lead.leader if rest > 0 else lead.follower}." in shown
