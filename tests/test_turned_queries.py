@@ -25,7 +25,7 @@ def test_each_set_of_turns_is_averaged_and_searched(tmp_path: Path, model_file: 
     command = [sys.executable, "-m", "tools.turned_queries", str(data), str(model_file), "--out", str(out)]
     subprocess.run(command, check=True, cwd=ROOT)
     found = json.loads(out.read_bytes())
-    assert (found["queries"], found["data"]) == (24, "places")
+    assert (found["queries"], found["data"], found["model"]) == (24, "places", str(model_file))
     # By hand, for the first set and for three turns.
     dataset, model = open_dataset(data), lpn.load(model_file)
     read = descriptor_reader(dataset.root)

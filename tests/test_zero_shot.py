@@ -21,25 +21,27 @@ def test_groups_have_the_figures_of_lpn_evaluate_and_differ_from_the_first_one_b
     tmp_path: Path, model_file: Path, one_part_model_file: Path
 ) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=1, test=24), tmp_path / "zero.json"
-    groups = [
-        f"one={model_file},{one_part_model_file}",
-        f"two={one_part_model_file},{model_file}",
-        f"three={model_file}",
-    ]
+    first, second = model_file, one_part_model_file
+    groups = [f"one={first},{second}", f"two={second},{first}", f"three={first}", f"four={first},{first}"]
     command = [sys.executable, "-m", "tools.zero_shot", str(data), *groups, "--out", str(out)]
     subprocess.run(command, check=True, cwd=ROOT)
     found = json.loads(out.read_bytes())
-    one, two, three = found["rows"]
+    one, two, three, four = found["rows"]
     dataset = open_dataset(data)
+    differs = set()
     for task in dataset.tasks():
         plain = one["tasks"][task]["plain"]
-        expected = [evaluate(lpn.load(file), dataset, task).recall["1"] for file in (model_file, one_part_model_file)]
+        expected = [evaluate(lpn.load(file), dataset, task).recall["1"] for file in (first, second)]
         assert plain["runs"] == pytest.approx(expected)
         assert plain["mean"] == pytest.approx(sum(expected) / 2)
         assert "difference" not in plain
         gain = two["tasks"][task]["plain"]
         assert gain["difference"] == pytest.approx(0)  # the same networks in another order
         assert gain["interval"][0] <= 0 <= gain["interval"][1]
+        gain = four["tasks"][task]["plain"]
+        assert gain["difference"] == pytest.approx((expected[0] - expected[1]) / 2)
+        differs.add(gain["difference"])
         assert "difference" not in three["tasks"][task]["plain"]  # another number of seeds
         assert set(three["tasks"][task]) == {"plain", "calibrated", "csls"}
+    assert differs != {0.0}
     assert found["command"].startswith("python -m tools.zero_shot ")

@@ -62,9 +62,11 @@ def measure(data: Path, name: str, every: int = 1) -> dict[str, Any]:
         as_it_is = as_it_is or hits
         row: dict[str, Any] = {"turns": list(turns)}
         gains = np.stack([one - before for one, before in zip(hits, as_it_is, strict=True)])
-        for name, hit, gain in zip(("average", "search"), hits, intervals(gains, labels, SEED, RESAMPLES), strict=True):
-            row[name] = 100 * float(hit.mean())
-            row[f"{name} gain"] = {"difference": gain.value, "interval": [gain.low, gain.high]}
+        for reading, hit, gain in zip(
+            ("average", "search"), hits, intervals(gains, labels, SEED, RESAMPLES), strict=True
+        ):
+            row[reading] = 100 * float(hit.mean())
+            row[f"{reading} gain"] = {"difference": gain.value, "interval": [gain.low, gain.high]}
         rows.append(row)
     made = msgspec.to_builtins(here())
     made["command"] = made["command"].replace(f"{Path(__file__).name} ", "python -m tools.turned_queries ")

@@ -2,6 +2,7 @@
 
 A group is one way of training with several seeds. Each network is read plain, calibrated, and calibrated with CSLS, in both
 directions. Each group is compared with the first one query by query, seed by seed, with 95 % intervals (bootstrap over places).
+They are intervals of these networks, and do not include what other seeds would give.
 """
 
 from __future__ import annotations
@@ -66,8 +67,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     groups = {
-        name: [Path(file) for file in files.split(",")] for name, files in (one.split("=") for one in options.groups)
+        name: [Path(file) for file in files.split(",")]
+        for name, _, files in (one.partition("=") for one in options.groups)
     }
+    if len(groups) < len(options.groups) or not all(map(bool, groups)):
+        parser.error("expected a name of its own for each group, as in NAME=MODEL,MODEL")
     rows = measure(options.data, groups)
     made = msgspec.to_builtins(here())
     made["command"] = made["command"].replace(f"{Path(__file__).name} ", "python -m tools.zero_shot ")

@@ -37,7 +37,7 @@ class WorldCommand:
     panoramas: int = 0
     """Panoramas near each place, in cvusa/ with a tile around each; can be increased in an existing world."""
     vary: tuple[Factor | Literal["all"], ...] = ()
-    """What is drawn at random, for training: days (two of the year for each district), cameras, poses (in place of
+    """Properties to draw at random, for training: days (two of the year for each district), cameras, poses (in place of
     University-1652's spiral), materials (roofs, walls, pavements), traffic, construction, snow, and plan (streets and blocks)."""
     part: str = "1/1"
     """Part i/k of the work: k processes with the same --out render one world."""

@@ -44,7 +44,7 @@ class Settings:
         samples: light paths per pixel.
         streets: street-level pictures of each building.
         panoramas: panoramas near each building.
-        vary: what is drawn at random in place of what every world has, see `lpn.world.variety`; in the order of `FACTORS`.
+        vary: properties that are drawn at random, see `lpn.world.variety`; in the order of `FACTORS`.
     """
 
     seed: int

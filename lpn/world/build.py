@@ -190,7 +190,7 @@ class _SectorRenderer:
     def walks(self, sector: Sector, shots: list[PlannedPicture]) -> None:
         """Render street pictures and panoramas."""
         settings, tally = self.atlas.settings, self.tally
-        look = photo.street_look(settings.seed, sector.district)
+        look = photo.street_look(settings.seed, sector.district, settings.vary)
         made = self._scene(sector.x, sector.y, look, sector.reach + SIGHT)
         made.prepare_ground_view()
         for shot in shots:
@@ -285,8 +285,9 @@ def check_folder(settings: Settings, out: Path) -> None:
             raise OutputError(newer_version(file, held["format"], WORLD))
         # Worlds were made before there were any of these.
         had = {**dict.fromkeys(_ADDED, 0), "vary": [], **held["settings"]}
-        # A world was once varied as a whole.
-        had["vary"] = ("days", "cameras", "poses") if had.pop("varied", False) else tuple(had["vary"])
+        had["vary"] = tuple(had["vary"])
+        if not had.get("varied"):  # a world was once varied as a whole, or not
+            had.pop("varied", None)
         same = {**had, **{name: wanted[name] for name in _ADDED}} == wanted
         fewer = [name for name in _ADDED if wanted[name] < had[name]]
         edition = held["edition"]

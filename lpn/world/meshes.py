@@ -92,11 +92,15 @@ def building(look: Architecture) -> Mesh:
     return mesh
 
 
-def snow(mesh: Mesh, amount: float, colour: Colour) -> None:
-    """Cover the roofs of a building with snow: wholly at 1, not at all at 0."""
-    for i, (material, tint) in enumerate(zip(mesh.materials, mesh.tints, strict=True)):
-        if material.startswith("roof"):
-            red, green, blue = (own + amount * (white - own) for own, white in zip(tint, colour, strict=True))
+def whiten(mesh: Mesh, cover: float, colour: Colour) -> None:
+    """Cover all polygons that face up, but glass, with that fraction of a colour."""
+    corners, _, sizes, _ = mesh.arrays()
+    first = np.cumsum(sizes) - sizes
+    normals = np.cross(corners[first + 1] - corners[first], corners[first + 2] - corners[first])
+    level = np.abs(normals[:, 2]) > 0.5 * np.linalg.norm(normals, axis=1)
+    for i in np.flatnonzero(level):
+        if mesh.materials[i] != "glass":
+            red, green, blue = (own + cover * (new - own) for own, new in zip(mesh.tints[i], colour, strict=True))
             mesh.tints[i] = red, green, blue
 
 

@@ -100,11 +100,16 @@ def _hard(colour: Colour, season: Season, factor: float = 1.0) -> Colour:
     return red, green, blue
 
 
+def snow_cover(amount: float, uneven: Float32Array | float = 0.0) -> Float64Array:
+    """Return the fraction of a surface that is white, 0 to 0.96, where the day's snow is `amount`, 0 to 1."""
+    return np.asarray(np.clip(2.4 * amount - 0.9 + 0.35 * uneven, 0, 0.96), np.float64)
+
+
 def _snow(canvas: Canvas, amount: float) -> None:
     """Cover the ground with snow: all of it at 1, in blotches below, and nothing at 0."""
     if amount:
         everything = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
-        cover = np.clip(2.4 * amount - 0.9 + 0.35 * canvas.field(7, *everything), 0, 0.96)[..., None]
+        cover = snow_cover(amount, canvas.field(7, *everything))[..., None]
         canvas.colour += (cover * (1 - canvas.water[..., None])).astype(np.float32) * (SNOW - canvas.colour)
 
 
@@ -296,9 +301,11 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
         tone = rng.uniform(0.6, 1.15)
         canvas.line(street.line, street.width + 2 * street.pavement, _hard(PAVING, season, tone), 0.08, 1.0, 0.16)
         if street.pavement > 1.5 and rng.random() < 0.4:  # a verge between kerb and pavement
+            white = float(snow_cover(season.snow))
+            red, green, blue = (own + white * (snow - own) for own, snow in zip(season.grass, SNOW, strict=True))
             for side in (-1, 1):
                 canvas.line(beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
-                            season.grass, 0.15, 0.85, 0.25)  # fmt: skip
+                            (red, green, blue), 0.15, 0.85, 0.25)  # fmt: skip
     for street in streets:
         canvas.line(street.line, street.width + 0.35, (0.36, 0.35, 0.33), 0.05, 0.7)
     for street in streets:

@@ -33,8 +33,8 @@ class Look:
         traffic: seed of the vehicles.
         clouds: fraction of the sky with clouds, 0 to 1.
         cars: factor of how many vehicles there are.
-        unbuilt: share of the buildings that do not stand on this day; all stand that are photographed.
-        materials: those of the district; None for those of the plan.
+        unbuilt: probability that a building does not stand on this day; all stand that are photographed.
+        materials: each district has materials of its own, see `lpn.world.variety`; else they are those of the plan.
     """
 
     season: Season
@@ -51,7 +51,7 @@ class Look:
     clouds: float = 0.0
     cars: float = 1.0
     unbuilt: float = 0.0
-    materials: Materials | None = None
+    materials: bool = False
 
 
 _METER = 0.1  # usual light of a scene, as a mean of logarithms
@@ -95,26 +95,25 @@ STREETS = (
 
 
 def drone_look(seed: int, district: int, vary: Sequence[Factor] = ()) -> Look:
-    """Vary the drone's day for a district, or draw any day of the year, and what else varies in the world."""
+    """Vary the drone's day for a district, and draw what else varies in the world."""
     rng = np.random.default_rng([seed, 41, district])
-    look = _any_day(rng) if "days" in vary else _varied(DRONE, rng)
-    return _altered(look, (seed, district, 0), vary)
+    return _altered(_varied(DRONE, rng), seed, district, 0, vary)
 
 
 def satellite_look(seed: int, district: int, vary: Sequence[Factor] = ()) -> Look:
-    """Draw the satellite's day for a district: a variation of one of a few, or any day, and what else varies in the world."""
+    """Draw the satellite's day for a district, a variation of one of a few, and what else varies in the world."""
     rng = np.random.default_rng([seed, 42, district])
-    look = _any_day(rng) if "days" in vary else _varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng)
-    look = _altered(look, (seed, district, 1), vary)
+    look = _altered(_varied(SATELLITES[int(rng.integers(len(SATELLITES)))], rng), seed, district, 1, vary)
     if "construction" not in vary:
         return look
     return replace(look, unbuilt=float(np.random.default_rng([seed, 49, district]).uniform(0, 0.15)))
 
 
-def street_look(seed: int, district: int) -> Look:
-    """Draw the pedestrians' day for a district: a variation of one of a few."""
+def street_look(seed: int, district: int, vary: Sequence[Factor] = ()) -> Look:
+    """Draw the pedestrians' day for a district: a variation of one of a few, with the materials of the other days."""
     rng = np.random.default_rng([seed, 43, district])
-    return _varied(STREETS[int(rng.integers(len(STREETS)))], rng)
+    look = _varied(STREETS[int(rng.integers(len(STREETS)))], rng)
+    return _altered(look, seed, district, 2, ["materials"] if "materials" in vary else [])
 
 
 def flight_look(seed: int) -> Look:
@@ -149,29 +148,34 @@ def any_camera(look: Look, rng: np.random.Generator) -> Look:
     )
 
 
-def _any_day(rng: np.random.Generator) -> Look:
-    """Draw a day from spring to late autumn: plants, sun, and traffic."""
+def _altered(look: Look, seed: int, district: int, day: int, vary: Sequence[Factor]) -> Look:
+    """Draw the factors of a district's day, each from a stream of its own."""
+
+    def stream(number: int) -> np.random.Generator:
+        return np.random.default_rng([number, seed, district, day])
+
+    if "days" in vary:
+        season, sun = _any_day(stream(52))
+        look = replace(look, season=season, sun=sun)
+    if "materials" in vary:
+        pavement = Materials.draw(seed, district).pavement
+        look = replace(look, materials=True, season=replace(look.season, pavement=pavement))
+    if "traffic" in vary:
+        look = replace(look, cars=float(stream(50).uniform(0, 2)))
+    if "snow" in vary:
+        rng = stream(51)
+        if rng.random() < _SNOWY:
+            look = replace(look, season=replace(look.season, leaves=_BARE, snow=float(rng.uniform(0.4, 1))))
+    return look
+
+
+def _any_day(rng: np.random.Generator) -> tuple[Season, tuple[float, float]]:
+    """Draw plants and sun of a day from spring to late autumn."""
     leaves = (_SUMMER, _LATE, _SPRING, _DRY, _AUTUMN, _BARE)[int(rng.integers(6))]
     green = np.array([0.09, 0.135, 0.042]) * rng.uniform(0.7, 1.25, 3)
     dry = np.array([0.23, 0.19, 0.10]) * rng.uniform(0.75, 1.2, 3)
     season = Season(_colour(green), _colour(dry), float(rng.uniform(0.05, 0.9)), leaves)
-    sun = float(rng.uniform(24, 66)), float(rng.uniform(95, 265))
-    return replace(DRONE, season=season, sun=sun, traffic=int(rng.integers(100, 1_000_000)))
-
-
-def _altered(look: Look, day: tuple[int, int, int], vary: Sequence[Factor]) -> Look:
-    """Draw materials, traffic, and snow, each on its own, for a day of a district: seed, district, and number of the day."""
-    seed, district, _ = day
-    if "materials" in vary:
-        materials = Materials.draw(seed, district)
-        look = replace(look, materials=materials, season=replace(look.season, pavement=materials.pavement))
-    if "traffic" in vary:
-        look = replace(look, cars=float(np.random.default_rng([50, *day]).uniform(0, 2)))
-    if "snow" in vary:
-        rng = np.random.default_rng([51, *day])
-        if rng.random() < _SNOWY:
-            look = replace(look, season=replace(look.season, leaves=_BARE, snow=float(rng.uniform(0.3, 1))))
-    return look
+    return season, (float(rng.uniform(24, 66)), float(rng.uniform(95, 265)))
 
 
 def _colour(values: Float64Array) -> Colour:

@@ -27,7 +27,7 @@ from lpn.world.city import (
     Trees,
 )  # fmt: skip
 from lpn.world.districts import develop
-from lpn.world.geometry import Waves, area, inset
+from lpn.world.geometry import Waves, inset
 from lpn.world.grounds import along_street
 from lpn.world.plot import ArchitecturePool, Plot
 from lpn.world.streets import ARTERIAL, RIM, SIDE, STRIP, Quad, Warp, densified, divide, margin, street
@@ -103,7 +103,7 @@ class _Style:
         return cls(*map(float, (rng.uniform(0, 55), rng.uniform(0, 50), rng.uniform(0, 2), 1.4)))
 
     def blocks(self, character: Character, seed: int, column: int, row: int) -> tuple[float, float, float]:
-        """Return length, width, and slant of a district's blocks at most."""
+        """Return the greatest length, width, and slant of a district's blocks."""
         long, wide, slant = _BLOCKS[character]
         scale = float(np.exp(np.random.default_rng([seed, 9, column, row]).uniform(-1, 1) * np.log(self.spread)))
         return long * scale, wide * scale, slant * self.slant
@@ -157,8 +157,9 @@ def _attempt(seed: int, wanted: int, more: int, style: _Style) -> City | None:
             divide(quad, *style.blocks(character, seed, i, j), own, warp, streets, character == "countryside")
         ):
             block_rng = np.random.default_rng([seed, 4, i, j, number])
-            outline = inset(warp(piece.corners), np.array(piece.margins))
-            if area(outline) <= 0:  # its streets take all of it
+            bent = warp(piece.corners)
+            outline = inset(bent, np.array(piece.margins))
+            if style != _Style() and _crossed(outline, bent):  # its streets take all of it
                 continue
             plot = Plot(outline, districts[-1], block_rng, draft, pools, terrain)
             surface = develop(plot)
@@ -176,6 +177,12 @@ def _attempt(seed: int, wanted: int, more: int, style: _Style) -> City | None:
         tuple(draft.patches), tuple(draft.paths), tuple(draft.hedges), tuple(bridges), terrain,
         Trees(*_columns(draft.trees)), ParkingBays(*_columns(draft.stalls)), targets,
     )  # fmt: skip
+
+
+def _crossed(outline: Float64Array, corners: Float64Array) -> bool:
+    """Return True if an edge of an inset quad (4, 2) runs against that of the quad."""
+    inner, outer = (np.roll(quad, -1, axis=0) - quad for quad in (outline, corners))
+    return bool(((inner * outer).sum(axis=1) <= 0).any())
 
 
 def _forget_unused(draft: Draft) -> None:

@@ -22,7 +22,7 @@ from lpn.world.cameras import Panorama, Pose, SatelliteImage
 from lpn.world.city import SPECIES, VEHICLES, City
 from lpn.world.flight_plan import AerialPose
 from lpn.world.photo import Look
-from lpn.world.variety import unbuilt
+from lpn.world.variety import Materials, unbuilt
 
 SCALE = 0.25  # metres a pixel of the ground's texture
 _VARIANTS = 4
@@ -199,19 +199,23 @@ class BlenderScene:
 
     def _buildings(self) -> None:
         city = self._city
-        made: dict[int, Any] = {}
-        materials, missing = self._look.materials, unbuilt(city, self._look.unbuilt, self._look.traffic)
+        made: dict[tuple[int, int], Any] = {}
+        missing = unbuilt(city, self._look.unbuilt)
         x, y = (np.array([getattr(b, k) for b in city.buildings]) for k in ("x", "y"))
         for i in self._seen(x, y, 20):
             if i in missing:
                 continue
             b = city.buildings[i]
-            if b.architecture not in made:
+            key = b.architecture, b.district if self._look.materials else 0
+            if key not in made:
                 look = city.architectures[b.architecture]
-                shape = meshes.building(materials.dress(look, b.architecture) if materials else look)
-                meshes.snow(shape, self._look.season.snow, paint.SNOW)
-                made[b.architecture] = self._mesh(f"look {b.architecture}", shape)
-            self._put(made[b.architecture], _matrix(b.x, b.y, city.height(b.x, b.y), b.angle), f"building {i}")
+                if self._look.materials:
+                    look = Materials.draw(city.seed, b.district).dress(look, b.architecture)
+                shape = meshes.building(look)
+                if self._look.season.snow:
+                    meshes.whiten(shape, float(paint.snow_cover(self._look.season.snow)), paint.SNOW)
+                made[key] = self._mesh(f"look {b.architecture} {b.district}", shape)
+            self._put(made[key], _matrix(b.x, b.y, city.height(b.x, b.y), b.angle), f"building {i}")
 
     def _trees(self) -> None:
         trees = self._city.trees

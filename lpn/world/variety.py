@@ -1,4 +1,4 @@
-"""What a varied world draws at random: its factors, the materials of its districts, and buildings that do not stand yet."""
+"""Factors that a varied world draws at random, the materials of its districts, and its buildings that do not stand yet."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Literal, get_args
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.world.architecture import FLAT, PITCHED, Architecture, Colour, Volume
+from lpn.world.architecture import FLAT, Architecture, Colour, Volume
 from lpn.world.city import City
 
 Factor = Literal["days", "cameras", "poses", "materials", "traffic", "construction", "snow", "plan"]
 """A property of a varied world.
 
-days: two days of the year for each district, one of the drone and one of the satellite.
+days: two days from spring to late autumn for each district, one of the drone and one of the satellite.
 cameras: exposure, colours, haze, blur, noise, and compression of each picture.
 poses: height, tilt, lens, and ground of each drone picture.
 materials: roofs, walls, and pavements of each district.
@@ -24,64 +24,57 @@ snow: some days have it.
 plan: bends and slants of streets, and sizes of blocks in each district.
 """
 FACTORS: tuple[Factor, ...] = get_args(Factor)
-_LAID = {style for style, _ in FLAT}  # coverings of flat roofs; those of pitched ones are laid in rows
-_ROWS = tuple(dict.fromkeys(style for style, _ in PITCHED))
+_FLAT_COVERS = sorted({style for style, _ in FLAT})
 
 
 @dataclass(frozen=True)
 class Materials:
-    """The materials of a district, on all its days.
+    """The materials of a district, the same on all its days.
 
     Attributes:
-        seed: seeds of what an architecture has of its own.
-        flat, pitched: linear reflectances of roofs, from which each architecture has one.
+        seed, district: seed what an architecture has of its own.
+        flat, tiles: linear reflectances of flat and of tiled roofs, from which each architecture has one.
         wall: factor of the reflectance of walls (red, green, blue).
         pavement: factor of the reflectance of hard ground (red, green, blue).
     """
 
-    seed: tuple[int, int]
+    seed: int
+    district: int
     flat: tuple[Colour, ...]
-    pitched: tuple[Colour, ...]
+    tiles: tuple[Colour, ...]
     wall: Colour
     pavement: Colour
 
     @classmethod
     def draw(cls, seed: int, district: int) -> Materials:
-        """Draw the materials of a district: flat roofs of any grey with a tint, pitched ones from slate to clay."""
+        """Draw the materials of a district: flat roofs of any grey with a tint, tiles from slate to clay."""
         rng = np.random.default_rng([seed, 47, district])
         warm = np.array([1.0, 0.0, -1.0])
         flat = [np.exp(rng.uniform(*np.log((0.05, 0.6)))) * (1 + 0.2 * rng.normal() * warm) for _ in range(4)]
-        pitched = [rng.uniform(0.07, 0.28) * (1 + rng.uniform(-0.25, 0.75) * warm) for _ in range(3)]
-        return cls(
-            (seed, district),
-            tuple(map(_colour, flat)),
-            tuple(map(_colour, pitched)),
-            _factor(rng, 0.3),
-            _factor(rng, 0.4),
-        )
+        tiles = [rng.uniform(0.07, 0.28) * (1 + rng.uniform(-0.25, 0.75) * warm) for _ in range(3)]
+        wall, pavement = _factor(rng, 0.3), _factor(rng, 0.4)
+        return cls(seed, district, tuple(map(_colour, flat)), tuple(map(_colour, tiles)), wall, pavement)
 
     def dress(self, architecture: Architecture, number: int) -> Architecture:
-        """Give an architecture of the plan, its `number` there, the district's materials."""
-        rng = np.random.default_rng([*self.seed, 48, number])
-        flat, pitched = (colours[int(rng.integers(len(colours)))] for colours in (self.flat, self.pitched))
-        laid = sorted(_LAID)[int(rng.integers(len(_LAID)))]
-        rows = _ROWS[int(rng.integers(len(_ROWS)))]
+        """Give an architecture of the plan, its `number` there, the district's materials; metal and seats keep their texture."""
+        rng = np.random.default_rng([self.seed, 48, self.district, number])
+        flat, tiles = (colours[int(rng.integers(len(colours)))] for colours in (self.flat, self.tiles))
+        flat_cover = _FLAT_COVERS[int(rng.integers(len(_FLAT_COVERS)))]
 
         def dressed(part: Volume) -> Volume:
-            wall = _colour(np.array(part.wall_tint) * self.wall)
-            if part.cover in _LAID:
-                return replace(part, wall_tint=wall, cover=laid, cover_tint=flat)
-            if part.cover in _ROWS:
-                return replace(part, wall_tint=wall, cover=rows, cover_tint=pitched)
-            return replace(part, wall_tint=wall)
+            part = replace(part, wall_tint=_colour(np.array(part.wall_tint) * self.wall))
+            if part.cover in _FLAT_COVERS:
+                return replace(part, cover=flat_cover, cover_tint=flat)
+            tints = {"tiles": tiles, "seams": flat}
+            return replace(part, cover_tint=tints.get(part.cover, part.cover_tint))
 
         return replace(architecture, parts=tuple(map(dressed, architecture.parts)))
 
 
-def unbuilt(city: City, share: float, day: int) -> set[int]:
-    """Draw the buildings that do not stand on a day, by their numbers: that share of those that nobody photographs."""
+def unbuilt(city: City, share: float) -> set[int]:
+    """Draw buildings that do not stand yet, by their numbers: each that nobody photographs, with that probability."""
     photographed = {target.building for target in city.targets}
-    draw = np.random.default_rng([city.seed, 14, day]).random(len(city.buildings))
+    draw = np.random.default_rng([city.seed, 14]).random(len(city.buildings))
     return {int(i) for i in np.flatnonzero(draw < share)} - photographed
 
 

@@ -230,11 +230,10 @@
   const told = ({ target, type, isTrusted }) => {
     const tab = isTrusted && target.closest?.('[role="tab"]');
     if (!tab) return;
-    clearInterval(keeping);
     if (type === "click") newest = tab.textContent.trim(); // at once, as the page may be drawn anew before it is told
     const list = tab.closest(".mantine-Paper-root");
     const tell = () => {
-      const open = tabs().find((one) => list.contains(one) && selected(one));
+      const open = tabs().find((one) => list?.contains(one) && selected(one));
       if (open) lpn.send("tab", (newest = open.textContent.trim()));
     };
     setTimeout(tell, 50);

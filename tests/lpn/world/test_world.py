@@ -10,7 +10,7 @@ import json
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from lpn.world.canvas import Canvas
 from lpn.world.city import City
 from lpn.world.geometry import area, overlap, rectangle, segment_distance, within
 from lpn.world.ground_level import GroundLevel
-from lpn.world.plan import SPACING, plan_city
+from lpn.world.plan import _BLOCKS, SPACING, _Style, plan_city
 from lpn.world.surroundings import Obstacles
 from lpn.world.variety import FACTORS, Materials, unbuilt
 
@@ -224,7 +224,7 @@ def test_days_and_cameras_of_a_varied_world_differ() -> None:
     days = [photo.drone_look(1, district, ["days"]) for district in range(40)]
     assert len({day.season.leaves for day in days}) == 6
     assert min(day.sun[0] for day in days) < 30 < 60 < max(day.sun[0] for day in days)
-    assert len({day.traffic for day in days}) == 40
+    assert len({day.sun for day in days}) == 40
     assert photo.satellite_look(1, 3, ["days"]) != photo.drone_look(1, 3, ["days"])
     assert photo.drone_look(1, 3, ["days"]) == days[3]
     light = np.full((32, 32, 3), 0.2, np.float32)
@@ -234,34 +234,50 @@ def test_days_and_cameras_of_a_varied_world_differ() -> None:
     assert np.ptp([picture.std(axis=(0, 1)).mean() for picture in pictures]) > 2
 
 
-def test_each_factor_changes_its_own_properties_of_a_day_and_no_other() -> None:
-    plain = photo.satellite_look(1, 3)
-    changed = {"materials": {"materials", "season"}, "traffic": {"cars"}, "construction": {"unbuilt"}, "days": {"sun"}}
-    for factor, names in changed.items():
-        varied = photo.satellite_look(1, 3, [factor])
-        differ = {f.name for f in fields(photo.Look) if getattr(varied, f.name) != getattr(plain, f.name)}
-        assert differ >= names
-        assert differ == names or factor == "days"
-        # Another factor beside it draws nothing else for it.
-        both = photo.satellite_look(1, 3, [factor, "cameras"])
-        assert both == varied
-    assert photo.satellite_look(1, 3, ["cameras", "poses", "plan"]) == plain
+def _of_factors(look: photo.Look) -> dict[str, Any]:
+    """What each factor draws for a day."""
+    season = look.season
+    return {
+        "days": (look.sun, season.grass, season.dry, season.dryness),
+        "materials": (look.materials, season.pavement),
+        "traffic": look.cars,
+        "construction": look.unbuilt,
+        "snow": season.snow,
+    }
+
+
+def test_each_factor_changes_its_own_properties_of_a_day_and_neither_others_nor_the_camera() -> None:
+    district = next(i for i in range(40) if photo.satellite_look(1, i, ["snow"]).season.snow)
+    plain = photo.satellite_look(1, district)
+    of_plain = _of_factors(plain)
+    for factor in of_plain:
+        varied = photo.satellite_look(1, district, [factor])
+        found = _of_factors(varied)
+        assert {name for name in found if found[name] != of_plain[name]} == {factor}
+        camera = ("exposure", "balance", "contrast", "saturation", "haze", "blur", "noise", "traffic")
+        assert all(getattr(varied, name) == getattr(plain, name) for name in camera)
+        for other in FACTORS:
+            assert _of_factors(photo.satellite_look(1, district, [factor, other]))[factor] == found[factor]
+    assert photo.satellite_look(1, 3, ["cameras", "poses", "plan"]) == photo.satellite_look(1, 3)
     assert photo.drone_look(1, 3, ["construction"]) == photo.drone_look(1, 3)
     cars = [photo.drone_look(1, district, ["traffic"]).cars for district in range(40)]
     assert min(cars) < 0.2
     assert max(cars) > 1.8
     snow = [photo.drone_look(1, district, ["snow"]).season.snow for district in range(100)]
     assert 20 < np.count_nonzero(snow) < 55
-    assert photo.satellite_look(1, 3, ["materials"]).materials == photo.drone_look(1, 3, ["materials"]).materials
+    pavements = {
+        look(1, 3, FACTORS).season.pavement for look in (photo.drone_look, photo.satellite_look, photo.street_look)
+    }
+    assert pavements == {Materials.draw(1, 3).pavement}
+    assert _of_factors(photo.street_look(1, 3, FACTORS))["days"] == _of_factors(photo.street_look(1, 3))["days"]
 
 
 def test_no_building_that_is_photographed_is_under_construction(city: City) -> None:
-    missing = unbuilt(city, 0.5, 7)
+    missing = unbuilt(city, 0.5)
     photographed = {target.building for target in city.targets}
     assert 0.35 * len(city.buildings) < len(missing) < 0.6 * len(city.buildings)
     assert not missing & photographed
-    assert missing == unbuilt(city, 0.5, 7) != unbuilt(city, 0.5, 8)
-    assert unbuilt(city, 0.0, 7) == set()
+    assert set() == unbuilt(city, 0.0) < unbuilt(city, 0.1) < missing
 
 
 def test_materials_change_the_colours_of_a_building_and_not_its_shape(city: City) -> None:
@@ -274,18 +290,17 @@ def test_materials_change_the_colours_of_a_building_and_not_its_shape(city: City
         for part, before in zip(dressed.parts, architecture.parts, strict=True):
             tints.add(part.cover_tint)
             assert (part.outline, part.eaves, part.roof) == (before.outline, before.eaves, before.roof)
-            pitched = before.cover in ("tiles", "seams")
-            assert (part.cover in ("tiles", "seams")) == pitched
-            if before.cover != "seats":
-                assert part.cover_tint in (one.pitched if pitched else one.flat)
+            kept = {"tiles": one.tiles, "seams": one.flat, "seats": [before.cover_tint]}
+            assert part.cover == before.cover or before.cover not in kept
+            assert part.cover_tint in kept.get(before.cover, one.flat)
     assert len(tints) >= 7
     assert one.dress(city.architectures[0], 0) != other.dress(city.architectures[0], 0)
 
 
 def test_snow_lies_on_roofs_and_ground_and_neither_on_streets_nor_on_water(city: City) -> None:
     season = photo.DRONE.season
-    targets = [city.buildings[target.building] for target in city.targets]
-    west, north = targets[0].x - 120, targets[0].y + 120
+    bank = city.terrain.river.line[len(city.terrain.river.line) // 2]
+    west, north = bank[0] - 180, bank[1] + 120
     bare, _ = paint.ground(city, west, north, 240, 1.0, season)
     some, _ = paint.ground(city, west, north, 240, 1.0, replace(season, snow=0.4))
     full, water = paint.ground(city, west, north, 240, 1.0, replace(season, snow=1.0))
@@ -293,20 +308,26 @@ def test_snow_lies_on_roofs_and_ground_and_neither_on_streets_nor_on_water(city:
     assert white > 0.4
     assert 0 < (some.min(axis=-1) > 0.6).mean() < white
     assert (bare.min(axis=-1) > 0.6).mean() < 0.05
+    assert (water == 1).mean() > 0.1
     assert np.array_equal(full[water == 1], bare[water == 1])
-    streets = [city.streets[i] for i in range(len(city.streets))]
     cleared = 0
-    for street in streets:
+    for street in city.streets:
         at = ((street.line[len(street.line) // 2] - (west, north)) * (1, -1)).astype(int)
         if (at >= 0).all() and (at < 240).all():
             cleared += 1
             assert np.array_equal(full[at[1], at[0]], bare[at[1], at[0]])
     assert cleared > 0
-    shape = meshes.building(city.architectures[targets[0].architecture])
+    # Whatever faces up is white on a building, with what stands on its roof, but glass is not.
+    made = [meshes.building(architecture) for architecture in city.architectures]
+    shape = next(mesh for mesh in made if {"plain", "glass"} < set(mesh.materials))
     before = list(shape.tints)
-    meshes.snow(shape, 1.0, paint.SNOW)
-    for material, tint, was in zip(shape.materials, shape.tints, before, strict=True):
-        assert tint == (pytest.approx(paint.SNOW) if material.startswith("roof") else was)
+    meshes.whiten(shape, 1.0, paint.SNOW)
+    white_ones = {i for i, tint in enumerate(shape.tints) if tint == pytest.approx(paint.SNOW)}
+    assert {"plain"} < {shape.materials[i] for i in white_ones}
+    for i, (material, tint, was) in enumerate(zip(shape.materials, shape.tints, before, strict=True)):
+        assert material.startswith("roof") <= (i in white_ones)
+        assert i in white_ones or tint == was
+        assert i not in white_ones or material.startswith(("roof", "plain"))
 
 
 def test_pavements_of_a_district_have_its_colour(city: City) -> None:
@@ -319,13 +340,26 @@ def test_pavements_of_a_district_have_its_colour(city: City) -> None:
     assert np.median(ratio[..., 1]) == pytest.approx(1, abs=1e-6)
 
 
+def test_a_city_of_a_varied_plan_has_its_own_streets_and_sizes_of_blocks(city: City) -> None:
+    varied = plan_city(SETTINGS.seed, SETTINGS.buildings, varied=True)
+    assert len(varied.targets) == SETTINGS.buildings
+    assert varied.buildings == plan_city(SETTINGS.seed, SETTINGS.buildings, varied=True).buildings
+    sizes = [[area(block.polygon) for block in plan.blocks] for plan in (city, varied)]
+    assert min(sizes[1]) > 0
+    assert np.median(sizes[1]) != pytest.approx(np.median(sizes[0]), rel=0.02)
+    style = _Style.draw(SETTINGS.seed)
+    lengths = [style.blocks("housing", 1, column, 0)[0] / _BLOCKS["housing"][0] for column in range(60)]
+    assert 1 / 1.4 <= min(lengths) < 0.8
+    assert 1.25 < max(lengths) <= 1.4
+    assert _Style().blocks("housing", 1, 3, 0) == _BLOCKS["housing"]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 9))
-def test_cities_of_varied_plans_have_blocks_of_several_sizes(seed: int) -> None:
-    plain, varied = plan_city(seed, 60), plan_city(seed, 60, varied=True)
+def test_cities_of_varied_plans_hold_what_is_asked_for(seed: int) -> None:
+    varied = plan_city(seed, 60, varied=True)
     assert len(varied.targets) == 60
-    assert varied.buildings != plain.buildings
     assert all(area(block.polygon) > 0 for block in varied.blocks)
-    assert varied.buildings == plan_city(seed, 60, varied=True).buildings
 
 
 def test_what_lies_ahead_of_the_drone_is_higher_in_the_picture() -> None:
@@ -591,9 +625,12 @@ def test_a_world_can_be_added_to_but_not_taken_from(tmp_path: Path, atlas: Atlas
         check_folder(replace(SETTINGS, vary=("days",)), tmp_path)
     old["settings"]["varied"] = True  # as worlds were once varied
     (tmp_path / "world.json").write_text(json.dumps(old))
-    check_folder(replace(SETTINGS, vary=("days", "cameras", "poses")), tmp_path)
-    with pytest.raises(OutputError, match="other settings"):
-        check_folder(SETTINGS, tmp_path)
+    for vary in ((), ("days", "cameras", "poses")):
+        with pytest.raises(OutputError, match="other settings"):
+            check_folder(replace(SETTINGS, vary=vary), tmp_path)
+    old["settings"]["varied"] = False
+    (tmp_path / "world.json").write_text(json.dumps(old))
+    check_folder(SETTINGS, tmp_path)
     snowy = replace(SETTINGS, vary=("snow", "plan"))
     (tmp_path / "world.json").write_bytes(make_atlas(snowy).world_json())
     check_folder(snowy, tmp_path)
@@ -646,9 +683,21 @@ def test_a_small_world_is_rendered_resumed_and_repeated(tmp_path: Path) -> None:
     assert [_digest(second / file.relative_to(first)) for file in kept] == list(kept.values())
     with pytest.raises(OutputError, match="other settings"):
         build_world(Settings(3, 2, 2, 40, 48, 1), first)
-    varied = tmp_path / "varied"
-    build_world(replace(small, vary=FACTORS), varied)
-    assert all(_digest(file) not in kept.values() for file in varied.rglob("*.jpg"))
+
+
+@rendering
+def test_each_factor_changes_pictures(tmp_path: Path) -> None:
+    small = Settings(seed=2, buildings=2, views=1, pixels=40, tile_pixels=48, samples=1)
+    build_world(small, tmp_path / "plain")
+    plain = {file.relative_to(tmp_path / "plain"): _digest(file) for file in (tmp_path / "plain").rglob("*.jpg")}
+    for factor in FACTORS:
+        build_world(replace(small, vary=(factor,)), tmp_path / factor)
+        changed = {
+            file.parent.parent.name for file, digest in plain.items() if _digest(tmp_path / factor / file) != digest
+        }
+        views = {"poses": {"drone"}, "construction": {"satellite"}}.get(factor, {"drone", "satellite"})
+        seen = {view.rpartition("_")[2] for view in changed}
+        assert seen == views if factor != "snow" else seen <= views
 
 
 def _digest(file: Path) -> str:
