@@ -685,6 +685,7 @@ def test_a_small_world_is_rendered_resumed_and_repeated(tmp_path: Path) -> None:
         build_world(Settings(3, 2, 2, 40, 48, 1), first)
 
 
+@pytest.mark.slow
 @rendering
 def test_each_factor_changes_pictures(tmp_path: Path) -> None:
     small = Settings(seed=2, buildings=2, views=1, pixels=40, tile_pixels=48, samples=1)
