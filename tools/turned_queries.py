@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 import lpn
-from lpn.analysis.model_table import intervals
+from lpn.analysis.model_table import RESAMPLES, intervals
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.files import write_json
 from lpn.core.views import views_of
@@ -27,7 +27,7 @@ from lpn.retrieval import metrics
 from lpn.retrieval.calibration import calibrate
 from lpn.retrieval.protocol import averaged
 
-SEED, RESAMPLES = 0, 1000  # of the bootstrap
+SEED = 0  # of the bootstrap
 # Degrees; the first set is the query as it is.
 TURNS = ((0,), (-10, 0, 10), (-20, 0, 20), (0, 90, 180, 270), tuple(range(0, 360, 45)))
 
@@ -66,7 +66,7 @@ def measure(data: Path, name: str, every: int = 1) -> dict[str, Any]:
             ("average", "search"), hits, intervals(gains, labels, SEED, RESAMPLES), strict=True
         ):
             row[reading] = 100 * float(hit.mean())
-            row[f"{reading} gain"] = {"difference": gain.value, "interval": [gain.low, gain.high]}
+            row[f"{reading} gain"] = gain.difference()
         rows.append(row)
     made = msgspec.to_builtins(here())
     made["command"] = made["command"].replace(f"{Path(__file__).name} ", "python -m tools.turned_queries ")

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 import lpn
-from lpn.analysis.model_table import RankedModel, intervals, rank_model
+from lpn.analysis.model_table import RESAMPLES, RankedModel, intervals, rank_model
 from lpn.core.files import write_json
 from lpn.datasets import open_dataset
 from lpn.descriptors import descriptor_reader
@@ -24,7 +24,7 @@ from lpn.reproduce.record import here
 
 NEIGHBOURS = 3  # of CSLS
 READINGS = {"plain": (False, 0), "calibrated": (True, 0), "csls": (True, NEIGHBOURS)}
-SEED, RESAMPLES = 0, 1000  # of the bootstrap
+SEED = 0  # of the bootstrap
 
 
 def measure(data: Path, groups: Mapping[str, Sequence[Path]]) -> list[dict[str, Any]]:
@@ -57,7 +57,7 @@ def _difference(ranked: Sequence[RankedModel], first: Sequence[RankedModel]) -> 
     )
     labels = np.tile(first[0].labels, len(first))
     (estimate,) = intervals(gains[None], labels, SEED, RESAMPLES)
-    return {"difference": estimate.value, "interval": [estimate.low, estimate.high]}
+    return estimate.difference()
 
 
 def main() -> None:

@@ -90,6 +90,10 @@ class Estimate:
     def __str__(self) -> str:
         return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
 
+    def difference(self) -> dict[str, Any]:
+        """Return a paired difference as JSON values."""
+        return {"difference": self.value, "interval": [self.low, self.high]}
+
 
 @dataclass(frozen=True)
 class PairedTest:

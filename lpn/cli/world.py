@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from lpn.core.errors import InputError
-from lpn.world.variety import FACTORS, Factor
+from lpn.world.factors import FACTORS, Factor
 
 # Options of the pictures of places, and those of --flight.
 _OF_PLACES = ("views", "pixels", "tile_pixels", "streets", "panoramas", "vary", "part")

@@ -416,8 +416,7 @@ def _differences(
             rows = np.stack([np.concatenate([one[name] - two[name] for one, two in values]) for name in names])
             result[task][reading] = {
                 name: {
-                    "difference": estimate.value,
-                    "interval": [estimate.low, estimate.high],
+                    **estimate.difference(),
                     "better": int((row > 0).sum()),
                     "worse": int((row < 0).sum()),
                 }

@@ -121,6 +121,12 @@ def near(rng: np.random.Generator, colour: Colour, spread: float = 0.12) -> Colo
     return round(float(red), 4), round(float(green), 4), round(float(blue), 4)
 
 
+def mixed(colour: Colour, other: Colour, share: float) -> Colour:
+    """Mix a colour with that share, 0 to 1, of another one."""
+    red, green, blue = (own + share * (new - own) for own, new in zip(colour, other, strict=True))
+    return red, green, blue
+
+
 def box(x0: float, y0: float, x1: float, y1: float) -> tuple[Corner, ...]:
     """Return the corners of an upright rectangle; its first edge runs along the longer side."""
     corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1))

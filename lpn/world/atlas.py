@@ -23,9 +23,9 @@ from lpn.core.formats import WORLD
 from lpn.world import cvusa
 from lpn.world.cameras import Panorama, Pose, Site, Tile, any_drone_poses, drone_poses, tile_around
 from lpn.world.city import City, Target
+from lpn.world.factors import Factor
 from lpn.world.ground_level import GroundLevel, panoramas, street_poses
 from lpn.world.plan import plan_city
-from lpn.world.variety import Factor
 
 EDITION = 2  # counts changes of the code that change the pictures of a seed
 SIGHT = 312.0  # metres around a target that its drone can see, at most
@@ -44,7 +44,7 @@ class Settings:
         samples: light paths per pixel.
         streets: street-level pictures of each building.
         panoramas: panoramas near each building.
-        vary: properties that are drawn at random, see `lpn.world.variety`; in the order of `FACTORS`.
+        vary: properties that are drawn at random, see `lpn.world.factors`; in the order of `FACTORS`.
     """
 
     seed: int

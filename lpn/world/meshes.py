@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lpn.core.arrays import Float64Array
-from lpn.world.architecture import Architecture, Colour, RoofItem, Volume
+from lpn.world.architecture import Architecture, Colour, RoofItem, Volume, mixed
 from lpn.world.geometry import area, rectangle
 
 BAYS, STOREYS = 16, 8  # of a wall's texture
@@ -100,8 +100,7 @@ def whiten(mesh: Mesh, cover: float, colour: Colour) -> None:
     level = np.abs(normals[:, 2]) > 0.5 * np.linalg.norm(normals, axis=1)
     for i in np.flatnonzero(level):
         if mesh.materials[i] != "glass":
-            red, green, blue = (own + cover * (new - own) for own, new in zip(mesh.tints[i], colour, strict=True))
-            mesh.tints[i] = red, green, blue
+            mesh.tints[i] = mixed(mesh.tints[i], colour, cover)
 
 
 def _part(mesh: Mesh, part: Volume, start: float) -> None:

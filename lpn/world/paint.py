@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
-from lpn.world.architecture import Colour
+from lpn.world.architecture import Colour, mixed
 from lpn.world.canvas import Canvas
 from lpn.world.city import City, Patch, Street
 from lpn.world.geometry import turned, within
@@ -301,11 +301,10 @@ def _streets(canvas: Canvas, streets: list[Street], season: Season) -> None:
         tone = rng.uniform(0.6, 1.15)
         canvas.line(street.line, street.width + 2 * street.pavement, _hard(PAVING, season, tone), 0.08, 1.0, 0.16)
         if street.pavement > 1.5 and rng.random() < 0.4:  # a verge between kerb and pavement
-            white = float(snow_cover(season.snow))
-            red, green, blue = (own + white * (snow - own) for own, snow in zip(season.grass, SNOW, strict=True))
+            verge = mixed(season.grass, SNOW, float(snow_cover(season.snow)))
             for side in (-1, 1):
                 canvas.line(beside(street.line, side * (street.width / 2 + street.pavement * 0.3)), street.pavement * 0.5,
-                            (red, green, blue), 0.15, 0.85, 0.25)  # fmt: skip
+                            verge, 0.15, 0.85, 0.25)  # fmt: skip
     for street in streets:
         canvas.line(street.line, street.width + 0.35, (0.36, 0.35, 0.33), 0.05, 0.7)
     for street in streets:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.world.architecture import Colour
 from lpn.world.cameras import Pose
+from lpn.world.factors import Factor
 from lpn.world.paint import Season
-from lpn.world.variety import Factor, Materials
+from lpn.world.variety import Materials
 
 
 @dataclass(frozen=True)

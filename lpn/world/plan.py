@@ -159,7 +159,7 @@ def _attempt(seed: int, wanted: int, more: int, style: _Style) -> City | None:
             block_rng = np.random.default_rng([seed, 4, i, j, number])
             bent = warp(piece.corners)
             outline = inset(bent, np.array(piece.margins))
-            if style != _Style() and _crossed(outline, bent):  # its streets take all of it
+            if style != _Style() and _crossed(outline, bent):  # streets take all of it; plain plans keep theirs
                 continue
             plot = Plot(outline, districts[-1], block_rng, draft, pools, terrain)
             surface = develop(plot)

@@ -1,9 +1,8 @@
-"""Factors that a varied world draws at random, the materials of its districts, and its buildings that do not stand yet."""
+"""The materials of a varied world's districts, and its buildings that do not stand yet."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -11,19 +10,6 @@ from lpn.core.arrays import Float64Array
 from lpn.world.architecture import FLAT, Architecture, Colour, Volume
 from lpn.world.city import City
 
-Factor = Literal["days", "cameras", "poses", "materials", "traffic", "construction", "snow", "plan"]
-"""A property of a varied world.
-
-days: two days from spring to late autumn for each district, one of the drone and one of the satellite.
-cameras: exposure, colours, haze, blur, noise, and compression of each picture.
-poses: height, tilt, lens, and ground of each drone picture.
-materials: roofs, walls, and pavements of each district.
-traffic: how full streets and car parks are on each day.
-construction: buildings that do not stand on the satellite's day; never one that is photographed.
-snow: some days have it.
-plan: bends and slants of streets, and sizes of blocks in each district.
-"""
-FACTORS: tuple[Factor, ...] = get_args(Factor)
 _FLAT_COVERS = sorted({style for style, _ in FLAT})
 
 

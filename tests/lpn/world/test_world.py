@@ -27,11 +27,12 @@ from lpn.world.atlas import SIGHT, Atlas, Settings, make_atlas
 from lpn.world.build import RenderShare, Tally, build_world, check_folder
 from lpn.world.canvas import Canvas
 from lpn.world.city import City
+from lpn.world.factors import FACTORS
 from lpn.world.geometry import area, overlap, rectangle, segment_distance, within
 from lpn.world.ground_level import GroundLevel
 from lpn.world.plan import _BLOCKS, SPACING, _Style, plan_city
 from lpn.world.surroundings import Obstacles
-from lpn.world.variety import FACTORS, Materials, unbuilt
+from lpn.world.variety import Materials, unbuilt
 
 SETTINGS = Settings(seed=5, buildings=24, views=4, pixels=48, tile_pixels=64, samples=1)
 WALKED = replace(SETTINGS, streets=3, panoramas=2)
@@ -235,7 +236,7 @@ def test_days_and_cameras_of_a_varied_world_differ() -> None:
 
 
 def _of_factors(look: photo.Look) -> dict[str, Any]:
-    """What each factor draws for a day."""
+    """Return the properties of a day that each factor draws."""
     season = look.season
     return {
         "days": (look.sun, season.grass, season.dry, season.dryness),
