@@ -35,6 +35,22 @@ def test_tests_that_the_pages_name_exist() -> None:
     assert not missing
 
 
+def test_only_equations_and_sections_of_the_paper_are_cited() -> None:
+    sections = {"I", "II", "II-A", "II-B", "III", "III-A", "III-B", "IV", *(f"IV-{letter}" for letter in "ABCDE"), "V"}
+    cited = re.compile(
+        r"\b(?:equations?|eqs?\.) (\d+)(?: (?:and|to) (\d+))?|\bsections? ([IV]+(?:-[A-Z])?)\b", re.IGNORECASE
+    )
+    sources = [file for top in ("lpn", "explorer", "tools") for file in (ROOT / top).rglob("*.py")]
+    wrong, count = [], 0
+    for page in [*PAGES, *(ROOT / "docs" / "measured").glob("*.j2"), *sources]:
+        for first, last, section in cited.findall(page.read_text("utf-8")):
+            count += 1
+            if section.upper() not in sections if section else not {first, last or first} <= set("123456"):
+                wrong.append(f"{page.name}: {first or section}")
+    assert count > 20
+    assert not wrong
+
+
 def test_the_readme_is_read_in_two_minutes() -> None:
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 100
 

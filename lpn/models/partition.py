@@ -1,6 +1,6 @@
 """The partition of a feature map into parts: the only source for pooling, explanation, and drawing.
 
-LPN (Wang et al., section III-B) cuts the last feature map into square rings around its centre. Pooling a part is a weighted
+LPN (Wang et al., section III-A) cuts the last feature map into square rings around its centre. Pooling a part is a weighted
 sum over cells, `part_i = sum_cells weights[i, cell] * map[cell]`, so its weights describe a partition completely.
 """
 

@@ -16,7 +16,7 @@ _MIN_SQUARED = 1e-12
 
 
 def instance_loss(scores: Tensor, places: Tensor, smoothing: float = 0.0) -> Tensor:
-    """Cross-entropy over places of each part, averaged over pictures: (n,) (equation 4 of the paper).
+    """Cross-entropy over places of each part, averaged over pictures: (n,) (equations 5 and 6 of the paper).
 
     Args:
         scores: class scores (B, n, classes).

@@ -23,7 +23,7 @@ _RELEASED = dict(PAIRS)
 # Marks a setting on which this paper is silent although `paper` states it.
 _SILENT = ""
 
-_STATED = "paper, implementation details"
+_STATED = "paper, section IV-B"
 _LPN = "wtyhub/LPN"
 _SAFA = "wtyhub/SAFA_LPN script"
 _NOT_USED = "ours: not used"
@@ -35,49 +35,51 @@ _SOURCES: dict[str, dict[str, str]] = {
     "backbone": {
         "paper": f"{_STATED}: ResNet-50, the stride of conv5_1 changed from 2 to 1",
         "released": f"{_LPN} run.sh:8, model.py:435-439",
-        "cvusa-paper": f"paper, Table II: VGG16; with BatchNorm as in {_LPN} model.py:165",
+        "cvusa-paper": f"paper, section IV-C, Table II: VGG16; with BatchNorm as in {_LPN} model.py:165",
         "cvusa-released": f"{_LPN} run_cvusa.sh:9, model.py:165",
-        "safa-paper": "paper, Table II: VGG16",
+        "safa-paper": "paper, section IV-C, Table II: VGG16",
         "safa-released": f"{_SAFA}/VGG.py:63",
     },
     "last_layer": {
+        "paper": "paper, section III-A: conv1 to conv5",
         "released": f"{_LPN} model.py:450-457",
         "cvusa-released": f"{_LPN} model.py:180",
         "safa-released": f"{_SAFA}/VGG.py:63",
     },
     "n_parts": {
-        "paper": f"{_STATED}: n = 4",
+        "paper": "paper, section IV-D: n = 4 by default",
         "released": f"{_LPN} run.sh:14",
         "cvusa-paper": _SILENT,
         "cvusa-released": f"{_LPN} run_cvusa.sh:13",
         "safa-released": f"{_SAFA}/spatial_net.py:33: SAFA alone has one part",
     },
     "weighting": {
-        "paper": "paper, equation 3: the mean over the ring itself",
+        "paper": "paper, section III-A, equation 3: the mean over the ring itself",
         "released": f"{_LPN} model.py:492-497: the box around the ring is averaged, its inside set to zero",
         "cvusa-released": f"{_LPN} model.py:217-222: as for University-1652",
         "*": _NOT_USED,
     },
     "activation": {
-        "paper": "paper, the drawing of the network: a ReLU between BatchNorm and dropout",
+        "paper": "paper, section III-A: a ReLU between BatchNorm and dropout",
         "released": f"{_LPN} model.py:37, 660: no activation, the default",
         "cvusa-released": f"{_LPN} model.py:37, 562: no activation, the default",
         "*": _NOT_USED,
     },
     "shared": {
+        "paper": "paper, section III-A: the satellite and the drone branch share weights",
         "released": f"{_LPN} run.sh:7, model.py:643-644",
         "cvusa-released": f"{_LPN} run_cvusa.sh has no --share, model.py:545",
         "safa-released": f"{_SAFA}/spatial_net.py:35, 47",
     },
     "layout": {
-        "paper": "paper, section III-B: square rings in every view",
+        "paper": "paper, section III-A: square rings in every view",
         "released": f"{_LPN} model.py:473-513",
         "cvusa-paper": _SILENT,
         "cvusa-released": f"{_LPN} model.py:521, 527, 545: rings of the tile, outermost first, and rows of the panorama",
         "*": _NOT_USED,
     },
     "pooling": {
-        "paper": "paper, equation 3",
+        "paper": "paper, section III-A, equation 3: the mean",
         "released": f"{_LPN} train.py:41, model.py:476",
         "cvusa-released": f"{_LPN} train_cvusa.py:40, model.py:201",
         "safa-released": f"{_SAFA}/spatial_net.py:5-30",
@@ -88,7 +90,7 @@ _SOURCES: dict[str, dict[str, str]] = {
     },
     "polar": {"safa-released": f"{_SAFA}/train_cvusa_lpn.py:15", "*": _OFF},
     "google": {
-        "paper": "paper, Table I: LPN is trained with google, LPN without Google has a row of its own",
+        "paper": "paper, section IV-C, Table I: LPN is trained with google, LPN without Google has a row of its own",
         "released": f"{_LPN} run.sh:13, model.py:689: google goes through the street branch",
         "cvusa-paper": "ours: CVUSA has no such set",
         "*": "ours: CVUSA has no such set",
@@ -193,13 +195,13 @@ _SOURCES: dict[str, dict[str, str]] = {
         "safa-released": f"{_SAFA}/spatial_net.py:36, 48: one pass for each view",
     },
     "instance": {
-        "paper": "paper, equation 4",
+        "paper": "paper, section III-A, equations 5 and 6",
         "released": f"{_LPN} train.py:186",
         "cvusa-released": f"{_LPN} train_cvusa.py:181",
         "safa-released": f"{_SAFA}/train_cvusa_lpn.py:152: no class layer",
     },
     "reduction": {
-        "paper": "paper, equation 4",
+        "paper": "paper, section III-A, equation 6: the sum over parts and views",
         "released": f"{_LPN} train.py:186, 274, 277: parts and views are summed",
         "cvusa-released": f"{_LPN} train_cvusa.py:181, 260: parts and views are summed",
         "*": _NOT_USED,

@@ -148,7 +148,7 @@ class Recipe:
     joint_views: bool = False
     """Put views that share weights into one batch, so that they share BatchNorm statistics; the released code does not."""
     instance: float = 1.0
-    """Weight of the instance loss: cross-entropy over places, for each part and view (equation 4 of the paper)."""
+    """Weight of the instance loss: cross-entropy over places, for each part and view (equations 5 and 6 of the paper)."""
     reduction: Literal["sum", "mean"] = "sum"
     """Reduction of the instance losses over parts and views: sum (paper) or mean (independent of their number)."""
     label_smoothing: float = 0.0

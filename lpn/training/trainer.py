@@ -1,4 +1,4 @@
-"""Training of an LPN (section III-C of the paper) by a recipe; a resumed run has the same losses."""
+"""Training of an LPN (section III-A of the paper, "Optimization objective") by a recipe; a resumed run has the same losses."""
 
 from __future__ import annotations
 
