@@ -324,7 +324,8 @@ def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, mo
         with reading:
             browser.upload("mine.png", picture(90))
             until(lambda: any(thread.name == "explorer-upload" for thread in threading.enumerate()))
-            browser.set("Rotate", 7)
+            browser.turn(7)
+            assert browser.status("name") != "mine.png"
         browser.wait(lambda: browser.status("name") == "mine.png")
 
 
@@ -341,14 +342,34 @@ def test_an_error_is_not_shown_as_busy(app: App, gate: Gate) -> None:
 
 
 def test_a_failed_sweep_is_not_repeated(app: App, gate: Gate) -> None:
+    def sweep_passes(browser: Browser) -> int:
+        before = gate.passes
+        browser.tell("sweep", "zoom")
+        browser.wait(lambda: re.search(r'id="lpn-profile" data-done="(\d+)" data-of="\1"', browser.html()) is not None)
+        return gate.passes - before
+
     with Browser(url(app)) as browser:
         browser.greet()
         session_of(app, browser).change(lambda state: replace(state, why=True))
-        browser.wait(lambda: 'id="lpn-why"' in browser.html())
+        for query in range(9):  # one whose answer is wrong, and might be helped by other weights
+            browser.tell("query", query)
+            browser.wait(lambda query=query: browser.status("query") == str(query))
+            if "Does it help over all queries?" in browser.html():
+                break
+        whole = sweep_passes(browser)
+        assert whole > 2
         gate.broken = True
-        browser.tell("sweep", "zoom")
+        browser.tell("sweep", "rotation")
         browser.wait(lambda: "The model is damaged." in str(browser.controls))
         browser.wait(lambda: "Stopped before the first step" in browser.html())
+        gate.broken = False
+        # The effect wakes the worker of the sweep once more, and is computed by it.
+        before = gate.passes
+        browser.tell("effect", None)
+        browser.wait(lambda: "Does it help over all queries?" not in browser.html())
+        browser.wait(lambda: "computing over all queries" not in browser.html())
+        assert sweep_passes(browser) == whole
+        assert gate.passes == before + whole
 
 
 def test_a_superseded_request_is_computed_once(
