@@ -6,17 +6,37 @@ import logging
 import os
 import threading
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 
 # Megabytes of decoded blocks that GDAL keeps in a process; its own default is 5 % of the memory.
 _CACHE_MEGABYTES = "192"
 # `warnings.catch_warnings` changes the filters of all threads.
 _opening = threading.Lock()
+
+# Files that people give as maps and GDAL does not read here: suffixes, how the file begins, what it is, and what to do.
+_OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
+    ((), b"version https://git-lfs", "a Git LFS pointer, not the file itself", "fetch it with git lfs pull"),
+    ((), b"<!DOCTYPE html", "a page of HTML, as a failed download leaves it", "download the file again"),
+    ((), b"<html", "a page of HTML, as a failed download leaves it", "download the file again"),
+    ((".ecw",), b"", "an ECW file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
+    ((".sid",), b"msid", "a MrSID file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
+    ((".pdf",), b"%PDF", "a PDF", "export the map as GeoTIFF"),
+    ((), b"PK\x03\x04", "a zip archive", "unpack it first"),
+    ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
+    ((".pmtiles",), b"PMTiles", "a PMTiles archive", "convert it to .mbtiles, such as with pmtiles convert"),
+    ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
+    ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
+    ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
+    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg", ".kml"), b"AC10", "a file of lines and points", "give a raster"),
+    ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
+)
 
 
 @cache
@@ -53,12 +73,45 @@ def open_raster(path: Path) -> Any:
     with _opening, warnings.catch_warnings():
         warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
         try:
-            return library.open(path)
+            file = library.open(path)
         except failures() as error:
+            if other := _other(path):
+                raise DataError(f"{shown} is {other[0]}; {other[1]}.") from error
             raise DataError(
                 f"{shown} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
+    if not file.count:
+        names = [printable(name.rpartition(":")[2]) for name in file.subdatasets]
+        file.close()
+        raise DataError(
+            f"{shown} holds {len(names)} rasters ({first_few(names, 3)}), and a map is one; export the right one as GeoTIFF."
+            if names
+            else f"{shown} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
+        )
+    return file
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a raster file, and close it.
+
+    Raises:
+        DataError: as `open_raster`, and if GDAL refuses what is done with it.
+    """
+    with open_raster(path) as file:
+        try:
+            yield file
+        except failures() as error:
+            raise damaged(path, error) from error
+
+
+def damaged(path: Path, error: Exception) -> DataError:
+    """Return the error for a raster file that GDAL opens and then cannot read."""
+    return DataError(
+        f"{printable(str(path))} is damaged, incomplete, or changed while it was read ({_reason(error, path)}); copy it "
+        "again, with the files that it refers to."
+    )
 
 
 def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
@@ -71,6 +124,26 @@ def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
     except failures():  # no operation between the two
         return np.full(len(x), np.inf), np.full(len(x), np.inf)
     return np.array(xs, np.float64), np.array(ys, np.float64)
+
+
+def _other(path: Path) -> tuple[str, str] | None:
+    """Return what a file is that is no raster, and what to do; None if that is not known."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+    except OSError:
+        return None
+    if not head:
+        return "empty", "copy or download it again"
+    suffix = path.suffix.lower()
+    return next(
+        (
+            (kind, remedy)
+            for suffixes, magic, kind, remedy in _OTHERS
+            if suffix in suffixes or (magic and head.lower().startswith(magic.lower()))
+        ),
+        None,
+    )
 
 
 def _reason(error: Exception, path: Path) -> str:

@@ -98,7 +98,7 @@ def _of_part(path: Path, listed: dict[str, Corners]) -> Corners | None:
     for part in path.parent.iterdir():
         found = _PART.fullmatch(part.name)
         if found and (found[1], found[4]) == (match[1], match[4]):
-            with _gdal.open_raster(part) as file:
+            with _gdal.opened(part) as file:
                 sizes[int(found[2]), int(found[3])] = int(file.width), int(file.height)
     row, column = int(match[2]), int(match[3])
     widths = {c: width for (r, c), (width, _) in sizes.items() if r == row}

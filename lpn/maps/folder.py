@@ -31,7 +31,8 @@ from lpn.maps.map import Map
 from lpn.maps.raster import GdalRaster, Treatment
 from lpn.maps.sheet import Sheet
 from lpn.maps.sources import MapOptions, files_of, georeference, open_sheet, parse_crs, raster_sheet
-from lpn.maps.tile_folder import TileFolder
+from lpn.maps.tile_sets import is_tile_set
+from lpn.maps.tiles import TileRaster
 
 NAME = "map.json"
 FORMAT = "lpn-map/1"
@@ -51,7 +52,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
     Attributes:
         name: of the file that was given.
         file: what is read, relative to the folder where that is possible.
-        kind: a raster file, or a folder of tiles.
+        kind: a raster file, or a folder or database of tiles.
         crs: EPSG code or WKT.
         transform: from column and row to coordinates, row by row.
         width, height: in pixels.
@@ -110,7 +111,7 @@ def build_map(
     files = files_of(paths, options)
     earlier = _written_before(out)
     _check_inputs(files, out)
-    places = [None if file.is_dir() else georeference(file, options) for file in files]
+    places = [None if is_tile_set(file) else georeference(file, options) for file in files]
     _check_places(files, places, options)
     targets = [out / _SHEETS / f"{number:02d}" for number in range(1, len(files) + 1)]
     planned = {
@@ -133,6 +134,8 @@ def build_map(
         (out / _SHEETS / name).unlink(missing_ok=True)
     found = Map(files[0].stem, sheets)
     on_progress("Looking where the map has data.")
+    if not found.coverage().any():
+        raise DataError(f"{printable(found.name)} has no valid pixel; expected a map.")
     coverage = np.rint(found.coverage() * 255).astype(np.uint8)
     write_atomic(out / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
     records = [_record(sheet, out) for sheet in found.sheets]
@@ -180,7 +183,7 @@ def _record(sheet: Sheet, out: Path) -> SheetRecord:
     return SheetRecord(
         sheet.name,
         file,
-        "tiles" if isinstance(raster, TileFolder) else "raster",
+        "tiles" if isinstance(raster, TileRaster) else "raster",
         f"EPSG:{code}" if code else sheet.crs.to_wkt(),
         (a, b, c, d, e, f),
         raster.width,
@@ -198,7 +201,7 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
             f"The map {printable(str(folder))} needs {shown}, which is not there; bring it back, or write the map "
             "again with lpn map."
         )
-    raster = TileFolder(path) if record.kind == "tiles" else GdalRaster(path, record.treatment)
+    raster = TileRaster(path) if record.kind == "tiles" else GdalRaster(path, record.treatment)
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(
             f"{shown} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x {record.height}; it changed, "
@@ -279,7 +282,7 @@ def _check_places(
 
 def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) -> Path:
     """Return the file to read a sheet from: the source, a tiled copy of it, or a VRT with overviews."""
-    with _gdal.open_raster(source) as file:
+    with _gdal.opened(source) as file:
         width, height = int(file.width), int(file.height)
         tiled = file.block_shapes[0][1] < width or len(file.overviews(1)) > 0
         has_overviews = bool(file.overviews(1)) or max(width, height) <= _LARGE

@@ -13,6 +13,7 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
 from lpn.core.homography import corner_pixels
 from lpn.maps import window as windows
 from lpn.maps.frame import LocalFrame
@@ -28,6 +29,8 @@ OVERVIEW = 2 * _COVERAGE
 # Widest map in metres: grid north and scale of one frame would be too far off.
 _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
+# Fewest pixels of a map along its shorter side: fewer show no place.
+_MIN_SIDE = 32
 
 
 class Map:
@@ -49,7 +52,7 @@ class Map:
         resolution: metres per pixel of the finest sheet.
 
     Raises:
-        DataError: if the sheets lie more than 400 km apart.
+        DataError: if the sheets lie more than 400 km apart, or have fewer than 32 pixels along a side.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class Map:
                 f"{_MAX_WIDTH / 1000:.0f} km, so cut out the part that is flown over."
             )
         self.resolution = self.sheets[0].resolution
+        self._check_pixels()
         self._boxes = boxes
         self._coverage = coverage
         self._lock, self._overview_lock = Lock(), Lock()
@@ -203,6 +207,19 @@ class Map:
         """Close the files of all sheets."""
         for sheet in self.sheets:
             sheet.raster.close()
+
+    def _check_pixels(self) -> None:
+        """Raise DataError if there are too few pixels for a map; narrow strips may be sheets of one."""
+        rasters = [sheet.raster for sheet in self.sheets]
+        columns, rows = max(((raster.width, raster.height) for raster in rasters), key=min)
+        if len(rasters) > 1 and min(columns, rows) < _MIN_SIDE:
+            west, south, east, north = self.bounds
+            columns, rows = (round(length / self.resolution) for length in (east - west, north - south))
+        if min(columns, rows) < _MIN_SIDE:
+            raise DataError(
+                f"The map {printable(self.name)} has {columns} x {rows} pixels; expected at least {_MIN_SIDE} on each side, so "
+                "give the map itself, not a preview or a strip of it."
+            )
 
     @property
     def _side(self) -> float:

@@ -27,6 +27,11 @@ _OVERVIEW = 1024
 _PERCENTILES = (2.0, 98.0)
 # JPEG changes black and white by up to so much, but most pixels of a border by no more than the second number.
 _BORDER_NOISE, _BORDER_CORE, _CORE_SHARE = 16, 2, 0.8
+# Entries of a palette by the type of its band.
+_PALETTES = {"uint8": 1 << 8, "uint16": 1 << 16}
+_RGB = ("red", "green", "blue")
+# Colour spaces that are not converted; GDAL converts CMYK, YCbCr, and Lab of most files itself.
+_OTHER_COLOURS = {"hue": "HSL", "cyan": "CMYK", "Y": "YCbCr"}
 # Smaller regions at the border, as a share of the overview, belong to the picture.
 _MIN_BORDER = 1e-3
 
@@ -79,7 +84,7 @@ class Treatment(msgspec.Struct, frozen=True):
 
     Attributes:
         bands: numbers, from 1, of the bands shown as red, green, and blue; one number for grey or a palette.
-        alpha: number of the alpha band.
+        alpha: number of the alpha band; 0 is no data, and any value above it is data, as in GDAL's own masks.
         stretch: for each of `bands`, the values that become 0 and 255; None for bands of 8 bits.
         border: colours that mean no data where they are connected to the border.
     """
@@ -120,18 +125,30 @@ class GdalRaster:
         self._lock = Lock()
         with self._handle() as file:
             self.width, self.height = int(file.width), int(file.height)
-            self._dtype = np.dtype(file.dtypes[0])
             self._palette = _palette(file)
-            flags = file.mask_flag_enums[0]
-            self._masked = _gdal.rasterio().enums.MaskFlags.all_valid not in flags
-            self._has_nodata = _gdal.rasterio().enums.MaskFlags.nodata in flags
             self.treatment = self._bands(file, bands)
+            if treatment is not None:
+                self.treatment, self.notes = treatment, []
+            chosen = self.treatment.bands
+            if not chosen or not all(1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1)):
+                raise DataError(f"{self._name} has {file.count} bands, fewer than before; write the map again with lpn map.")
+            self._dtype = np.result_type(*(file.dtypes[number - 1] for number in chosen))
+            self._same_types = len({file.dtypes[number - 1] for number in chosen}) == 1
+            bits = file.tags(chosen[0], ns="IMAGE_STRUCTURE").get("NBITS", "")
+            # GDAL gives bands of 1 to 7 bits as bytes.
+            few = self._dtype == np.uint8 and bits in set("1234567")
+            self._numbers = f"{bits}-bit" if few else str(self._dtype)
+            self._deep = self._palette is None and (few or self._dtype != np.uint8)
+            if treatment is None and len(pages := file.subdatasets) > 1:
+                self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
+            kinds = _gdal.rasterio().enums.MaskFlags
+            flags = [file.mask_flag_enums[number - 1] for number in chosen]
+            self._masked = any(kinds.all_valid not in of_band and kinds.alpha not in of_band for of_band in flags)
+            self._has_nodata = any(kinds.nodata in of_band for of_band in flags)
         if self._dtype.kind == "c":
             raise DataError(f"{self._name} holds complex numbers; expected a picture in grey or colour.")
         if treatment is None:
             self.treatment = self._decided(self.treatment, keep_borders)
-        else:
-            self.treatment, self.notes = treatment, []
 
     def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """See `Raster.read`."""
@@ -166,17 +183,15 @@ class GdalRaster:
         try:
             yield handle
         except _gdal.failures() as error:
-            raise DataError(
-                f"{self._name} is damaged, or changed while it was read ({error}); copy it again."
-            ) from error
+            raise _gdal.damaged(self.path, error) from error
         finally:
             self._handles.append(handle)
 
     def _bands(self, file: Any, wanted: Sequence[int] | None) -> Treatment:
         """Choose the bands to show."""
-        meanings = _gdal.rasterio().enums.ColorInterp
-        marked = {meaning: number for number, meaning in enumerate(file.colorinterp, 1)}
-        alpha = marked.get(meanings.alpha)
+        names = [meaning.name for meaning in file.colorinterp]
+        marked = {name: number for number, name in enumerate(names, 1)}
+        alpha = marked.get("alpha")
         if wanted is not None:
             if len(wanted) not in (1, 3) or not all(1 <= number <= file.count for number in wanted):
                 raise InputError(
@@ -184,8 +199,11 @@ class GdalRaster:
                     "one of them, or three for red, green, and blue."
                 )
             return Treatment(tuple(wanted), alpha)
-        colours = [marked.get(meaning) for meaning in (meanings.red, meanings.green, meanings.blue)]
-        if all(colours):
+        if other := next((space for name, space in _OTHER_COLOURS.items() if name in marked), None):
+            raise DataError(f"{self._name} has the colours of {other}; convert it to RGB.")
+        described = {(text or "").strip().lower(): number for number, text in enumerate(file.descriptions, 1)}
+        colours = next((bands for names in (marked, described) if all(bands := [names.get(c) for c in _RGB])), None)
+        if colours:
             chosen = tuple(number for number in colours if number)
         else:
             others = [number for number in range(1, file.count + 1) if number != alpha]
@@ -200,12 +218,11 @@ class GdalRaster:
     def _decided(self, chosen: Treatment, keep_borders: bool) -> Treatment:
         """Decide stretch and borders on an overview."""
         self.treatment = chosen
-        deep = self._dtype != np.uint8
-        look = not (keep_borders or self._has_nodata or self._palette is not None)
-        if not (deep or look):
-            return chosen
+        deep = self._deep
+        look = not (keep_borders or (deep and self._has_nodata) or self._palette is not None)
         values, valid = self._overview()
-        # Some programs write an alpha band that is opaque everywhere, and white where nothing is known.
+        # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and white where
+        # nothing is known.
         look = look and bool(valid.all())
         colours: tuple[Literal["white", "black"], ...] = ("black",) if deep else ("white", "black")
         border = tuple(colour for colour in colours if look and self._region(values, colour).any())
@@ -214,14 +231,14 @@ class GdalRaster:
             self.notes.append(f"The {colour} border of {self._called} ({region.mean():.0%} of it) is taken as no data.")
             valid = valid & ~region
         if not valid.any():
-            raise DataError(f"{self._name} has no valid pixel; expected a map.")
+            raise DataError(f"{self._called} has no valid pixel; expected a map.")
         stretch = None
         if deep:
             limits = [np.percentile(band[valid].astype(np.float64), _PERCENTILES).tolist() for band in values]
             stretch = tuple((low, high if high > low else low + 1) for low, high in limits)
             shown = ", ".join(f"{low:g} to {high:g}" for low, high in stretch)
             self.notes.append(
-                f"{self._called} holds {self._dtype} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
+                f"{self._called} holds {self._numbers} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
                 f"each band ({shown}) become 0 and 255."
             )
         return Treatment(chosen.bands, chosen.alpha, stretch, border)
@@ -240,18 +257,20 @@ class GdalRaster:
             "window": library.windows.Window(*box),
             "resampling": methods.average if reduced else methods.nearest,
         }
-        alpha = self.treatment.alpha
-        bands = [*self.treatment.bands, *([] if alpha is None else [alpha])]
+        chosen, alpha = list(self.treatment.bands), self.treatment.alpha
+        shape = size[1], size[0]
+        valid = np.ones(shape, bool)
         with self._handle() as file:
-            values = file.read(bands, out_shape=(len(bands), size[1], size[0]), **options)
-            if alpha is not None:
-                full = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
-                valid = values[-1] >= full / 2
-                values = values[:-1]
-            elif self._masked:
-                valid = file.dataset_mask(out_shape=(size[1], size[0]), **options) > 0
+            if self._same_types:
+                values = file.read(chosen, out_shape=(len(chosen), *shape), **options)
             else:
-                valid = np.ones((size[1], size[0]), bool)
+                values = np.stack([file.read(number, out_shape=shape, **options) for number in chosen])
+            if alpha is not None:
+                valid &= file.read(alpha, out_shape=shape, **options) > 0
+            if self._masked:
+                valid &= (file.read_masks(chosen, out_shape=(len(chosen), *shape), **options) > 0).any(axis=0)
+        if self._palette is not None:
+            valid &= self._palette[values[0], 3] > 0
         if values.dtype.kind == "f":
             valid &= np.isfinite(values).all(axis=0)
         return values, valid
@@ -259,7 +278,7 @@ class GdalRaster:
     def _rgb(self, values: AnyArray) -> UInt8Array:
         """Return the chosen bands as RGB, (height, width, 3)."""
         if self._palette is not None:
-            found: UInt8Array = self._palette[values[0]]
+            found: UInt8Array = self._palette[values[0], :3]
             return found
         if self.treatment.stretch is not None:
             low, high = np.array(self.treatment.stretch).T[:, :, None, None]
@@ -272,7 +291,7 @@ class GdalRaster:
 
     def _like(self, values: AnyArray, colour: str, noise: int = _BORDER_NOISE) -> BoolArray:
         """Return which pixels are black or white but for noise, (height, width)."""
-        if self._dtype != np.uint8:
+        if self._deep:
             noise = 0
         found: BoolArray = values.max(0) <= noise if colour == "black" else values.min(0) >= 255 - noise
         return found
@@ -318,10 +337,11 @@ class GdalRaster:
 
 
 def _palette(file: Any) -> UInt8Array | None:
-    """Return the colours of a paletted file, (256, 3); None if it has none."""
-    if file.colorinterp[0].name != "palette" or file.dtypes[0] != "uint8":
+    """Return the colours of a paletted file with their alpha, (256 or 65536, 4); None if it has none."""
+    if file.colorinterp[0].name != "palette" or file.dtypes[0] not in _PALETTES:
         return None
-    colours = np.zeros((256, 3), np.uint8)
+    colours = np.zeros((_PALETTES[file.dtypes[0]], 4), np.uint8)
+    colours[:, 3] = 255
     for number, colour in file.colormap(1).items():
-        colours[number] = colour[:3]
+        colours[number] = colour
     return colours

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import math
+import re
+import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +19,15 @@ from lpn.maps import _gdal
 from lpn.maps.corners import LISTS, corners_of, read_list
 from lpn.maps.raster import GdalRaster, Treatment
 from lpn.maps.sheet import Sheet
-from lpn.maps.tile_folder import TileFolder, is_tile_folder
+from lpn.maps.tile_sets import is_tile_set, tiles_near
+from lpn.maps.tiles import TileRaster
 
 # Largest error, in pixels, of the affine transform that stands for ground control points.
 _CONTROL_ERROR = 2.0
-# Metres of Web Mercator around the equator.
-_WEB_MERCATOR = 2 * math.pi * 6_378_137.0
+# Bytes of a KML that are looked at.
+_MAX_KML = 1 << 20
 # Files of a folder that are taken as sheets.
-_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".vrt", ".mbtiles", ".img")
+_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".vrt", ".mbtiles", ".sqlitedb", ".img")
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ def files_of(paths: Sequence[Path], options: MapOptions) -> list[Path]:
         raise InputError("A map needs at least one file; found none.")
     files: list[Path] = []
     for path in paths:
-        if path.is_dir() and not is_tile_folder(path):
+        if path.is_dir() and not is_tile_set(path):
             files += _files_in(path)
         elif path.suffix.lower() == ".csv":
             files += _listed(path)
@@ -77,13 +80,13 @@ def open_sheet(path: Path, options: MapOptions) -> Sheet:
         DataError: if it cannot be read, or has no georeference, or an impossible one.
         InputError: if an option is malformed, or does not apply.
     """
-    if path.is_dir():
+    if is_tile_set(path):
         if options != MapOptions():
             raise InputError(
-                f"{printable(str(path))} is a folder of tiles in Web Mercator; leave CRS, corners, bands, and borders out."
+                f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, bands, and borders out."
             )
-        tiles = TileFolder(path)
-        return Sheet(path.name, tiles, parse_crs("EPSG:3857"), tiles.matrix)
+        tiles = TileRaster(path)
+        return Sheet(path.name, tiles, tiles.crs, tiles.matrix)
     crs, matrix = georeference(path, options)
     return raster_sheet(path, path, crs, matrix, options)
 
@@ -93,11 +96,7 @@ def raster_sheet(
 ) -> Sheet:
     """Open a sheet whose georeference is known; `path` is the source itself, or a copy of it."""
     raster = GdalRaster(path, treatment, options.bands, options.keep_borders, source.name)
-    sheet = Sheet(source.name, raster, crs, matrix)
-    if source.suffix.lower() == ".mbtiles":
-        zoom = round(math.log2(_WEB_MERCATOR / (matrix[0, 0] * 256)))
-        raster.notes.append(f"{source.name} is shown at zoom {zoom}, its deepest.")
-    return sheet
+    return Sheet(source.name, raster, crs, matrix)
 
 
 def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
@@ -107,7 +106,7 @@ def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
         DataError: if the file has none, or cannot be read.
         InputError: if an option is malformed.
     """
-    with _gdal.open_raster(path) as file:
+    with _gdal.opened(path) as file:
         return _georeference(path, file, options)
 
 
@@ -118,6 +117,8 @@ def _files_in(folder: Path) -> list[Path]:
             return _listed(folder / name)
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     if not found:
+        if tiles := tiles_near(folder):
+            raise DataError(f"{printable(str(folder))} is not the folder of tiles itself; give {printable(str(tiles))}.")
         inside = ", ".join(sorted(printable(path.name) for path in folder.iterdir())[:5]) or "nothing"
         raise DataError(
             f"{printable(str(folder))} holds {inside}; expected GeoTIFF files, pictures with world files, tiles "
@@ -153,13 +154,21 @@ def parse_crs(text: str) -> Any:
 
 def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Float64Array]:
     """Return the CRS of a raster and the (2, 3) matrix from its columns and rows to coordinates."""
-    if options.corners is not None:
-        if options.crs is not None:
-            raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
-        return _from_corners(options.corners, file.width, file.height, "--corners")
-    matrix = _matrix(path, file)
-    if matrix is None and (known := corners_of(path)) is not None:
+    if options.corners is not None and options.crs is not None:
+        raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
+    matrix = None if options.corners is not None else _matrix(path, file)
+    known = (options.corners, "--corners") if options.corners is not None else None
+    if matrix is None and (known := known or corners_of(path)) is not None:
+        if (turn := file.tags().get("EXIF_Orientation", "1")) != "1":
+            raise DataError(
+                f"{printable(str(path))} is shown turned or mirrored (EXIF orientation {printable(turn)}), so that its corners are "
+                "not certain; save it upright first."
+            )
         return _from_corners(known[0], file.width, file.height, known[1])
+    if matrix is None and file.rpcs is not None:
+        raise DataError(
+            f"{printable(str(path))} has its position as RPCs only; orthorectify it first, such as with gdalwarp -rpc."
+        )
     if matrix is None:
         raise DataError(
             f"{printable(str(path))} has no georeference: it is no GeoTIFF, and no world file lies beside it; add one, or give "
@@ -167,6 +176,7 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
         )
     if options.crs is not None:
         return parse_crs(options.crs), matrix
+    _check_overlay(path, file)
     crs = file.crs or file.gcps[1] or _projection_file(path)
     if not crs:
         raise DataError(
@@ -196,10 +206,41 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
     return None if world is None else _world_file(world)
 
 
+def _check_overlay(path: Path, file: Any) -> None:
+    """Refuse a turned overlay of Google Earth, whose turn GDAL leaves out.
+
+    Raises:
+        DataError: if it is turned.
+    """
+    if file.driver != "KMLSUPEROVERLAY":
+        return
+    try:
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                names = [name for name in archive.namelist() if name.lower().endswith(".kml")]
+                with archive.open(names[0]) as member:
+                    data = member.read(_MAX_KML)
+        else:
+            with path.open("rb") as plain:
+                data = plain.read(_MAX_KML)
+    except (OSError, IndexError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+        raise DataError(f"{printable(str(path))} holds no KML that can be read; export it again.") from error
+    turn = re.search(rb"<rotation>\s*([-+.0-9eE]+)", data)
+    if turn and turn[1].strip(b"-+.0eE"):
+        raise DataError(
+            f"{printable(str(path))} is turned by {turn[1].decode()} degrees about its middle, which is not read; export it as "
+            "GeoTIFF, such as with QGIS."
+        )
+    if re.search(rb"<gx:LatLonQuad>", data):
+        raise DataError(
+            f"{printable(str(path))} has four corners of its own (gx:LatLonQuad), which are not read; export it as GeoTIFF."
+        )
+
+
 def _world_file(path: Path) -> Float64Array:
     """Read a world file: the steps of x and y for a column, those for a row, and the centre of the first pixel."""
     try:
-        numbers = [float(text) for text in path.read_text("ascii").split()]
+        numbers = [float(text.replace(",", ".")) for text in _text(path).split()]
         if len(numbers) != 6 or not np.isfinite(numbers).all():
             raise ValueError
     except (OSError, ValueError) as error:
@@ -215,11 +256,20 @@ def _projection_file(path: Path) -> Any:
         return None
     library = _gdal.rasterio()
     try:
-        return library.crs.CRS.from_wkt(found.read_text("utf-8-sig"), morph_from_esri_dialect=True)
+        text = _text(found).strip()
+        if re.match(r"EPSG:[0-9]+$|\+proj", text, re.IGNORECASE):
+            return library.crs.CRS.from_user_input(text)
+        return library.crs.CRS.from_wkt(text, morph_from_esri_dialect=True)
     except _gdal.failures(OSError, ValueError) as error:
         raise DataError(
             f"{printable(str(found))} holds no coordinate reference system that can be read; give --crs."
         ) from error
+
+
+def _text(path: Path) -> str:
+    """Return the text of a small file in UTF-8 or, with a byte order mark, in UTF-16."""
+    data = path.read_bytes()
+    return data.decode("utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
 
 
 def _beside(path: Path, suffixes: Sequence[str]) -> Path | None:

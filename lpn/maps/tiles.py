@@ -1,0 +1,310 @@
+"""A set of tiles in Web Mercator as one raster of its deepest zoom."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from lpn.core.arrays import AnyArray, BoolArray, Float64Array, UInt8Array
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.maps import _gdal
+from lpn.maps.raster import Box
+from lpn.maps.tile_sets import Place, TileSet, open_tiles
+
+# Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres; World Mercator uses it, too.
+_HALF = math.pi * 6_378_137.0
+_CACHED_TILES = 128
+_MAX_SIDE = 4096
+# Pairs of neighbouring tiles that are compared, and how many pixels an edge must show.
+_PAIRS, _EDGE = 12, 32
+# Tiles fit together where their edges differ by less than this share of what they differ in the other orders.
+_FITS = 0.5
+
+# How stored numbers count: column and row from the north, column and row from the south, row from the north and column.
+_XYZ, _TMS, _YX = "XYZ", "TMS", "YX"
+# Rows and columns of a tile's edges.
+_TOP, _BOTTOM, _LEFT, _RIGHT = np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]
+# For each order, the edges that touch where the second number of two tiles follows.
+_TOUCHING: dict[str, tuple[Any, Any]] = {_XYZ: (_BOTTOM, _TOP), _TMS: (_TOP, _BOTTOM), _YX: (_RIGHT, _LEFT)}
+
+
+class TileRaster:
+    """The deepest zoom of a set of tiles; missing tiles are invalid.
+
+    Args:
+        path: a folder or a database of tiles.
+
+    Attributes:
+        zoom: the deepest zoom, whose pixels are those of the raster.
+        crs: Web Mercator, or World Mercator for tiles that say so.
+        matrix: (2, 3), from column and row to coordinates of `crs`.
+
+    Raises:
+        DataError: if it holds no tiles, or they are no pictures in Web Mercator.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.treatment = path, None
+        self._tiles = tiles = open_tiles(path)
+        self.notes: list[str] = []
+        try:
+            self.zoom = max(tiles.zooms)
+            self._side = len(self._first())
+            self._read_tile = lru_cache(_CACHED_TILES)(self._tile)
+            self._order = self._find_order()
+            self._place()
+        except BaseException:
+            tiles.close()
+            raise
+
+    def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+        """See `Raster.read`."""
+        reduction = min(box[2] / size[0], box[3] / size[1])
+        level = min(int(math.log2(max(1.0, reduction))), self.zoom)
+        # Pixels of the coarser zoom, counted from its own first tile.
+        by = 1 << level
+        left, top = ((start + first) / by for start, first in zip(self._origin, box, strict=False))
+        right, bottom = left + box[2] / by, top + box[3] / by
+        columns = range(int(left) // self._side, math.ceil(right / self._side))
+        rows = range(int(top) // self._side, math.ceil(bottom / self._side))
+        picture = np.zeros((size[1], size[0], 3), np.uint8)
+        valid = np.zeros((size[1], size[0]), bool)
+        scale = (right - left) / size[0], (bottom - top) / size[1]
+        for row in rows:
+            for column in columns:
+                tile = self._read_tile(self.zoom - level, column, row)
+                if tile is None:
+                    continue
+                # The pixels of the result whose centres lie in this tile.
+                across, x = _within(column * self._side - left, self._side, scale[0], size[0])
+                down, y = _within(row * self._side - top, self._side, scale[1], size[1])
+                place = np.s_[down, across]
+                grid = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+                if not grid[0].size:
+                    continue
+                picture[place] = cv2.remap(tile[0], *grid, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+                valid[place] = tile[1][np.ix_(y.round().astype(int), x.round().astype(int))]
+        return picture, valid
+
+    def files(self) -> list[Path]:
+        """See `Raster.files`."""
+        return self._tiles.files()
+
+    def close(self) -> None:
+        """Forget the decoded tiles, and close the database."""
+        self._read_tile.cache_clear()
+        self._tiles.close()
+
+    @property
+    def _name(self) -> str:
+        return printable(self.path.name)
+
+    def _first(self) -> UInt8Array:
+        """Return the first tile of the deepest zoom that shows something, (side, side, 3)."""
+        for place in self._tiles.places(self.zoom):
+            tile = self._decoded(self.zoom, place)
+            if tile is not None:
+                if tile[0].shape[0] != tile[0].shape[1] or len(tile[0]) < 16:
+                    raise self._size_error(self.zoom, place, tile[0], 256)
+                return tile[0]
+        raise DataError(f"All tiles of {printable(str(self.path))} at zoom {self.zoom} are empty; make them again.")
+
+    def _place(self) -> None:
+        """Compute origin, size, and matrix of the raster, and say what was decided."""
+        tiles, side = self._tiles, self._side
+        extent = tiles.zooms[self.zoom]
+        corners = [self._turned(self.zoom, place) for place in (extent.low, extent.high)]
+        (west, north), (east, south) = np.min(corners, 0).tolist(), np.max(corners, 0).tolist()
+        if min(west, north) < 0 or max(east, south) >= 1 << self.zoom:
+            raise DataError(
+                f"{printable(str(self.path))} has the tile {extent.high[0]}, {extent.high[1]} at zoom {self.zoom}; expected "
+                f"numbers below {1 << self.zoom}."
+            )
+        columns, rows = east - west + 1, south - north + 1
+        missing = 1 - extent.count / (columns * rows)
+        if tiles.named:
+            self.notes.append(f"{self._name} is shown at zoom {self.zoom}, its deepest.")
+        else:
+            self.notes.append(
+                f"{self._name} is shown at zoom {self.zoom}, the deepest of {len(tiles.zooms)}"
+                + (f"; {missing:.0%} of its rectangle have no tile." if missing > 0 else ".")
+            )
+        self.notes += self._order_notes
+        left, top, right, bottom = west * side, north * side, (east + 1) * side, (south + 1) * side
+        self._origin = left, top
+        bounds = self._bounds()
+        if bounds is not None:
+            # Tiles at the edge reach beyond the map, and show white or black there.
+            closer = [round(edge) for edge in bounds]
+            removed = closer[0] - left, closer[1] - top, right - closer[2], bottom - closer[3]
+            if max(removed) < side:
+                left, top = max(left, closer[0]), max(top, closer[1])
+                right, bottom = min(right, closer[2]), min(bottom, closer[3])
+                self._origin = left, top
+            else:
+                self.notes.append(f"The bounds that {self._name} states do not fit its tiles, and are left out of account.")
+        self.width, self.height = right - left, bottom - top
+        crs = "EPSG:3395" if tiles.declared.ellipsoidal else "EPSG:3857"
+        self.crs = _gdal.rasterio().crs.CRS.from_string(crs)
+        pixel = 2 * _HALF / (side << self.zoom)
+        self.matrix: Float64Array = np.array([[pixel, 0, left * pixel - _HALF], [0, -pixel, _HALF - top * pixel]])
+
+    def _bounds(self) -> tuple[float, float, float, float] | None:
+        """Return the stated bounds in pixels of the deepest zoom: left, top, right, bottom; None without any."""
+        if self._tiles.declared.bounds is None or self._tiles.declared.ellipsoidal:
+            return None
+        west, south, east, north = self._tiles.declared.bounds
+        world = self._side << self.zoom
+
+        def down(latitude: float) -> float:
+            sine = math.sin(math.radians(max(-85.06, min(85.06, latitude))))
+            return (0.5 - math.atanh(sine) / (2 * math.pi)) * world
+
+        return (west + 180) / 360 * world, down(north), (east + 180) / 360 * world, down(south)
+
+    def _find_order(self) -> str:
+        """Return how the stored numbers count: as the tiles fit together, else as bounds, metadata, or the format say."""
+        tiles = self._tiles
+        said = tiles.declared.from_south
+        usual = _TMS if (tiles.from_south if said is None else said) else _XYZ
+        self._order_notes: list[str] = []
+        fitting = self._fitting_order()
+        order = fitting or self._order_by_bounds() or usual
+        how = {
+            _XYZ: "rows count from the north (XYZ)",
+            _TMS: "rows count from the south (TMS)",
+            _YX: "names are {z}/{y}/{x}, with rows from the north",
+        }[order]
+        if order != usual:
+            why = "there the tiles fit together" if fitting else "there they lie in the stated bounds"
+            self._order_notes.append(f"In {self._name}, {how}: {why}.")
+        elif not (fitting or tiles.named or said is not None):
+            self._order_notes.append(
+                f"{self._name} does not tell where its rows begin; they are counted from the north (XYZ). For rows from the "
+                "south (TMS), add a tilemapresource.xml."
+            )
+        return order
+
+    def _fitting_order(self) -> str | None:
+        """Return the order in which the edges of neighbouring tiles agree; None if that does not tell."""
+        orders = (_XYZ, _TMS) if self._tiles.named else (_XYZ, _TMS, _YX)
+        differences = np.array(list(self._differences(orders)))
+        if not len(differences):
+            return None
+        means = differences.mean(axis=0)
+        best = int(means.argmin())
+        others = np.delete(means, best)
+        if means[best] + 1 < _FITS * others.min():
+            return orders[best]
+        return None
+
+    def _differences(self, orders: tuple[str, ...]) -> Iterator[list[float]]:
+        """Yield, for pairs of tiles whose second numbers follow, the mean difference of the edges that would touch."""
+        places = self._tiles.places(self.zoom)
+        known = set(places)
+        pairs = [(place, after) for place in places if (after := (place[0], place[1] + 1)) in known]
+        for number in np.unique(np.linspace(0, len(pairs) - 1, 2 * _PAIRS).astype(int)).tolist() if pairs else ():
+            one, other = (self._decoded(self.zoom, place) for place in pairs[number])
+            if one is None or other is None or one[0].shape != other[0].shape:
+                continue
+            edges = []
+            for order in orders:
+                first, second = _TOUCHING[order]
+                both = one[1][first] & other[1][second]
+                if both.sum() < _EDGE:
+                    break
+                edges.append(float(np.abs(one[0][first].astype(int) - other[0][second])[both].mean()))
+            else:
+                yield edges
+
+    def _order_by_bounds(self) -> str | None:
+        """Return the order in which the tiles lie where the stated bounds are; None if that does not tell."""
+        bounds = self._bounds()
+        if bounds is None:
+            return None
+        extent = self._tiles.zooms[self.zoom]
+        middle = int((bounds[1] + bounds[3]) / 2) // self._side
+        high = (1 << self.zoom) - 1
+        rows = {_XYZ: (extent.low[1], extent.high[1]), _TMS: (high - extent.high[1], high - extent.low[1])}
+        fitting = [order for order, (first, last) in rows.items() if first <= middle <= last]
+        return fitting[0] if len(fitting) == 1 else None
+
+    def _turned(self, zoom: int, place: Place) -> Place:
+        """Return column and row from the north of stored numbers, or the stored numbers of column and row."""
+        if self._order == _YX:
+            return place[1], place[0]
+        return (place[0], (1 << zoom) - 1 - place[1]) if self._order == _TMS else place
+
+    def _tile(self, zoom: int, column: int, row: int) -> tuple[UInt8Array, BoolArray] | None:
+        """Return a tile and its mask: its own picture, else made of the four of the next zoom; None if it shows nothing."""
+        place = self._turned(zoom, (column, row))
+        tile = self._decoded(zoom, place) if zoom in self._tiles.zooms else None
+        side = self._side
+        if tile is not None:
+            picture, valid = tile
+            # Tiles of twice the pixels ({y}@2x.png) may stand beside plain ones.
+            if picture.shape[0] == picture.shape[1] and len(picture) in (side // 2, 2 * side):
+                picture = cv2.resize(picture, (side, side), interpolation=cv2.INTER_AREA)
+                valid = cv2.resize(valid.astype(np.uint8), (side, side), interpolation=cv2.INTER_NEAREST) > 0
+            if picture.shape != (side, side, 3):
+                raise self._size_error(zoom, place, picture, side)
+            return picture, valid
+        extent = self._tiles.zooms[self.zoom]
+        if zoom >= self.zoom or not self._reaches(zoom, column, row, extent.low, extent.high):
+            return None
+        half = side // 2
+        picture, valid = np.zeros((side, side, 3), np.uint8), np.zeros((side, side), bool)
+        for down in (0, 1):
+            for right in (0, 1):
+                tile = self._tile(zoom + 1, 2 * column + right, 2 * row + down)
+                if tile is not None:
+                    at = np.s_[down * half : (down + 1) * half, right * half : (right + 1) * half]
+                    picture[at] = cv2.resize(tile[0], (half, half), interpolation=cv2.INTER_AREA)
+                    valid[at] = tile[1][::2, ::2]
+        return (picture, valid) if valid.any() else None
+
+    def _reaches(self, zoom: int, column: int, row: int, low: Place, high: Place) -> bool:
+        """Return whether a tile lies over the rectangle of the deepest zoom."""
+        finer = self.zoom - zoom
+        corners = np.array([self._turned(self.zoom, place) for place in (low, high)]) >> finer
+        return bool(((corners.min(0) <= (column, row)) & (corners.max(0) >= (column, row))).all())
+
+    def _decoded(self, zoom: int, place: Place) -> tuple[UInt8Array, BoolArray] | None:
+        """Return a stored tile and its mask; None if there is none, or an empty one."""
+        data = self._tiles.read(zoom, place)
+        if data is None:
+            return None
+        try:
+            with Image.open(io.BytesIO(data)) as image:
+                if max(image.size) > _MAX_SIDE:
+                    raise ValueError(f"{image.size[0]} x {image.size[1]} pixels")
+                pixels: AnyArray = np.asarray(image.convert("RGBA"))
+        except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+            raise DataError(
+                f"The tile {self._tiles.name(zoom, place)} cannot be read as a picture; delete it, or make it again."
+            ) from error
+        return np.ascontiguousarray(pixels[:, :, :3]), pixels[:, :, 3] > 0
+
+    def _size_error(self, zoom: int, place: Place, picture: UInt8Array, side: int) -> DataError:
+        return DataError(
+            f"The tile {self._tiles.name(zoom, place)} has {picture.shape[1]} x {picture.shape[0]} pixels; expected {side} x "
+            f"{side}, as other tiles have."
+        )
+
+
+def _within(start: float, side: int, scale: float, count: int) -> tuple[slice, Float64Array]:
+    """Return which of `count` samples, `scale` apart, lie in a tile from `start` on, and their pixels in it."""
+    at = (np.arange(count) + 0.5) * scale - start
+    inside = np.flatnonzero((at >= 0) & (at < side))
+    if not len(inside):
+        return slice(0, 0), np.zeros(0)
+    return slice(int(inside[0]), int(inside[-1]) + 1), np.clip(at[inside] - 0.5, 0, side - 1)
