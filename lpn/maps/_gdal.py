@@ -28,14 +28,14 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".ecw",), b"", "an ECW file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
     ((".sid",), b"msid", "a MrSID file, whose reader is not free", "convert it to GeoTIFF, such as with QGIS"),
     ((".pdf",), b"%PDF", "a PDF", "export the map as GeoTIFF"),
-    ((), b"PK\x03\x04", "a zip archive", "unpack it first"),
     ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
     ((".pmtiles",), b"PMTiles", "a PMTiles archive", "convert it to .mbtiles, such as with pmtiles convert"),
     ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
     ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
     ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
-    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg", ".kml"), b"AC10", "a file of lines and points", "give a raster"),
+    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg", ".kml", ".kmz"), b"", "a file of lines and points", "give a raster"),
     ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
+    ((), b"PK\x03\x04", "a zip archive", "unpack it first"),
 )
 
 

@@ -14,6 +14,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -56,7 +57,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
         crs: EPSG code or WKT.
         transform: from column and row to coordinates, row by row.
         width, height: in pixels.
-        treatment: None for tiles.
+        treatment: None for tiles without a border.
         notes: sentences about how it is read.
     """
 
@@ -188,7 +189,7 @@ def _record(sheet: Sheet, out: Path) -> SheetRecord:
         (a, b, c, d, e, f),
         raster.width,
         raster.height,
-        raster.treatment if isinstance(raster, GdalRaster) else None,
+        raster.treatment,
         raster.notes,
     )
 
@@ -201,7 +202,11 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
             f"The map {printable(str(folder))} needs {shown}, which is not there; bring it back, or write the map "
             "again with lpn map."
         )
-    raster = TileRaster(path) if record.kind == "tiles" else GdalRaster(path, record.treatment)
+    raster = (
+        TileRaster(path, record.treatment, keep_borders=True)
+        if record.kind == "tiles"
+        else GdalRaster(path, record.treatment)
+    )
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(
             f"{shown} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x {record.height}; it changed, "
@@ -273,8 +278,9 @@ def _check_places(
     files: Sequence[Path], places: Sequence[tuple[Any, Float64Array] | None], options: MapOptions
 ) -> None:
     """Refuse what cannot be a map before any long work: bands and treatments are left open."""
+    quick = replace(options, keep_borders=True)
     sheets = [
-        open_sheet(file, options) if place is None else raster_sheet(file, file, *place, options, Treatment((1,)))
+        open_sheet(file, quick) if place is None else raster_sheet(file, file, *place, options, Treatment((1,)))
         for file, place in zip(files, places, strict=True)
     ]
     Map(files[0].stem, sheets).close()
@@ -287,7 +293,9 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
         tiled = file.block_shapes[0][1] < width or len(file.overviews(1)) > 0
         has_overviews = bool(file.overviews(1)) or max(width, height) <= _LARGE
         paletted = file.colorinterp[0].name == "palette"
-    copied = not tiled and width * height > _MAX_UNTILED
+        # The palette of a GeoTIFF has no alpha.
+        clear = paletted and any(colour[3] < 255 for colour in file.colormap(1).values())
+    copied = not tiled and not clear and width * height > _MAX_UNTILED
     if has_overviews and not copied:
         return source
     library = _gdal.rasterio()

@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
-import cv2
 import msgspec
 import numpy as np
 
@@ -18,22 +17,15 @@ from lpn.core.arrays import AnyArray, BoolArray, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.maps import _gdal
+from lpn.maps.borders import BorderColour, Borders, Box, border_note, find_borders, overview_size
 
-Box = tuple[int, int, int, int]
-
-# Longest side of the overview on which stretch and borders are decided.
-_OVERVIEW = 1024
 # Percentiles of a band that become 0 and 255.
 _PERCENTILES = (2.0, 98.0)
-# JPEG changes black and white by up to so much, but most pixels of a border by no more than the second number.
-_BORDER_NOISE, _BORDER_CORE, _CORE_SHARE = 16, 2, 0.8
 # Entries of a palette by the type of its band.
 _PALETTES = {"uint8": 1 << 8, "uint16": 1 << 16}
 _RGB = ("red", "green", "blue")
 # Colour spaces that are not converted; GDAL converts CMYK, YCbCr, and Lab of most files itself.
 _OTHER_COLOURS = {"hue": "HSL", "cyan": "CMYK", "Y": "YCbCr"}
-# Smaller regions at the border, as a share of the overview, belong to the picture.
-_MIN_BORDER = 1e-3
 
 
 class Raster(Protocol):
@@ -52,7 +44,7 @@ class Raster(Protocol):
 
     @property
     def treatment(self) -> Treatment | None:
-        """How bands become RGB and a mask; None for tiles."""
+        """How bands become RGB and a mask; None for tiles without a border."""
         ...
 
     def files(self) -> list[Path]:
@@ -92,7 +84,7 @@ class Treatment(msgspec.Struct, frozen=True):
     bands: tuple[int, ...]
     alpha: int | None = None
     stretch: tuple[tuple[float, float], ...] | None = None
-    border: tuple[Literal["white", "black"], ...] = ()
+    border: tuple[BorderColour, ...] = ()
 
 
 class GdalRaster:
@@ -131,7 +123,9 @@ class GdalRaster:
                 self.treatment, self.notes = treatment, []
             chosen = self.treatment.bands
             if not chosen or not all(1 <= number <= file.count for number in (*chosen, self.treatment.alpha or 1)):
-                raise DataError(f"{self._name} has {file.count} bands, fewer than before; write the map again with lpn map.")
+                raise DataError(
+                    f"{self._name} has {file.count} bands, fewer than before; write the map again with lpn map."
+                )
             self._dtype = np.result_type(*(file.dtypes[number - 1] for number in chosen))
             self._same_types = len({file.dtypes[number - 1] for number in chosen}) == 1
             bits = file.tags(chosen[0], ns="IMAGE_STRUCTURE").get("NBITS", "")
@@ -142,9 +136,11 @@ class GdalRaster:
             if treatment is None and len(pages := file.subdatasets) > 1:
                 self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
             kinds = _gdal.rasterio().enums.MaskFlags
-            flags = [file.mask_flag_enums[number - 1] for number in chosen]
-            self._masked = any(kinds.all_valid not in of_band and kinds.alpha not in of_band for of_band in flags)
-            self._has_nodata = any(kinds.nodata in of_band for of_band in flags)
+            flags = {kind for number in chosen for kind in file.mask_flag_enums[number - 1]}
+            self._has_nodata = kinds.nodata in flags
+            # Where there is an alpha band, GDAL's mask of the whole file is that band, and nodata only fills what it hides.
+            masks = {kinds.per_dataset} if self.treatment.alpha else {kinds.per_dataset, kinds.nodata}
+            self._masked = bool(flags & masks) and kinds.alpha not in flags
         if self._dtype.kind == "c":
             raise DataError(f"{self._name} holds complex numbers; expected a picture in grey or colour.")
         if treatment is None:
@@ -154,9 +150,7 @@ class GdalRaster:
         """See `Raster.read`."""
         values, valid = self._values(box, size)
         if self.treatment.border:
-            # Pixels at the edge are mixed with the border's colour.
-            border = cv2.dilate(self._on_border(values, box, size).astype(np.uint8), np.ones((3, 3), np.uint8))
-            valid = valid & (border == 0)
+            valid = valid & ~self._borders.within(values, box, size)
         return self._rgb(values), valid
 
     def files(self) -> list[Path]:
@@ -219,16 +213,13 @@ class GdalRaster:
         """Decide stretch and borders on an overview."""
         self.treatment = chosen
         deep = self._deep
-        look = not (keep_borders or (deep and self._has_nodata) or self._palette is not None)
         values, valid = self._overview()
         # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and white where
         # nothing is known.
-        look = look and bool(valid.all())
-        colours: tuple[Literal["white", "black"], ...] = ("black",) if deep else ("white", "black")
-        border = tuple(colour for colour in colours if look and self._region(values, colour).any())
-        for colour in border:
-            region = self._region(values, colour)
-            self.notes.append(f"The {colour} border of {self._called} ({region.mean():.0%} of it) is taken as no data.")
+        look = valid.all() and not (keep_borders or (deep and self._has_nodata) or self._palette is not None)
+        borders = find_borders(values, deep) if look else {}
+        for colour, region in borders.items():
+            self.notes.append(border_note(colour, self._called, region))
             valid = valid & ~region
         if not valid.any():
             raise DataError(f"{self._called} has no valid pixel; expected a map.")
@@ -241,12 +232,10 @@ class GdalRaster:
                 f"{self._called} holds {self._numbers} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
                 f"each band ({shown}) become 0 and 255."
             )
-        return Treatment(chosen.bands, chosen.alpha, stretch, border)
+        return Treatment(chosen.bands, chosen.alpha, stretch, tuple(borders))
 
     def _overview(self) -> tuple[AnyArray, BoolArray]:
-        factor = max(1.0, max(self.width, self.height) / _OVERVIEW)
-        size = max(1, round(self.width / factor)), max(1, round(self.height / factor))
-        return self._values((0, 0, self.width, self.height), size)
+        return self._values((0, 0, self.width, self.height), overview_size(self.width, self.height))
 
     def _values(self, box: Box, size: tuple[int, int]) -> tuple[AnyArray, BoolArray]:
         """Read the chosen bands, (n, height, width), and which pixels the file itself says are valid, (height, width)."""
@@ -289,51 +278,10 @@ class GdalRaster:
             values = np.broadcast_to(values, (3, *values.shape[1:]))
         return np.ascontiguousarray(np.moveaxis(values, 0, 2))
 
-    def _like(self, values: AnyArray, colour: str, noise: int = _BORDER_NOISE) -> BoolArray:
-        """Return which pixels are black or white but for noise, (height, width)."""
-        if self._deep:
-            noise = 0
-        found: BoolArray = values.max(0) <= noise if colour == "black" else values.min(0) >= 255 - noise
-        return found
-
-    def _region(self, values: AnyArray, colour: str) -> BoolArray:
-        """Return the pixels of a border's colour that are connected to the border, (height, width)."""
-        like = self._like(values, colour)
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(like.astype(np.uint8), connectivity=4)
-        edge = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-        chosen = np.zeros(count, bool)
-        chosen[edge] = True
-        chosen[0] = False
-        chosen &= stats[:, cv2.CC_STAT_AREA] >= _MIN_BORDER * labels.size
-        # Dark water is not uniform as a border is.
-        core = np.bincount(labels.ravel(), self._like(values, colour, _BORDER_CORE).ravel(), count)
-        chosen &= core >= _CORE_SHARE * stats[:, cv2.CC_STAT_AREA]
-        region: BoolArray = chosen[labels]
-        return region
-
     @cached_property
-    def _regions(self) -> dict[str, BoolArray]:
-        """The borders by colour, on the overview and one of its pixels wider."""
+    def _borders(self) -> Borders:
         with self._lock:
-            values, _ = self._overview()
-            wider = np.ones((3, 3), np.uint8)
-            return {
-                colour: cv2.dilate(self._region(values, colour).astype(np.uint8), wider) > 0
-                for colour in self.treatment.border
-            }
-
-    def _on_border(self, values: AnyArray, box: Box, size: tuple[int, int]) -> BoolArray:
-        """Return which pixels of a rectangle belong to a border, (height, width)."""
-        found = np.zeros((size[1], size[0]), bool)
-        for colour, region in self._regions.items():
-            columns = ((box[0] + (np.arange(size[0]) + 0.5) * box[2] / size[0]) * region.shape[1] / self.width).astype(
-                int
-            )
-            rows = ((box[1] + (np.arange(size[1]) + 0.5) * box[3] / size[1]) * region.shape[0] / self.height).astype(
-                int
-            )
-            found |= self._like(values, colour) & region[np.ix_(rows, columns)]
-        return found
+            return Borders(self._overview()[0], self.treatment.border, (self.width, self.height), self._deep)
 
 
 def _palette(file: Any) -> UInt8Array | None:

@@ -81,11 +81,9 @@ def open_sheet(path: Path, options: MapOptions) -> Sheet:
         InputError: if an option is malformed, or does not apply.
     """
     if is_tile_set(path):
-        if options != MapOptions():
-            raise InputError(
-                f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, bands, and borders out."
-            )
-        tiles = TileRaster(path)
+        if options != MapOptions(keep_borders=options.keep_borders):
+            raise InputError(f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, and bands out.")
+        tiles = TileRaster(path, keep_borders=options.keep_borders)
         return Sheet(path.name, tiles, tiles.crs, tiles.matrix)
     crs, matrix = georeference(path, options)
     return raster_sheet(path, path, crs, matrix, options)
@@ -118,7 +116,9 @@ def _files_in(folder: Path) -> list[Path]:
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     if not found:
         if tiles := tiles_near(folder):
-            raise DataError(f"{printable(str(folder))} is not the folder of tiles itself; give {printable(str(tiles))}.")
+            raise DataError(
+                f"{printable(str(folder))} is not the folder of tiles itself; give {printable(str(tiles))}."
+            )
         inside = ", ".join(sorted(printable(path.name) for path in folder.iterdir())[:5]) or "nothing"
         raise DataError(
             f"{printable(str(folder))} holds {inside}; expected GeoTIFF files, pictures with world files, tiles "
@@ -161,8 +161,8 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
     if matrix is None and (known := known or corners_of(path)) is not None:
         if (turn := file.tags().get("EXIF_Orientation", "1")) != "1":
             raise DataError(
-                f"{printable(str(path))} is shown turned or mirrored (EXIF orientation {printable(turn)}), so that its corners are "
-                "not certain; save it upright first."
+                f"{printable(str(path))} is shown turned or mirrored (EXIF orientation {printable(turn)}), so that its corners "
+                "are not certain; save it upright first."
             )
         return _from_corners(known[0], file.width, file.height, known[1])
     if matrix is None and file.rpcs is not None:
@@ -176,7 +176,7 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
         )
     if options.crs is not None:
         return parse_crs(options.crs), matrix
-    _check_overlay(path, file)
+    _check_overlay(path)
     crs = file.crs or file.gcps[1] or _projection_file(path)
     if not crs:
         raise DataError(
@@ -206,13 +206,13 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
     return None if world is None else _world_file(world)
 
 
-def _check_overlay(path: Path, file: Any) -> None:
-    """Refuse a turned overlay of Google Earth, whose turn GDAL leaves out.
+def _check_overlay(path: Path) -> None:
+    """Refuse an overlay of Google Earth whose turn or corners GDAL leaves out.
 
     Raises:
-        DataError: if it is turned.
+        DataError: if it is turned, or has corners of its own.
     """
-    if file.driver != "KMLSUPEROVERLAY":
+    if path.suffix.lower() not in (".kml", ".kmz"):
         return
     try:
         if zipfile.is_zipfile(path):
@@ -223,7 +223,15 @@ def _check_overlay(path: Path, file: Any) -> None:
         else:
             with path.open("rb") as plain:
                 data = plain.read(_MAX_KML)
-    except (OSError, IndexError, ValueError, RuntimeError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        OSError,
+        IndexError,
+        ValueError,
+        RuntimeError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise DataError(f"{printable(str(path))} holds no KML that can be read; export it again.") from error
     turn = re.search(rb"<rotation>\s*([-+.0-9eE]+)", data)
     if turn and turn[1].strip(b"-+.0eE"):

@@ -45,7 +45,7 @@ _LAYOUTS = tuple(
         r"(?P<z>\d{1,2})/(?P<x>\d{1,9})/(?P<y>\d{1,9})",
         r"z(?P<z1>\d{1,2})/\d+/x(?P<x>\d{1,9})/\d+/y(?P<y>\d{1,9})",
         r"(?P<z>\d{1,2})[-_](?P<x>\d{1,9})[-_](?P<y>\d{1,9})",
-        r"(?P<quadkey>[0-3]{8,30})",
+        r"[ahr]?(?P<quadkey>[0-3]{8,30})",
     )
 )
 _TILE = re.compile(r".*\d" + _PICTURE, re.IGNORECASE | re.ASCII)
@@ -99,11 +99,16 @@ class TileSet(Protocol):
         named: columns and rows have names, so that they cannot be confused.
     """
 
-    path: Path
-    zooms: dict[int, Extent]
-    declared: Declared
-    from_south: bool
-    named: bool
+    @property
+    def path(self) -> Path: ...
+    @property
+    def zooms(self) -> dict[int, Extent]: ...
+    @property
+    def declared(self) -> Declared: ...
+    @property
+    def from_south(self) -> bool: ...
+    @property
+    def named(self) -> bool: ...
 
     def places(self, zoom: int) -> list[Place]:
         """Return the places of the tiles of a zoom, of 100,000 at most."""
@@ -161,8 +166,8 @@ class FolderTiles:
         self.path = path
         layout = _layout_of(path)
         self._files: dict[int, dict[Place, Path]] = {}
-        for relative, file in _files_of(path) if layout else ():
-            if (match := layout.fullmatch(relative)) and (address := _address(match)):
+        for relative, file in _files_of(path):
+            if layout and (match := layout.fullmatch(relative)) and (address := _address(match)):
                 zoom, place = address
                 tiles = self._files.setdefault(zoom, {})
                 # Where a tile is there twice, {y}@2x.png comes before {y}.png.
@@ -213,7 +218,9 @@ class FolderTiles:
             profile = re.search(r"profile\s*=\s*[\"']([^\"']*)", text)
             code = re.search(r"(\d+)\D*$", reference[1]) if reference else None
             if (code and code[1] not in _WEB_MERCATOR) or (profile and re.search("geodetic|raster", profile[1])):
-                raise _projection_error(self.path, reference[1] if reference else f"the profile {profile and profile[1]}")
+                raise _projection_error(
+                    self.path, reference[1] if reference else f"the profile {profile and profile[1]}"
+                )
             return Declared(from_south=True)
         for name in _METADATA:
             with suppress(OSError, ValueError, RecursionError):
@@ -258,19 +265,20 @@ class DatabaseTiles:
             self.declared = _declared(self.path, self._pairs("SELECT name, value FROM metadata"))
         else:
             info = self._record("SELECT * FROM info LIMIT 1")
-            if str(info.get("tilenumbering") or "BigPlanet").lower() == "bigplanet":
+            if str(info.get("tilenumbering", "BigPlanet")).lower() == "bigplanet":
                 self._z = _BIG_PLANET
             self.from_south = str(info.get("inverted_y")) == "1"
             self.declared = Declared(ellipsoidal=str(info.get("ellipsoid")) == "1")
-        self.zooms = {}
+        self.zooms: dict[int, Extent] = {}
         x, y = self._x, self._y
-        for zoom, *numbers in self._rows(
+        for row in self._rows(
             f"SELECT {self._z}, MIN({x}), MIN({y}), MAX({x}), MAX({y}), COUNT(*) FROM {self._table} GROUP BY 1 ORDER BY 1"
         ):
-            if not all(isinstance(number, int) for number in (zoom, *numbers)):
+            numbers = [number for number in row if isinstance(number, int)]
+            if len(numbers) != len(row):
                 raise DataError(f"{shown} has tiles whose zoom, column, or row is no whole number; make it again.")
+            zoom, west, low, east, high, count = numbers
             if 0 <= zoom <= MAX_ZOOM:
-                west, low, east, high, count = numbers
                 self.zooms[zoom] = Extent((west, low), (east, high), count)
         if not self.zooms:
             raise DataError(f"{shown} holds no tiles; make it again.")
@@ -371,7 +379,9 @@ def _layout_of(folder: Path) -> re.Pattern[str] | None:
             continue
         if "/" not in relative:
             # One picture in the folder that is no tile, or has a world file, makes all of them sheets.
-            names = [other.name for other in folder.iterdir() if _is_picture(other.name) or other.suffix.lower()[-1:] == "w"]
+            names = [
+                other.name for other in folder.iterdir() if _is_picture(other.name) or other.suffix.lower()[-1:] == "w"
+            ]
             return layout if all((match := layout.fullmatch(name)) and _address(match) for name in names) else None
         return layout
     return None
@@ -421,6 +431,6 @@ def _vector_error(path: Path) -> DataError:
 
 def _projection_error(path: Path, what: str) -> DataError:
     return DataError(
-        f"The tiles of {printable(str(path))} are in {printable(what)[:60]}; expected Web Mercator (EPSG:3857), so make them with "
-        "that profile, or give the raster that they were made of."
+        f"The tiles of {printable(str(path))} are in {printable(what)[:60]}; expected Web Mercator (EPSG:3857), so make them "
+        "with that profile, or give the raster that they were made of."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 from collections.abc import Iterator
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,9 @@ from lpn.core.arrays import AnyArray, BoolArray, Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.maps import _gdal
-from lpn.maps.raster import Box
-from lpn.maps.tile_sets import Place, TileSet, open_tiles
+from lpn.maps.borders import Borders, Box, border_note, find_borders, overview_size
+from lpn.maps.raster import Treatment
+from lpn.maps.tile_sets import Extent, Place, open_tiles
 
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres; World Mercator uses it, too.
 _HALF = math.pi * 6_378_137.0
@@ -42,6 +43,8 @@ class TileRaster:
 
     Args:
         path: a folder or a database of tiles.
+        treatment: a recorded treatment; None decides about borders.
+        keep_borders: do not look for white and black borders.
 
     Attributes:
         zoom: the deepest zoom, whose pixels are those of the raster.
@@ -52,8 +55,8 @@ class TileRaster:
         DataError: if it holds no tiles, or they are no pictures in Web Mercator.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.treatment = path, None
+    def __init__(self, path: Path, treatment: Treatment | None = None, keep_borders: bool = False) -> None:
+        self.path, self.treatment = path, treatment
         self._tiles = tiles = open_tiles(path)
         self.notes: list[str] = []
         try:
@@ -62,12 +65,23 @@ class TileRaster:
             self._read_tile = lru_cache(_CACHED_TILES)(self._tile)
             self._order = self._find_order()
             self._place()
+            extent = tiles.zooms[self.zoom]
+            whole = extent.count * self._side**2 >= self.width * self.height
+            if treatment is None and whole and not keep_borders:
+                self.treatment = self._find_borders()
         except BaseException:
             tiles.close()
             raise
 
     def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """See `Raster.read`."""
+        picture, valid = self._cut(box, size)
+        if self.treatment is not None and self.treatment.border:
+            valid &= ~self._borders.within(np.moveaxis(picture, 2, 0), box, size)
+        return picture, valid
+
+    def _cut(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+        """Read a rectangle, borders included."""
         reduction = min(box[2] / size[0], box[3] / size[1])
         level = min(int(math.log2(max(1.0, reduction))), self.zoom)
         # Pixels of the coarser zoom, counted from its own first tile.
@@ -104,6 +118,23 @@ class TileRaster:
         self._read_tile.cache_clear()
         self._tiles.close()
 
+    def _overview(self) -> tuple[UInt8Array, BoolArray]:
+        """Return an overview, (3, height, width), and which of its pixels are valid, (height, width)."""
+        picture, valid = self._cut((0, 0, self.width, self.height), overview_size(self.width, self.height))
+        return np.moveaxis(picture, 2, 0), valid
+
+    def _find_borders(self) -> Treatment | None:
+        """Decide about borders on an overview."""
+        values, valid = self._overview()
+        borders = find_borders(values, deep=False) if valid.all() else {}
+        self.notes += [border_note(colour, self._name, region) for colour, region in borders.items()]
+        return Treatment((1, 2, 3), border=tuple(borders)) if borders else None
+
+    @cached_property
+    def _borders(self) -> Borders:
+        colours = self.treatment.border if self.treatment is not None else ()
+        return Borders(self._overview()[0], colours, (self.width, self.height), deep=False)
+
     @property
     def _name(self) -> str:
         return printable(self.path.name)
@@ -139,6 +170,11 @@ class TileRaster:
                 + (f"; {missing:.0%} of its rectangle have no tile." if missing > 0 else ".")
             )
         self.notes += self._order_notes
+        wider = [zoom for zoom, other in tiles.zooms.items() if not _covers(extent, other, self.zoom - zoom)]
+        if wider:
+            self.notes.append(
+                f"Zoom {max(wider)} of {self._name} reaches further than zoom {self.zoom}; that part is not shown."
+            )
         left, top, right, bottom = west * side, north * side, (east + 1) * side, (south + 1) * side
         self._origin = left, top
         bounds = self._bounds()
@@ -151,7 +187,9 @@ class TileRaster:
                 right, bottom = min(right, closer[2]), min(bottom, closer[3])
                 self._origin = left, top
             else:
-                self.notes.append(f"The bounds that {self._name} states do not fit its tiles, and are left out of account.")
+                self.notes.append(
+                    f"The bounds that {self._name} states do not fit its tiles, and are left out of account."
+                )
         self.width, self.height = right - left, bottom - top
         crs = "EPSG:3395" if tiles.declared.ellipsoidal else "EPSG:3857"
         self.crs = _gdal.rasterio().crs.CRS.from_string(crs)
@@ -253,7 +291,7 @@ class TileRaster:
             picture, valid = tile
             # Tiles of twice the pixels ({y}@2x.png) may stand beside plain ones.
             if picture.shape[0] == picture.shape[1] and len(picture) in (side // 2, 2 * side):
-                picture = cv2.resize(picture, (side, side), interpolation=cv2.INTER_AREA)
+                picture = np.asarray(cv2.resize(picture, (side, side), interpolation=cv2.INTER_AREA), np.uint8)
                 valid = cv2.resize(valid.astype(np.uint8), (side, side), interpolation=cv2.INTER_NEAREST) > 0
             if picture.shape != (side, side, 3):
                 raise self._size_error(zoom, place, picture, side)
@@ -299,6 +337,12 @@ class TileRaster:
             f"The tile {self._tiles.name(zoom, place)} has {picture.shape[1]} x {picture.shape[0]} pixels; expected {side} x "
             f"{side}, as other tiles have."
         )
+
+
+def _covers(deepest: Extent, other: Extent, finer: int) -> bool:
+    """Return whether the deepest zoom covers another one, which is coarser by so many levels."""
+    low, high = (np.array(place) >> finer for place in (deepest.low, deepest.high))
+    return bool((low <= other.low).all() and (high >= other.high).all())
 
 
 def _within(start: float, side: int, scale: float, count: int) -> tuple[slice, Float64Array]:

@@ -1,0 +1,384 @@
+from __future__ import annotations
+
+import gzip
+import json
+import math
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core.errors import DataError, InputError
+from lpn.maps import Map, MapOptions, Window, open_map
+from lpn.maps.folder import build_map
+from tests.lpn.maps.small_maps import smooth, write_geotiff
+from tools.fixtures.small_tiles import (
+    NORTH,
+    WEST,
+    ZOOM,
+    bounds_text,
+    encoded,
+    matrix,
+    quadkey,
+    write_folder,
+    write_mbtiles,
+    write_sqlitedb,
+)
+
+PICTURE = smooth(512, 512)
+FINE = smooth(1024, 1024)
+# Middle of the four tiles.
+LATITUDE, LONGITUDE = 48.205456, 9.103546
+METADATA = {"name": "town", "format": "png", "bounds": bounds_text()}
+
+
+@pytest.fixture(scope="module")
+def same(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    """The map that the tiles were cut of."""
+    return open_map(write_geotiff(tmp_path_factory.mktemp("same") / "same.tif", PICTURE, "EPSG:3857", matrix()))
+
+
+@pytest.fixture(scope="module")
+def fine(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    """The map that the tiles of 512 pixels were cut of."""
+    return open_map(write_geotiff(tmp_path_factory.mktemp("fine") / "fine.tif", FINE, "EPSG:3857", matrix(512)))
+
+
+def check(town: Map, same: Map, tolerance: int = 3) -> list[str]:
+    """Check that two maps show the same at the same place; return the notes of the first."""
+    assert (town.frame.latitude, town.frame.longitude) == (same.frame.latitude, same.frame.longitude)
+    assert (town.frame.latitude, town.frame.longitude) == (LATITUDE, LONGITUDE)
+    np.testing.assert_allclose(town.bounds, same.bounds, atol=0.01)
+    assert town.resolution == pytest.approx(same.resolution)
+    for window in (Window(0, 0, 60), Window(20, -30, 100, 40)):
+        picture, valid = town.read(window, 80)
+        assert valid.all()
+        np.testing.assert_allclose(picture.astype(int), same.read(window, 80)[0], atol=tolerance)
+    return town.notes
+
+
+def refused(path: Path, *words: str) -> None:
+    with pytest.raises(DataError) as caught:
+        open_map(path)
+    for word in words:
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"),
+    [
+        ("{z}/{x}/{y}.png", 3),
+        ("{z}/{x}/{y}.webp", 12),
+        ("{z}/{x}/{y}.jpg", 12),
+        ("{z}/{x}/{y}.PNG", 3),
+        ("{z}/{x}/{y}.png.tile", 3),  # OsmAnd, osmdroid
+        ("{z}/{x}/{y}", 3),
+        ("z{z1}/{kx}/x{x}/{ky}/y{y}.png", 3),  # SAS.Planet
+        ("{q}.png", 3),
+        ("a{q}.png", 3),
+        ("{z}_{x}_{y}.png", 3),
+        ("{z}-{x}-{y}.png", 3),
+    ],
+)
+def test_tiles_by_the_names_that_programs_give_them(tmp_path: Path, same: Map, name: str, tolerance: int) -> None:
+    notes = check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same, tolerance)
+    assert notes == ["town is shown at zoom 18, the deepest of 1."]
+
+
+def test_the_names_of_one_folder_may_be_mixed(tmp_path: Path, same: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    jpeg = write_folder(tmp_path / "jpeg", PICTURE, "{z}/{x}/{y}.jpg")
+    name = f"{ZOOM}/{WEST}/{NORTH}"
+    (jpeg / f"{name}.jpg").rename(tiles / f"{name}.jpg")
+    (tiles / f"{name}.png").unlink()
+    for other in ("leaflet.html", "openlayers.html", "doc.kml", f"{name}.kml"):  # as gdal2tiles leaves them
+        (tiles / other).write_text("<html/>")
+    Image.fromarray(smooth(50, 50)).save(tiles / "preview.png")
+    assert check(open_map(tiles), same, 12) == ["town is shown at zoom 18, the deepest of 1."]
+
+
+def test_tiles_of_512_pixels(tmp_path: Path, fine: Map) -> None:
+    for name in ("{z}/{x}/{y}@2x.png", "{z}/{x}/{y}.png"):
+        check(open_map(write_folder(tmp_path / name[-7:], FINE, name, side=512)), fine)
+    check(open_map(write_mbtiles(tmp_path / "town.mbtiles", FINE, METADATA, side=512)), fine)
+
+
+def test_tiles_of_512_pixels_come_before_plain_ones(tmp_path: Path, fine: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    write_folder(tiles, FINE, "{z}/{x}/{y}@2x.png", side=512)
+    check(open_map(tiles), fine)
+    # A tile that is there in 256 pixels alone is enlarged.
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}@2x.png").unlink()
+    town = open_map(tiles)
+    picture, valid = town.read(Window(-40, 40, 60), 60)
+    assert valid.all()
+    assert town.resolution == pytest.approx(fine.resolution)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("{z}/{x}/{south}.png", "In town, rows count from the south (TMS): there the tiles fit together."),
+        ("{z}/{y}/{x}.png", "In town, names are {z}/{y}/{x}, with rows from the north: there the tiles fit together."),
+    ],
+)
+def test_the_order_of_tiles_without_metadata_is_that_in_which_they_fit(
+    tmp_path: Path, same: Map, name: str, words: str
+) -> None:
+    assert check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same)[1:] == [words]
+
+
+def test_tiles_that_fit_are_right_against_their_metadata(tmp_path: Path, same: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / "tilemapresource.xml").write_text("<TileMap/>")
+    words = "In town, rows count from the north (XYZ): there the tiles fit together."
+    assert words in check(open_map(tiles), same)
+
+
+def test_metadata_decide_about_tiles_that_do_not_tell(tmp_path: Path) -> None:
+    """Tiles of one colour fit together in every order."""
+    plain = np.full((512, 512, 3), 90, np.uint8)
+    north = open_map(write_folder(tmp_path / "plain", plain))
+    assert north.frame.latitude == LATITUDE
+    assert north.notes[1:] == [
+        "plain does not tell where its rows begin; they are counted from the north (XYZ). For rows from the south (TMS), add a "
+        "tilemapresource.xml."
+    ]
+    south = write_folder(tmp_path / "south", plain, "{z}/{x}/{south}.png")
+    assert open_map(south).frame.latitude == -LATITUDE
+    profile = "<TileMap><SRS>EPSG:900913</SRS><TileSets profile='mercator'/></TileMap>"
+    for name, text in (
+        ("tilemapresource.xml", profile),
+        ("metadata.json", json.dumps({"scheme": "tms"})),
+        ("metadata.json", json.dumps({"bounds": bounds_text()})),
+        ("tiles.json", json.dumps({"bounds": [float(edge) for edge in bounds_text().split(",")]})),
+    ):
+        (south / name).write_text(text)
+        town = open_map(south)
+        assert (town.frame.latitude, town.frame.longitude) == (LATITUDE, LONGITUDE)
+        assert not any("does not tell" in note for note in town.notes)
+        (south / name).unlink()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<TileMap><SRS>EPSG:4326</SRS><TileSets profile='geodetic'/></TileMap>",
+        "<TileMap><SRS>EPSG:3067</SRS><TileSets profile='raster'/></TileMap>",
+        "<TileMap><SRS></SRS><TileSets profile='raster'/></TileMap>",
+    ],
+)
+def test_tiles_in_another_projection_are_refused(tmp_path: Path, text: str) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / "tilemapresource.xml").write_text(text)
+    refused(tiles, "expected Web Mercator (EPSG:3857)")
+    (tiles / "tilemapresource.xml").unlink()
+    (tiles / "metadata.json").write_text(json.dumps({"profile": "geodetic"}))
+    refused(tiles, "the profile geodetic", "expected Web Mercator (EPSG:3857)")
+
+
+MBTILES: dict[str, tuple[dict[str, str] | None, dict[str, Any]]] = {
+    "as its format wants": (METADATA, {}),
+    "scheme xyz": (METADATA | {"scheme": "xyz"}, {"from_south": False}),
+    "scheme xyz without bounds": ({"scheme": "xyz"}, {"from_south": False}),
+    "scheme tms": (METADATA | {"scheme": "tms"}, {}),
+    "no metadata": (None, {}),
+    "empty metadata": ({}, {}),
+    "tiles from a view": (METADATA, {"schema": "view"}),
+    "map and images without a view": (METADATA, {"schema": "no view"}),
+    "gzipped pictures": (METADATA, {"encode": lambda tile: gzip.compress(encoded(tile))}),
+    "bounds of the world": (METADATA | {"bounds": "-180.0,-85,180,85"}, {}),
+    "bounds that are none": (METADATA | {"bounds": "a,b"}, {}),
+    "zooms that are wrong": (METADATA | {"minzoom": "0", "maxzoom": "22"}, {}),
+    "zooms that are too small": (METADATA | {"minzoom": "0", "maxzoom": "10"}, {}),
+}
+
+
+@pytest.mark.parametrize("case", MBTILES)
+def test_an_mbtiles_is_read_by_its_tiles(tmp_path: Path, same: Map, case: str) -> None:
+    metadata, options = MBTILES[case]
+    town = open_map(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, **options))
+    assert check(town, same) == ["town.mbtiles is shown at zoom 18, its deepest."]
+
+
+@pytest.mark.parametrize(
+    ("metadata", "from_south", "words"),
+    [
+        (METADATA, False, "In town.mbtiles, rows count from the north (XYZ): there the tiles fit together."),
+        ({}, False, "In town.mbtiles, rows count from the north (XYZ): there the tiles fit together."),
+        (
+            METADATA | {"scheme": "xyz"},
+            True,
+            "In town.mbtiles, rows count from the south (TMS): there the tiles fit together.",
+        ),
+        (
+            METADATA | {"bounds": "8,40,8.1,40.1"},
+            True,
+            "The bounds that town.mbtiles states do not fit its tiles, and are left out of account.",
+        ),
+    ],
+)
+def test_wrong_metadata_of_an_mbtiles_are_named(
+    tmp_path: Path, same: Map, metadata: dict[str, str], from_south: bool, words: str
+) -> None:
+    town = open_map(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, from_south=from_south))
+    assert check(town, same)[1:] == [words]
+
+
+def test_scheme_and_bounds_decide_about_an_mbtiles_that_does_not_tell(tmp_path: Path) -> None:
+    plain = np.full((512, 512, 3), 90, np.uint8)
+    for metadata, from_south in (
+        ({}, True),
+        ({"scheme": "xyz"}, False),
+        ({"bounds": bounds_text()}, False),
+        ({"bounds": bounds_text(), "scheme": "xyz"}, True),
+    ):
+        path = write_mbtiles(tmp_path / "town.mbtiles", plain, metadata, from_south=from_south)
+        town = open_map(path)
+        assert (town.frame.latitude, town.frame.longitude) == (LATITUDE, LONGITUDE)
+
+
+def test_stated_bounds_cut_the_filling_of_the_last_tiles(tmp_path: Path) -> None:
+    picture = PICTURE.copy()
+    picture[384:] = picture[:, 448:] = 255
+    path = write_mbtiles(tmp_path / "town.mbtiles", picture, {"bounds": bounds_text(1.75, 1.5)})
+    town = open_map(path)
+    west, south, east, north = town.bounds
+    pixel = matrix()[0] * math.cos(math.radians(LATITUDE))
+    assert (east - west, north - south) == pytest.approx((448 * pixel, 384 * pixel), rel=2e-3)
+    picture, valid = town.overview(400)
+    assert valid.mean() > 0.99
+    assert not (picture > 250).all(axis=2).any()
+
+
+def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
+    picture = PICTURE.copy()
+    picture[:, :205] = 255
+    for path in (write_mbtiles(tmp_path / "town.mbtiles", picture), write_folder(tmp_path / "town", picture)):
+        town = open_map(path)
+        assert f"The white border of {path.name} (40% of it) is taken as no data." in town.notes
+        assert town.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+        assert open_map(path, MapOptions(keep_borders=True)).overview(200)[1].mean() > 0.99
+        build_map([path], tmp_path / "map")
+        assert open_map(tmp_path / "map").overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+        with pytest.raises(InputError, match="leave CRS, corners, and bands out"):
+            open_map(path, MapOptions(bands=(1,)))
+
+
+@pytest.mark.parametrize(
+    "info",
+    [
+        None,
+        {"minzoom": 17 - ZOOM, "tilenumbering": "BigPlanet"},
+        {"minzoom": ZOOM, "tilenumbering": "simple"},
+        {"tilenumbering": "simple", "inverted_y": 1, "ellipsoid": 0},
+    ],
+)
+def test_a_sqlitedb_of_mobac_and_osmand(tmp_path: Path, same: Map, info: dict[str, str | int] | None) -> None:
+    town = open_map(write_sqlitedb(tmp_path / "town.sqlitedb", PICTURE, info))
+    assert check(town, same, 12) == ["town.sqlitedb is shown at zoom 18, its deepest."]
+
+
+def test_an_ellipsoidal_sqlitedb_lies_in_world_mercator(tmp_path: Path) -> None:
+    info: dict[str, str | int] = {"tilenumbering": "simple", "ellipsoid": 1}
+    town = open_map(write_sqlitedb(tmp_path / "town.sqlitedb", PICTURE, info))
+    _, _, x, _, _, y = matrix()
+    middle = 256 * matrix()[0]
+    longitude, latitude = pyproj.Transformer.from_crs(3395, 4326, always_xy=True).transform(x + middle, y - middle)
+    assert latitude - LATITUDE > 0.19  # 21 km
+    assert (town.frame.latitude, town.frame.longitude) == pytest.approx((latitude, longitude), abs=2e-6)
+
+
+def test_vector_tiles_are_named(tmp_path: Path) -> None:
+    def vector(_: Any) -> bytes:
+        return gzip.compress(b"\x1a\x10" + bytes(50))
+
+    refused(write_mbtiles(tmp_path / "a.mbtiles", PICTURE, {"format": "pbf"}, encode=vector), "vector tiles (pbf)")
+    refused(write_mbtiles(tmp_path / "b.mbtiles", PICTURE, {}, encode=vector), "cannot be read as a picture")
+    tiles = write_folder(tmp_path / "tiles", PICTURE, "{z}/{x}/{y}.pbf")
+    refused(tiles, "vector tiles (pbf)")
+
+
+def test_databases_without_tiles_are_named(tmp_path: Path) -> None:
+    (tmp_path / "empty.mbtiles").touch()
+    refused(tmp_path / "empty.mbtiles", "is empty")
+    (tmp_path / "text.mbtiles").write_text("no database")
+    refused(tmp_path / "text.mbtiles", "cannot be read as a map (file is not a database)")
+    refused(write_mbtiles(tmp_path / "none.mbtiles", smooth(9, 9)), "holds no tiles")
+    with sqlite3.connect(tmp_path / "other.mbtiles") as database:
+        database.execute("CREATE TABLE roads (name TEXT)")
+    refused(tmp_path / "other.mbtiles", "has the tables roads")
+    path = write_mbtiles(tmp_path / "text_zoom.mbtiles", PICTURE)
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE tiles SET zoom_level = 'deep'")
+    refused(path, "no whole number")
+
+
+def test_empty_tiles_have_no_data(tmp_path: Path) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(b"")
+    assert open_map(tiles).overview(200)[1].mean() == pytest.approx(0.75, abs=0.01)
+    for file in tiles.rglob("*.png"):
+        file.write_bytes(b"")
+    refused(tiles, "are empty")
+
+
+def test_a_coarser_zoom_that_reaches_further_is_named(tmp_path: Path) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    finer = tiles / str(ZOOM + 1) / str(2 * WEST)
+    finer.mkdir(parents=True)
+    Image.fromarray(smooth(256, 256)).save(finer / f"{2 * NORTH}.png")
+    assert "Zoom 18 of town reaches further than zoom 19; that part is not shown." in open_map(tiles).notes
+
+
+def test_the_folder_of_tiles_is_named_from_above_and_below(tmp_path: Path) -> None:
+    write_folder(tmp_path / "download" / "tiles", PICTURE)
+    refused(tmp_path / "download", "give", str(tmp_path / "download" / "tiles"))
+    refused(tmp_path / "download" / "tiles" / str(ZOOM), "give", str(tmp_path / "download" / "tiles") + ".")
+
+
+def test_pictures_that_only_look_like_tiles_are_sheets(tmp_path: Path) -> None:
+    """Numbers in names are no tiles where a world file or another picture stands beside them."""
+    Image.fromarray(PICTURE).save(tmp_path / "18_137700_90900.png")
+    write_geotiff(tmp_path / "32_500_5316.tif", smooth(60, 60))
+    (tmp_path / "18_137700_90900.pgw").write_text("0.5\n0\n0\n-0.5\n500000\n5316000\n")
+    (tmp_path / "18_137700_90900.prj").write_text("EPSG:32632")
+    assert [sheet.name for sheet in open_map(tmp_path).sheets] == ["18_137700_90900.png", "32_500_5316.tif"]
+
+
+def test_the_command_maps_tiles_and_the_folder_moves_with_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], same: Map
+) -> None:
+    (tmp_path / "all").mkdir()
+    path = write_mbtiles(tmp_path / "all" / "town.mbtiles", PICTURE, {"scheme": "xyz"}, from_south=False)
+    assert main(["map", str(path), "--out", str(tmp_path / "all" / "map")]) == 0
+    assert "shows 204 m by 204 m about 48.205456, 9.103546, 100% of it with data" in capsys.readouterr().out
+    shutil.move(tmp_path / "all", tmp_path / "elsewhere")
+    check(open_map(tmp_path / "elsewhere" / "map"), same)
+
+
+def test_quadkeys_are_those_of_bing() -> None:
+    assert quadkey(3, 3, 5) == "213"  # the example of its documentation
+
+
+@pytest.mark.parametrize("write", [write_folder, write_mbtiles])
+def test_a_large_set_is_read_from_many_threads(
+    tmp_path: Path, write: Callable[[Path, np.ndarray], Path], same: Map
+) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    town = open_map(write(tmp_path / "town.mbtiles", PICTURE))
+    windows = [Window(x, y, 40, x) for x in range(-50, 50, 20) for y in range(-50, 50, 20)]
+    with ThreadPoolExecutor(4) as threads:
+        for window, (picture, valid) in zip(windows, threads.map(lambda w: town.read(w, 32), windows), strict=True):
+            assert valid.all()
+            np.testing.assert_allclose(picture.astype(int), same.read(window, 32)[0], atol=2)
+    town.close()
