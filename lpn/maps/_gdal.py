@@ -57,7 +57,8 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
     """Return the classes of rasterio's errors, and others; GDAL's own do not derive from rasterio's public one."""
     from rasterio._err import CPLE_BaseError
 
-    return rasterio().errors.RasterioError, CPLE_BaseError, *others
+    # Rasterio raises UnicodeDecodeError where GDAL's message quotes a damaged file.
+    return rasterio().errors.RasterioError, CPLE_BaseError, UnicodeDecodeError, *others
 
 
 def open_raster(path: Path) -> Any:
@@ -147,5 +148,7 @@ def _other(path: Path) -> tuple[str, str] | None:
 
 
 def _reason(error: Exception, path: Path) -> str:
+    while isinstance(error.__cause__, Exception):  # which says more than "Read failed"
+        error = error.__cause__
     text = printable(str(error)).replace(str(path), path.name)
     return text.removeprefix(f"'{path.name}' ").rstrip(".")[:200]

@@ -24,7 +24,10 @@ from lpn.maps.tile_sets import Extent, Place, open_tiles
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres; World Mercator uses it, too.
 _HALF = math.pi * 6_378_137.0
 _CACHED_TILES = 128
-_MAX_SIDE = 4096
+# Pixels of a tile's side.
+_MIN_SIDE, _MAX_SIDE = 16, 4096
+# Tiles that are looked at for the size of all.
+_SAMPLES = 5
 # Pairs of neighbouring tiles that are compared, and how many pixels an edge must show.
 _PAIRS, _EDGE = 12, 32
 # Tiles fit together where their edges differ by less than this share of what they differ in the other orders.
@@ -61,7 +64,7 @@ class TileRaster:
         self.notes: list[str] = []
         try:
             self.zoom = max(tiles.zooms)
-            self._side = len(self._first())
+            self._side = self._usual_side()
             self._read_tile = lru_cache(_CACHED_TILES)(self._tile)
             self._order = self._find_order()
             self._place()
@@ -139,15 +142,23 @@ class TileRaster:
     def _name(self) -> str:
         return printable(self.path.name)
 
-    def _first(self) -> UInt8Array:
-        """Return the first tile of the deepest zoom that shows something, (side, side, 3)."""
-        for place in self._tiles.places(self.zoom):
+    def _usual_side(self) -> int:
+        """Return the side of most tiles of the deepest zoom, in pixels, by a few that show something."""
+        places = self._tiles.places(self.zoom)
+        spread = [places[number] for number in np.linspace(0, len(places) - 1, _SAMPLES).astype(int).tolist()]
+        sides: list[int] = []
+        for place in dict.fromkeys([*spread, *places]):
             tile = self._decoded(self.zoom, place)
-            if tile is not None:
-                if tile[0].shape[0] != tile[0].shape[1] or len(tile[0]) < 16:
-                    raise self._size_error(self.zoom, place, tile[0], 256)
-                return tile[0]
-        raise DataError(f"All tiles of {printable(str(self.path))} at zoom {self.zoom} are empty; make them again.")
+            if tile is None:
+                continue
+            if tile[0].shape[0] != tile[0].shape[1] or len(tile[0]) < _MIN_SIDE:
+                raise self._size_error(self.zoom, place, tile[0], 256)
+            sides.append(len(tile[0]))
+            if len(sides) == _SAMPLES:
+                break
+        if not sides:
+            raise DataError(f"All tiles of {printable(str(self.path))} at zoom {self.zoom} are empty; make them again.")
+        return max(sides, key=lambda side: (sides.count(side), side))
 
     def _place(self) -> None:
         """Compute origin, size, and matrix of the raster, and say what was decided."""

@@ -599,6 +599,93 @@ def flights(folder: Path) -> list[FuzzCase]:
     ]
 
 
+def maps(folder: Path) -> list[FuzzCase]:
+    """GeoTIFFs, side files, lists of corners, databases and folders of tiles, and map.json."""
+    import rasterio
+    from PIL import Image
+
+    from lpn.maps import MapOptions, Window, open_map
+    from lpn.maps.folder import build_map
+    from tools.fixtures import small_tiles, small_worlds
+
+    picture = small_worlds.place(1)[:64, :64]
+    tiles = small_worlds.place(2)[:64, :64]
+    corners = MapOptions(corners=(48.0, 9.0, 47.999, 9.0014))
+
+    def shown(path: Path, options: MapOptions | None = None) -> None:
+        town = open_map(path, options)
+        try:
+            cut, valid = town.read(Window(0, 0, 50, 20), 24)
+            assert cut.shape == (24, 24, 3)
+            assert cut.dtype == np.uint8
+            assert valid.shape == (24, 24)
+            assert abs(town.frame.latitude) <= 90
+        finally:
+            town.close()
+
+    def file(name: str, seed: bytes, opened: str | None = None, options: MapOptions | None = None) -> FuzzCase:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(seed)
+
+        def read(data: bytes) -> None:
+            path.write_bytes(data)
+            try:
+                shown(folder / (opened or name), options)
+            finally:
+                path.write_bytes(seed)
+
+        return FuzzCase([seed], read)
+
+    def geotiff(name: str, bands: int, kind: str, **options: Any) -> bytes:
+        profile = {"driver": "GTiff", "height": 64, "width": 64, "count": bands, "dtype": kind, "crs": "EPSG:32632"}
+        transform = rasterio.Affine(2, 0, 500_000, 0, -2, 5_316_000)
+        with rasterio.open(folder / name, "w", transform=transform, **profile, **options) as opened:
+            for band in range(bands):
+                opened.write(picture[:, :, band % 3].astype(kind), band + 1)
+        return (folder / name).read_bytes()
+
+    world = b"2\n0\n0\n-2\n500001\n5315999\n"
+    Image.fromarray(picture).save(folder / "world.png")
+    (folder / "world.prj").write_text("EPSG:32632")
+    (folder / "world.pgw").write_bytes(world)
+    Image.fromarray(picture).save(folder / "listed.png")
+    header = "Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon\n"
+    Image.fromarray(picture).save(folder / "over.png")
+    overlay = (
+        '<kml xmlns="http://www.opengis.net/kml/2.2"><GroundOverlay><Icon><href>over.png</href></Icon><LatLonBox><north>48</north>'
+        "<south>47.999</south><east>9.0014</east><west>9</west><rotation>0</rotation></LatLonBox></GroundOverlay></kml>"
+    )
+    metadata = {"bounds": small_tiles.bounds_text(), "scheme": "tms", "minzoom": "18"}
+    databases = [
+        small_tiles.write_mbtiles(folder / "a.mbtiles", tiles, metadata, side=32).read_bytes(),
+        small_tiles.write_mbtiles(folder / "a.mbtiles", tiles, {}, side=32, schema="view").read_bytes(),
+    ]
+    small_tiles.write_folder(folder / "tiles", tiles, side=32)
+    first = next(path for path in sorted((folder / "tiles").rglob("*.png")))
+    build_map([folder / "tiles"], folder / "map")
+    cases = [
+        file("alpha.tif", geotiff("alpha.tif", 4, "uint16", photometric="RGB", alpha="yes", compress="deflate")),
+        file("nodata.tif", geotiff("nodata.tif", 1, "float32", nodata=7, tiled=True, blockxsize=32, blockysize=32)),
+        file("jpeg.tif", geotiff("jpeg.tif", 3, "uint8", photometric="YCBCR", compress="jpeg")),
+        file("plain.png", (folder / "world.png").read_bytes(), options=corners),
+        file("world.pgw", world, "world.png"),
+        file("world.prj", b"EPSG:32632", "world.png"),
+        file("map.csv", (header + "listed.png,48.0,9.0,47.999,9.0014\n").encode(), "map.csv"),
+        file("over.kml", overlay.encode()),
+        file("tiles/" + first.relative_to(folder / "tiles").as_posix(), first.read_bytes(), "tiles"),
+        file("tiles/metadata.json", json.dumps(metadata).encode(), "tiles"),
+        file("map/map.json", (folder / "map" / "map.json").read_bytes(), "map"),
+    ]
+    cases += [file("a.mbtiles", seed) for seed in databases]
+    cases.append(
+        file("a.sqlitedb", small_tiles.write_sqlitedb(folder / "a.sqlitedb", small_worlds.place(3)).read_bytes())
+    )
+    small_tiles.write_folder(folder / "south", tiles, side=32)
+    cases.append(file("south/tilemapresource.xml", b"<TileMap><SRS>EPSG:3857</SRS></TileMap>", "south"))
+    return cases
+
+
 TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
     made.__name__: made
     for made in (
@@ -617,6 +704,7 @@ TARGETS: dict[str, Callable[[Path], list[FuzzCase]]] = {
         indexes,
         cities,
         flights,
+        maps,
     )
 }
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -405,3 +406,194 @@ def test_a_damaged_geotiff_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"a\.tif (is damaged|cannot be read)") as caught:
         open_map(path).overview(100)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\xef\xbb\xbf" + WORLD.encode(),
+        WORLD.encode("utf-16"),
+        WORLD.replace("\n", "\r\n\r\n").encode(),
+        WORLD.replace(".", ",").encode(),
+        WORLD.replace("\n", " ").encode(),
+        WORLD.encode() + b"\nEPSG:32632\n",
+    ],
+)
+def test_world_files_as_programs_write_them(tmp_path: Path, data: bytes) -> None:
+    path = picture_with_world_file(tmp_path / "a.png", ".pgw")
+    path.with_suffix(".pgw").write_bytes(data)
+    same = open_map(write_geotiff(tmp_path / "a.tif", smooth(120, 160)))
+    town = open_map(path)
+    assert town.frame == same.frame
+    np.testing.assert_allclose(town.bounds, same.bounds, atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".tfw", ".TFW", ".tifw", ".wld", ".tiffw"])
+def test_a_tiff_with_a_world_file_is_the_geotiff(tmp_path: Path, suffix: str) -> None:
+    path = picture_with_world_file(tmp_path / ("a.tiff" if suffix == ".tiffw" else "a.tif"), suffix)
+    assert open_map(path).frame == open_map(write_geotiff(tmp_path / "b.tif", smooth(120, 160))).frame
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "EPSG:32632\n",
+        "+proj=utm +zone=32 +datum=WGS84 +units=m",
+        pyproj.CRS(32632).to_wkt("WKT1_GDAL"),
+        pyproj.CRS(32632).to_wkt(),
+        "\ufeff" + pyproj.CRS(32632).to_wkt("WKT1_ESRI"),
+    ],
+)
+@pytest.mark.parametrize("coding", ["utf-8", "utf-16"])
+def test_projection_files_as_programs_write_them(tmp_path: Path, text: str, coding: str) -> None:
+    path = picture_with_world_file(tmp_path / "a.png", ".pgw", None)
+    path.with_suffix(".prj").write_bytes(text.removeprefix("\ufeff" if coding == "utf-16" else "").encode(coding))
+    assert open_map(path).frame == open_map(write_geotiff(tmp_path / "b.tif", smooth(120, 160))).frame
+
+
+@pytest.mark.parametrize(
+    ("crs", "matrix", "place"),
+    [
+        ("EPSG:32632", (2, 0, EAST, 0, 2, NORTH - 128), (47.996723, 9.000858)),  # from the south up
+        ("EPSG:32632+5773", (2, 0, EAST, 0, -2, NORTH), (47.996723, 9.000858)),  # with heights
+        ("EPSG:31467", (2, 0, 3_500_000, 0, -2, 5_317_000), (47.990545, 8.999834)),  # northing comes first
+        ("EPSG:2180", (2, 0, 500_000, 0, -2, 500_000), (52.365372, 19.000940)),
+        ("EPSG:4258", (2e-5, 0, 9.0, 0, -2e-5, 48.0), (47.999360, 9.000640)),  # latitude comes first
+        ("EPSG:2263", (2, 0, 980_000, 0, -2, 200_000), (40.715454, -74.015100)),  # feet
+        ("EPSG:4807", (2e-5, 0, 2.0, 0, -2e-5, 52.0), (46.799383, 4.137180)),  # gons from Paris
+    ],
+)
+def test_coordinates_of_any_axis_order_and_unit(
+    tmp_path: Path, crs: str, matrix: tuple[float, ...], place: tuple[float, float]
+) -> None:
+    town = open_map(write_geotiff(tmp_path / "a.tif", smooth(64, 64), crs, matrix))
+    assert (town.frame.latitude, town.frame.longitude) == pytest.approx(place, abs=2e-6)
+
+
+def test_a_raster_from_the_south_up_is_not_mirrored(tmp_path: Path) -> None:
+    picture = smooth(120, 160)
+    north = open_map(write_geotiff(tmp_path / "a.tif", picture))
+    south = open_map(write_geotiff(tmp_path / "b.tif", picture[::-1], matrix=(0.5, 0, EAST, 0, 0.5, NORTH - 60)))
+    np.testing.assert_array_equal(cut(south), cut(north))
+
+
+def test_coordinates_that_are_no_map_are_refused(tmp_path: Path) -> None:
+    from rasterio.rpc import RPC
+
+    geocentric = write_geotiff(tmp_path / "a.tif", smooth(60, 60), "EPSG:4978", (2, 0, 4e6, 0, -2, 6e5))
+    refused(geocentric, "EPSG:4978", "middle of the earth", "--crs")
+    refused(write_geotiff(tmp_path / "b.tif", smooth(60, 60), "EPSG:5773"), "--crs")
+    one = [1.0] + [0.0] * 19
+    position = RPC(0, 1, 48, 0.01, one, one, 30, 30, 9, 0.01, one, one, 30, 30, None, None)
+    bare = write_geotiff(tmp_path / "c.tif", smooth(60, 60), None, None, rpcs=position)
+    refused(bare, "RPCs only", "gdalwarp -rpc")
+
+
+def test_a_turned_photo_with_corners_is_refused(tmp_path: Path) -> None:
+    turned = Image.Exif()
+    turned[0x0112] = 6
+    Image.fromarray(smooth(60, 80)).save(tmp_path / "a.jpg", exif=turned)
+    refused(tmp_path / "a.jpg", "EXIF orientation 6", "save it upright", corners=corners())
+    turned[0x0112] = 1
+    Image.fromarray(smooth(60, 80)).save(tmp_path / "a.jpg", exif=turned)
+    assert open_map(tmp_path / "a.jpg", MapOptions(corners=corners())).frame.latitude == pytest.approx(47.9996)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 64), (64, 1), (2, 2), (31, 400)])
+def test_a_map_of_too_few_pixels_is_refused(tmp_path: Path, rows: int, columns: int) -> None:
+    refused(
+        write_geotiff(tmp_path / "town.tif", smooth(64, 400)[:rows, :columns]),
+        f"The map town has {columns} x {rows} pixels; expected at least 32 on each side",
+    )
+
+
+def test_narrow_strips_are_sheets_of_a_map_that_is_large_enough(tmp_path: Path) -> None:
+    picture = smooth(60, 80)
+    whole = open_map(write_geotiff(tmp_path / "whole.tif", picture))
+    strips = [
+        write_geotiff(tmp_path / f"{row}.tif", picture[row : row + 10], matrix=(0.5, 0, EAST, 0, -0.5, NORTH - row / 2))
+        for row in range(0, 60, 10)
+    ]
+    assert open_map(strips).bounds == pytest.approx(whole.bounds, abs=0.01)
+    refused(strips[:2], "80 x 20 pixels")
+    assert open_map(write_geotiff(tmp_path / "least.tif", smooth(32, 32))).bounds
+
+
+OVERLAY = (
+    '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><GroundOverlay><Icon><href>a.png'
+    "</href></Icon><LatLonBox><north>48</north><south>47.999</south><east>9.0014</east><west>9</west>{}</LatLonBox></GroundOverlay></kml>"
+)
+
+
+@pytest.mark.parametrize("suffix", [".kml", ".kmz"])
+def test_an_overlay_of_google_earth_is_read_unless_it_is_turned(tmp_path: Path, suffix: str) -> None:
+    Image.fromarray(smooth(80, 100)).save(tmp_path / "a.png")
+    path = tmp_path / f"town{suffix}"
+    for turn, words in (
+        ("", None),
+        ("<rotation>0</rotation>", None),
+        ("<rotation>-12.5</rotation>", "turned by -12.5"),
+    ):
+        if suffix == ".kml":
+            path.write_text(OVERLAY.format(turn))
+        else:
+            with zipfile.ZipFile(path, "w") as archive:
+                archive.writestr("doc.kml", OVERLAY.format(turn))
+                archive.write(tmp_path / "a.png", "a.png")
+        if words:
+            refused(path, words, "GeoTIFF")
+        else:
+            town = open_map(path)
+            assert (town.frame.latitude, town.frame.longitude) == pytest.approx((47.9995, 9.0007), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("a.ecw", b"e\x02" + bytes(99), "is an ECW file"),
+        ("a.sid", b"msid" + bytes(99), "is a MrSID file"),
+        ("a.pdf", b"%PDF-1.6\n", "is a PDF"),
+        ("a.zip", b"PK\x03\x04" + bytes(99), "unpack it first"),
+        ("a.tif", b"PK\x03\x04" + bytes(99), "unpack it first"),
+        ("a.tif", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
+        ("a.tif", b"<!doctype html><html>Please log in</html>", "a page of HTML"),
+        ("a.tif", b"", "is empty"),
+        ("a.laz", b"LASF" + bytes(99), "a point cloud"),
+        ("a.pmtiles", b"PMTiles\x03" + bytes(99), "pmtiles convert"),
+        ("a.geojson", b'{"type": "FeatureCollection", "features": []}', "lines and points"),
+        (
+            "a.kml",
+            b"<?xml version='1.0'?><kml xmlns='http://www.opengis.net/kml/2.2'><Placemark/></kml>",
+            "lines and points",
+        ),
+        ("a.tpkx", b"PK\x03\x04" + bytes(99), "a tile package of ArcGIS"),
+        ("a.qgz", b"PK\x03\x04" + bytes(99), "a project"),
+    ],
+)
+def test_what_is_no_raster_is_called_what_it_is(tmp_path: Path, name: str, data: bytes, words: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    refused(tmp_path / name, f"{name} is ", words)
+
+
+@pytest.mark.parametrize(("driver", "name"), [("GPKG", "a.gpkg"), ("netCDF", "a.nc")])
+def test_a_file_of_several_rasters_names_them(tmp_path: Path, driver: str, name: str) -> None:
+    import rasterio.shutil
+
+    source = write_geotiff(tmp_path / "a.tif", smooth(64, 64))
+    rasterio.shutil.copy(str(source), str(tmp_path / name), driver=driver)
+    if driver == "GPKG":
+        assert open_map(tmp_path / name).frame == open_map(source).frame
+        more = {"APPEND_SUBDATASET": "YES", "RASTER_TABLE": "second"}
+        rasterio.shutil.copy(str(source), str(tmp_path / name), driver=driver, **more)
+    refused(tmp_path / name, "rasters (", "export the right one as GeoTIFF")
+
+
+@pytest.mark.parametrize(
+    ("driver", "name"), [("JP2OpenJPEG", "b.jp2"), ("COG", "b.tif"), ("HFA", "b.img"), ("NITF", "b.ntf")]
+)
+def test_other_rasters_with_a_georeference_are_the_geotiff(tmp_path: Path, driver: str, name: str) -> None:
+    import rasterio.shutil
+
+    source = write_geotiff(tmp_path / "a.tif", smooth(64, 64))
+    rasterio.shutil.copy(str(source), str(tmp_path / name), driver=driver)
+    assert open_map(tmp_path / name).frame == open_map(source).frame
