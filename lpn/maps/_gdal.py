@@ -33,7 +33,8 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
     ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
     ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
-    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg", ".kml", ".kmz"), b"", "a file of lines and points", "give a raster"),
+    ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
+    ((".kml", ".kmz"), b"", "a file of Google Earth without one picture on the ground", "export the map as GeoTIFF"),
     ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
     ((), b"PK\x03\x04", "a zip archive", "unpack it first"),
 )

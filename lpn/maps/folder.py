@@ -29,7 +29,7 @@ from lpn.core.files import check_writable, printable, write_atomic
 from lpn.maps import _gdal
 from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
-from lpn.maps.raster import GdalRaster, Treatment
+from lpn.maps.raster import GdalRaster, Treatment, is_jpeg
 from lpn.maps.sheet import Sheet
 from lpn.maps.sources import MapOptions, files_of, georeference, open_sheet, parse_crs, raster_sheet
 from lpn.maps.tile_sets import is_tile_set
@@ -293,9 +293,10 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
         tiled = file.block_shapes[0][1] < width or len(file.overviews(1)) > 0
         has_overviews = bool(file.overviews(1)) or max(width, height) <= _LARGE
         paletted = file.colorinterp[0].name == "palette"
-        # The palette of a GeoTIFF has no alpha.
+        # A copy would lose the alpha of a palette, and hide that JPEG changed an alpha band.
         clear = paletted and any(colour[3] < 255 for colour in file.colormap(1).values())
-    copied = not tiled and not clear and width * height > _MAX_UNTILED
+        bound = clear or (is_jpeg(file) and "alpha" in [meaning.name for meaning in file.colorinterp])
+    copied = not tiled and not bound and width * height > _MAX_UNTILED
     if has_overviews and not copied:
         return source
     library = _gdal.rasterio()

@@ -21,6 +21,8 @@ from lpn.maps.borders import BorderColour, Borders, Box, border_note, find_borde
 
 # Percentiles of a band that become 0 and 255.
 _PERCENTILES = (2.0, 98.0)
+# Least alpha that is data where JPEG changed it.
+_LOSSY_OPAQUE = 128
 # Entries of a palette by the type of its band.
 _PALETTES = {"uint8": 1 << 8, "uint16": 1 << 16}
 _RGB = ("red", "green", "blue")
@@ -76,7 +78,8 @@ class Treatment(msgspec.Struct, frozen=True):
 
     Attributes:
         bands: numbers, from 1, of the bands shown as red, green, and blue; one number for grey or a palette.
-        alpha: number of the alpha band; 0 is no data, and any value above it is data, as in GDAL's own masks.
+        alpha: number of the alpha band; 0 is no data, and any value above it is data, as in GDAL's own masks (half of 255 in
+            a JPEG).
         stretch: for each of `bands`, the values that become 0 and 255; None for bands of 8 bits.
         border: colours that mean no data where they are connected to the border.
     """
@@ -135,6 +138,8 @@ class GdalRaster:
             self._deep = self._palette is None and (few or self._dtype != np.uint8)
             if treatment is None and len(pages := file.subdatasets) > 1:
                 self.notes.append(f"{self._called} holds {len(pages)} pictures; the first is shown.")
+            # JPEG smears alpha and nodata over several pixels.
+            self._lossy = is_jpeg(file)
             kinds = _gdal.rasterio().enums.MaskFlags
             flags = {kind for number in chosen for kind in file.mask_flag_enums[number - 1]}
             self._has_nodata = kinds.nodata in flags
@@ -216,7 +221,8 @@ class GdalRaster:
         values, valid = self._overview()
         # Some programs write an alpha band that is opaque everywhere, or a nodata value that no pixel has, and white where
         # nothing is known.
-        look = valid.all() and not (keep_borders or (deep and self._has_nodata) or self._palette is not None)
+        unclear = bool(valid.all()) or (self._lossy and self._has_nodata)
+        look = unclear and not (keep_borders or (deep and self._has_nodata) or self._palette is not None)
         borders = find_borders(values, deep) if look else {}
         for colour, region in borders.items():
             self.notes.append(border_note(colour, self._called, region))
@@ -255,7 +261,8 @@ class GdalRaster:
             else:
                 values = np.stack([file.read(number, out_shape=shape, **options) for number in chosen])
             if alpha is not None:
-                valid &= file.read(alpha, out_shape=shape, **options) > 0
+                opacity = file.read(alpha, out_shape=shape, **options)
+                valid &= opacity >= _LOSSY_OPAQUE if self._lossy else opacity > 0
             if self._masked:
                 valid &= (file.read_masks(chosen, out_shape=(len(chosen), *shape), **options) > 0).any(axis=0)
         if self._palette is not None:
@@ -282,6 +289,11 @@ class GdalRaster:
     def _borders(self) -> Borders:
         with self._lock:
             return Borders(self._overview()[0], self.treatment.border, (self.width, self.height), self._deep)
+
+
+def is_jpeg(file: Any) -> bool:
+    """Return whether an open raster's pixels are compressed as JPEG."""
+    return "JPEG" in file.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION", "")
 
 
 def _palette(file: Any) -> UInt8Array | None:

@@ -139,10 +139,10 @@ class Sheet:
         low, high = corners.min(0), corners.max(0)
         shown = f"{low[0]:.9g} to {high[0]:.9g} and {low[1]:.9g} to {high[1]:.9g}"
         name, crs = printable(self.name), describe(self.crs)
-        if self.crs.to_wkt().startswith(("GEOCCS", "GEODCRS")) and not self.crs.is_geographic:
+        if not (self.crs.is_geographic or self.crs.is_projected):
             raise DataError(
-                f"The CRS {crs} of {name} counts from the middle of the earth, and a map lies on its surface; give the right one "
-                "with --crs."
+                f"The CRS {crs} of {name} is neither in degrees nor a projection, and does not say where on earth it lies; give the "
+                "right one with --crs."
             )
         if self.crs.is_geographic:
             if low[1] < -90.001 or high[1] > 90.001 or low[0] < -360 or high[0] > 360:

@@ -24,6 +24,8 @@ from lpn.maps.tiles import TileRaster
 
 # Largest error, in pixels, of the affine transform that stands for ground control points.
 _CONTROL_ERROR = 2.0
+# Files and folders of a tile cache.
+_ARCGIS = ("_alllayers", "conf.xml", "conf.cdi")
 # Bytes of a KML that are looked at.
 _MAX_KML = 1 << 20
 # Files of a folder that are taken as sheets.
@@ -115,6 +117,10 @@ def _files_in(folder: Path) -> list[Path]:
             return _listed(folder / name)
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
     if not found:
+        if any((folder / name).exists() for name in _ARCGIS):
+            raise DataError(
+                f"{printable(str(folder))} is a tile cache of ArcGIS, whose levels are its own; export the map as GeoTIFF."
+            )
         if tiles := tiles_near(folder):
             raise DataError(
                 f"{printable(str(folder))} is not the folder of tiles itself; give {printable(str(tiles))}."
@@ -183,6 +189,9 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
             f"{printable(str(path))} has coordinates but no coordinate reference system; add {path.stem}.prj, or give --crs, "
             "such as EPSG:32632 (UTM) or EPSG:4326 (degrees)."
         )
+    if local := re.match(r'LOCAL_CS\[.*AUTHORITY\["EPSG","([0-9]+)"\]\]$', crs.to_wkt()):
+        # Some programs write the name and the code of a CRS, and nothing else of it.
+        return parse_crs(local[1]), matrix
     return crs, matrix
 
 

@@ -2,6 +2,7 @@
 
 {z}/{x}/{y}.png, {y}@2x.png, .png.tile     web servers, gdal2tiles, QGIS, MOBAC, OsmAnd, osmdroid
 z{z + 1}/{}/x{x}/{}/y{y}.png               the cache of SAS.Planet
+{17 - z}/{}/{}/{}/{}.png                   GMapCatcher: x and y by 1024, and their rest
 {z}_{x}_{y}.png, {quadkey}.png             downloaders
 *.mbtiles                                  the table tiles, or the tables map and images
 *.sqlitedb                                 BigPlanet, MOBAC, OsmAnd
@@ -44,10 +45,13 @@ _LAYOUTS = tuple(
     for pattern in (
         r"(?P<z>\d{1,2})/(?P<x>\d{1,9})/(?P<y>\d{1,9})",
         r"z(?P<z1>\d{1,2})/\d+/x(?P<x>\d{1,9})/\d+/y(?P<y>\d{1,9})",
+        r"(?P<from_17>\d{1,2})/(?P<kx>\d{1,4})/(?P<x>\d{1,4})/(?P<ky>\d{1,4})/(?P<y>\d{1,4})",
         r"(?P<z>\d{1,2})[-_](?P<x>\d{1,9})[-_](?P<y>\d{1,9})",
         r"[ahr]?(?P<quadkey>[0-3]{8,30})",
     )
 )
+# How the zoom follows from the number in a name.
+_ZOOMS = (("z", 1, 0), ("z1", 1, -1), ("from_17", -1, 17))
 _TILE = re.compile(r".*\d" + _PICTURE, re.IGNORECASE | re.ASCII)
 # gdal2tiles writes this file beside tiles that count rows from the south (TMS).
 _TMS = "tilemapresource.xml"
@@ -238,8 +242,11 @@ class DatabaseTiles:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lock = Lock()
+        # Without a log of changes beside it, SQLite need write no files there, which a read-only folder would refuse.
+        log = path.with_name(f"{path.name}-wal")
+        mode = "mode=ro" if log.exists() and log.stat().st_size else "immutable=1"
         self._connection = sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False, isolation_level=None
+            f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False, isolation_level=None
         )
         try:
             self._open()
@@ -399,8 +406,8 @@ def _address(match: re.Match[str]) -> tuple[int, Place] | None:
         zoom = len(digits)
         x, y = (int("".join(str(int(digit) >> bit & 1) for digit in digits), 2) for bit in (0, 1))
     else:
-        zoom = int(groups["z"]) if groups.get("z") else int(groups["z1"]) - 1
-        x, y = int(groups["x"]), int(groups["y"])
+        zoom = next(int(groups[name]) * sign + zero for name, sign, zero in _ZOOMS if groups.get(name))
+        x, y = (int(groups[name]) + 1024 * int(groups.get(f"k{name}") or 0) for name in ("x", "y"))
     if not 0 <= zoom <= MAX_ZOOM:
         return None
     # A name without folders must be a tile's beyond doubt.

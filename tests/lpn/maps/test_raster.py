@@ -107,6 +107,24 @@ def test_partial_alpha_has_data_where_gdal_says_so(tmp_path: Path) -> None:
     assert share(path) == pytest.approx(63 / 64, abs=0.01)
 
 
+def test_jpeg_smears_neither_alpha_nor_nodata_into_the_map(tmp_path: Path) -> None:
+    rows, columns = np.mgrid[:300, :300]
+    inside = (rows - 150) ** 2 + (columns - 150) ** 2 < 120**2
+    picture = smooth(300, 300) * inside[:, :, None]
+    alpha = np.concatenate([picture, inside[:, :, None] * 255], 2).astype(np.uint8)
+    options = {"compress": "jpeg", "tiled": True, "blockxsize": 256, "blockysize": 256}
+    path = write_geotiff(tmp_path / "alpha.tif", alpha, photometric="RGB", alpha="yes", **options)
+    import rasterio
+
+    with rasterio.open(path) as file:
+        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.015
+    assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
+    path = write_geotiff(tmp_path / "nodata.tif", picture, photometric="YCBCR", nodata=0, **options)
+    with rasterio.open(path) as file:
+        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.05
+    assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
+
+
 def test_alpha_of_grey_and_of_many_bands(tmp_path: Path) -> None:
     grey = np.concatenate([PICTURE[:, :, :1], OPAQUE * 255], 2).astype(np.uint16)
     assert share(write(tmp_path / "grey.tif", grey, photometric="MINISBLACK", alpha="yes")) == pytest.approx(

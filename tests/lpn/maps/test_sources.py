@@ -481,12 +481,34 @@ def test_coordinates_that_are_no_map_are_refused(tmp_path: Path) -> None:
     from rasterio.rpc import RPC
 
     geocentric = write_geotiff(tmp_path / "a.tif", smooth(60, 60), "EPSG:4978", (2, 0, 4e6, 0, -2, 6e5))
-    refused(geocentric, "EPSG:4978", "middle of the earth", "--crs")
-    refused(write_geotiff(tmp_path / "b.tif", smooth(60, 60), "EPSG:5773"), "--crs")
+    refused(geocentric, "EPSG:4978", "neither in degrees nor a projection", "--crs")
+    refused(
+        write_geotiff(tmp_path / "b.tif", smooth(60, 60), "EPSG:5773"), "neither in degrees nor a projection", "--crs"
+    )
     one = [1.0] + [0.0] * 19
     position = RPC(0, 1, 48, 0.01, one, one, 30, 30, 9, 0.01, one, one, 30, 30, None, None)
     bare = write_geotiff(tmp_path / "c.tif", smooth(60, 60), None, None, rpcs=position)
     refused(bare, "RPCs only", "gdalwarp -rpc")
+
+
+@pytest.mark.parametrize(
+    ("wkt", "place"),
+    [
+        ('LOCAL_CS["OSGB 1936 / British National Grid",UNIT["metre",1],AUTHORITY["EPSG","27700"]]', (51.507, -0.1275)),
+        ('LOCAL_CS["RGF93 v1 / Lambert-93",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]', None),
+        ('LOCAL_CS["site",UNIT["metre",1]]', None),
+    ],
+)
+def test_a_local_crs_is_read_by_its_code_or_refused(
+    tmp_path: Path, wkt: str, place: tuple[float, float] | None
+) -> None:
+    path = picture_with_world_file(tmp_path / "a.png", ".pgw", None, "2\n0\n0\n-2\n530000\n180500\n")
+    path.with_suffix(".prj").write_text(wkt)
+    if place is None:
+        refused(path, "neither in degrees nor a projection", "--crs")
+    else:
+        frame = open_map(path).frame
+        assert (frame.latitude, frame.longitude) == pytest.approx(place, abs=2e-3)
 
 
 def test_a_turned_photo_with_corners_is_refused(tmp_path: Path) -> None:
@@ -525,15 +547,26 @@ OVERLAY = (
 )
 
 
+def test_several_overlays_and_four_corners_are_refused(tmp_path: Path) -> None:
+    Image.fromarray(smooth(80, 100)).save(tmp_path / "a.png")
+    box = OVERLAY[OVERLAY.index("<LatLonBox>") : OVERLAY.index("</GroundOverlay>")]
+    corners = "9,47.999,0 9.0014,47.999,0 9.0014,48,0 9,48,0"
+    quad = f"<gx:LatLonQuad><coordinates>{corners}</coordinates></gx:LatLonQuad>"
+    (tmp_path / "quad.kml").write_text(OVERLAY.replace(box, quad))
+    refused(tmp_path / "quad.kml", "gx:LatLonQuad", "GeoTIFF")
+    overlay = OVERLAY.format("")
+    start, end = overlay.index("<GroundOverlay>"), overlay.index("</kml>")
+    several = overlay[:start] + f"<Document>{overlay[start:end] * 2}</Document></kml>"
+    (tmp_path / "two.kml").write_text(several)
+    refused(tmp_path / "two.kml", "without one picture on the ground", "GeoTIFF")
+
+
 @pytest.mark.parametrize("suffix", [".kml", ".kmz"])
 def test_an_overlay_of_google_earth_is_read_unless_it_is_turned(tmp_path: Path, suffix: str) -> None:
     Image.fromarray(smooth(80, 100)).save(tmp_path / "a.png")
-    path = tmp_path / f"town{suffix}"
-    for turn, words in (
-        ("", None),
-        ("<rotation>0</rotation>", None),
-        ("<rotation>-12.5</rotation>", "turned by -12.5"),
-    ):
+    turns = {"": None, "<rotation>0</rotation>": None, "<rotation>-12.5</rotation>": "turned by -12.5"}
+    for number, (turn, words) in enumerate(turns.items()):
+        path = tmp_path / f"town{number}{suffix}"
         if suffix == ".kml":
             path.write_text(OVERLAY.format(turn))
         else:
@@ -564,7 +597,7 @@ def test_an_overlay_of_google_earth_is_read_unless_it_is_turned(tmp_path: Path, 
         (
             "a.kml",
             b"<?xml version='1.0'?><kml xmlns='http://www.opengis.net/kml/2.2'><Placemark/></kml>",
-            "lines and points",
+            "without one picture",
         ),
         ("a.tpkx", b"PK\x03\x04" + bytes(99), "a tile package of ArcGIS"),
         ("a.qgz", b"PK\x03\x04" + bytes(99), "a project"),
@@ -597,3 +630,20 @@ def test_other_rasters_with_a_georeference_are_the_geotiff(tmp_path: Path, drive
     source = write_geotiff(tmp_path / "a.tif", smooth(64, 64))
     rasterio.shutil.copy(str(source), str(tmp_path / name), driver=driver)
     assert open_map(tmp_path / name).frame == open_map(source).frame
+
+
+def test_a_tile_cache_of_arcgis_is_named(tmp_path: Path) -> None:
+    level = tmp_path / "_alllayers" / "L10" / "R000000a1"
+    level.mkdir(parents=True)
+    Image.fromarray(smooth(256, 256)).save(level / "C000000b2.png")
+    refused(tmp_path, "is a tile cache of ArcGIS")
+
+
+def test_a_photo_turned_by_its_world_file_in_degrees(tmp_path: Path) -> None:
+    """Programs for single drone photos write such files: turned by nearly 180 degrees."""
+    steps = (-3.5e-07, 2.6e-09, 3.1e-09, 3.0e-07)
+    path = picture_with_world_file(tmp_path / "a.jpg", ".jgw", None, "\n".join(map(str, (*steps, -51.7, -19.7))))
+    town = open_map(path, MapOptions(crs="EPSG:4326"))
+    east, north = -51.7 + 79.5 * steps[0] + 59.5 * steps[2], -19.7 + 79.5 * steps[1] + 59.5 * steps[3]
+    assert (town.frame.latitude, town.frame.longitude) == pytest.approx((north, east), abs=1e-6)
+    assert town.read(Window(0, 0, 2), 20)[1].all()

@@ -296,6 +296,45 @@ def test_an_ellipsoidal_sqlitedb_lies_in_world_mercator(tmp_path: Path) -> None:
     assert (town.frame.latitude, town.frame.longitude) == pytest.approx((latitude, longitude), abs=2e-6)
 
 
+def test_the_cache_of_gmapcatcher_counts_zooms_from_17(tmp_path: Path) -> None:
+    for column in (239, 240):
+        for row in (959, 960):
+            file = tmp_path / "5" / "3" / str(column) / "1" / f"{row}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            tile = np.s_[(row - 959) * 256 : (row - 958) * 256, (column - 239) * 256 : (column - 238) * 256]
+            file.write_bytes(encoded(PICTURE[tile]))
+    town = open_map(tmp_path)
+    assert f"{tmp_path.name} is shown at zoom 12, the deepest of 1." in town.notes
+    longitude = (3 * 1024 + 240) / 4096 * 360 - 180
+    latitude = math.degrees(math.atan(math.sinh(math.pi * (1 - 2 * (1024 + 960) / 4096))))
+    # Rows of a coarse zoom differ in size, so that the middle of the ground is not quite that of the tiles.
+    assert (town.frame.latitude, town.frame.longitude) == pytest.approx((latitude, longitude), abs=2e-3)
+
+
+def test_a_database_in_a_read_only_folder_needs_no_files_beside_it(tmp_path: Path, same: Map) -> None:
+    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA)
+    with sqlite3.connect(path) as database:
+        assert database.execute("PRAGMA journal_mode = WAL").fetchone() == ("wal",)
+    database.close()
+    for name in ("town.mbtiles-wal", "town.mbtiles-shm"):
+        (tmp_path / name).unlink(missing_ok=True)
+    check(open_map(path), same)
+    assert [file.name for file in tmp_path.iterdir()] == ["town.mbtiles"]
+
+
+def test_changes_that_are_still_in_the_log_of_a_database_are_read(tmp_path: Path, same: Map) -> None:
+    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA)
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("UPDATE metadata SET value = 'other' WHERE name = 'name'")
+    database.execute("DELETE FROM tiles WHERE tile_column = ?", (WEST + 1,))
+    database.commit()
+    town = open_map(path)
+    assert town.bounds[2] - town.bounds[0] == pytest.approx((same.bounds[2] - same.bounds[0]) / 2, abs=0.1)
+    town.close()
+    database.close()
+
+
 def test_vector_tiles_are_named(tmp_path: Path) -> None:
     def vector(_: Any) -> bytes:
         return gzip.compress(b"\x1a\x10" + bytes(50))
