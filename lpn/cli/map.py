@@ -14,8 +14,8 @@ class MapCommand:
     """Make a map of a GeoTIFF, a picture with corners, tiles, or several sheets; other commands take its folder."""
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles; several are sheets
-    of one map."""
+    """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles, .sqlitedb; several
+    are sheets of one map."""
     out: Path
     """Folder of the map; sheets that are quick to read stay where they are, and are named in it."""
     crs: str | None = None

@@ -23,6 +23,8 @@ from lpn.maps.borders import BorderColour, Borders, Box, border_note, find_borde
 _PERCENTILES = (2.0, 98.0)
 # Least alpha that is data where JPEG changed it.
 _LOSSY_OPAQUE = 128
+# An alpha band is odd where more than this share of it is further than that from clear and from opaque.
+_VARIED, _CLEAR = 0.5, 0.05
 # Entries of a palette by the type of its band.
 _PALETTES = {"uint8": 1 << 8, "uint16": 1 << 16}
 _RGB = ("red", "green", "blue")
@@ -229,6 +231,12 @@ class GdalRaster:
             valid = valid & ~region
         if not valid.any():
             raise DataError(f"{self._called} has no valid pixel; expected a map.")
+        if chosen.alpha is not None and self._varied(chosen.alpha):
+            self.notes.append(
+                f"Band {chosen.alpha} of {self._called} is marked as alpha, and most of it is between clear and opaque; data is "
+                "where it is above 0. If it is another band, such as near infrared, mark it so (gdal_edit "
+                f"-colorinterp_{chosen.alpha} undefined)."
+            )
         stretch = None
         if deep:
             limits = [np.percentile(band[valid].astype(np.float64), _PERCENTILES).tolist() for band in values]
@@ -239,6 +247,14 @@ class GdalRaster:
                 f"each band ({shown}) become 0 and 255."
             )
         return Treatment(chosen.bands, chosen.alpha, stretch, tuple(borders))
+
+    def _varied(self, band: int) -> bool:
+        """Return whether most values of a band lie well between 0 and its largest one."""
+        columns, rows = overview_size(self.width, self.height)
+        with self._handle() as file:
+            values = file.read(band, out_shape=(rows, columns))
+        between = (values > _CLEAR * values.max()) & (values < (1 - _CLEAR) * values.max())
+        return bool(between.mean() > _VARIED)
 
     def _overview(self) -> tuple[AnyArray, BoolArray]:
         return self._values((0, 0, self.width, self.height), overview_size(self.width, self.height))

@@ -141,8 +141,8 @@ class Sheet:
         name, crs = printable(self.name), describe(self.crs)
         if not (self.crs.is_geographic or self.crs.is_projected):
             raise DataError(
-                f"The CRS {crs} of {name} is neither in degrees nor a projection, and does not say where on earth it lies; give the "
-                "right one with --crs."
+                f"The CRS {crs} of {name} is neither in degrees nor a projection, and does not say where on earth it lies; give "
+                "the right one with --crs."
             )
         if self.crs.is_geographic:
             if low[1] < -90.001 or high[1] > 90.001 or low[0] < -360 or high[0] > 360:

@@ -211,15 +211,21 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
                 "file first, such as with gdalwarp."
             )
         return np.asarray(found, np.float64)
-    world = _beside(path, [f".{path.suffix[1:2]}{path.suffix[-1:]}w", f"{path.suffix}w", ".wld"])
+    suffixes = [f".{path.suffix[1:2]}{path.suffix[-1:]}w", f"{path.suffix}w", ".wld"]
+    world = _beside(path, suffixes)
+    if world is None and (rough := _beside(path, [f"{suffix}x" for suffix in suffixes])):
+        raise DataError(
+            f"{printable(str(rough))} stands for a transform that no world file can hold; rectify the raster, such as in ArcGIS, "
+            "or warp it with gdalwarp."
+        )
     return None if world is None else _world_file(world)
 
 
 def _check_overlay(path: Path) -> None:
-    """Refuse an overlay of Google Earth whose turn or corners GDAL leaves out.
+    """Refuse an overlay of Google Earth whose turn GDAL leaves out.
 
     Raises:
-        DataError: if it is turned, or has corners of its own.
+        DataError: if it is turned.
     """
     if path.suffix.lower() not in (".kml", ".kmz"):
         return
@@ -247,10 +253,6 @@ def _check_overlay(path: Path) -> None:
         raise DataError(
             f"{printable(str(path))} is turned by {turn[1].decode()} degrees about its middle, which is not read; export it as "
             "GeoTIFF, such as with QGIS."
-        )
-    if re.search(rb"<gx:LatLonQuad>", data):
-        raise DataError(
-            f"{printable(str(path))} has four corners of its own (gx:LatLonQuad), which are not read; export it as GeoTIFF."
         )
 
 

@@ -332,6 +332,11 @@ class TileRaster:
         data = self._tiles.read(zoom, place)
         if data is None:
             return None
+        if data[:64].lstrip().startswith((b"<", b"{")):
+            note = f"Some tiles of {self._name} are text, as a failed download leaves them; they have no data."
+            if note not in self.notes:
+                self.notes.append(note)
+            return None
         try:
             with Image.open(io.BytesIO(data)) as image:
                 if max(image.size) > _MAX_SIDE:

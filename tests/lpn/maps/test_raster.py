@@ -104,7 +104,12 @@ def test_partial_alpha_has_data_where_gdal_says_so(tmp_path: Path) -> None:
     path = write(tmp_path / "town.tif", with_alpha("uint8", alpha), photometric="RGB", alpha="yes")
     with rasterio.open(path) as file:
         assert (file.dataset_mask() > 0).mean() == 63 / 64
-    assert share(path) == pytest.approx(63 / 64, abs=0.01)
+    town = open_map(path)
+    assert share(town) == pytest.approx(63 / 64, abs=0.01)
+    assert town.notes == [
+        "Band 4 of town.tif is marked as alpha, and most of it is between clear and opaque; data is where it is above 0. If it "
+        "is another band, such as near infrared, mark it so (gdal_edit -colorinterp_4 undefined)."
+    ]
 
 
 def test_jpeg_smears_neither_alpha_nor_nodata_into_the_map(tmp_path: Path) -> None:
@@ -183,6 +188,30 @@ def test_nodata_of_each_band(tmp_path: Path) -> None:
         for band, value in (("Red", 7), ("Green", 8), ("Blue", 9))
     ]
     assert share(edit_vrt(tmp_path / "town.vrt", source, *changes)) == pytest.approx(0.75, abs=0.002)
+
+
+def test_a_mask_comes_before_a_nodata_value_that_no_byte_has(tmp_path: Path) -> None:
+    import rasterio
+
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK="YES"):
+        source = write(tmp_path / "town.tif", PICTURE)
+        with rasterio.open(source, "r+") as file:
+            file.write_mask((OPAQUE[:, :, 0] * 255).astype(np.uint8))
+    path = edit_vrt(tmp_path / "town.vrt", source, ("<ColorInterp>", "<NoDataValue>-10000</NoDataValue><ColorInterp>"))
+    assert share(path) == pytest.approx(0.75, abs=0.002)
+
+
+def test_scaled_numbers_are_stretched_as_they_are(tmp_path: Path) -> None:
+    import rasterio
+
+    values = (PICTURE[:, :, :1].astype(np.int16) - 100) * 5
+    values[:, :16] = -32_768
+    path = write(tmp_path / "town.tif", values, nodata=-32_768)
+    with rasterio.open(path, "r+") as file:
+        file.scales = [0.001]
+    town = open_map(path)
+    assert share(town) == pytest.approx(0.75, abs=0.002)
+    assert "the percentiles 2 and 98 of each band (-260 to 535)" in town.notes[0]
 
 
 def test_nodata_that_no_pixel_has_does_not_hide_a_border(tmp_path: Path) -> None:

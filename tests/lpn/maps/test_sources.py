@@ -547,13 +547,19 @@ OVERLAY = (
 )
 
 
-def test_several_overlays_and_four_corners_are_refused(tmp_path: Path) -> None:
+def test_four_corners_of_an_overlay_are_read_where_they_are_a_rectangle(tmp_path: Path) -> None:
     Image.fromarray(smooth(80, 100)).save(tmp_path / "a.png")
     box = OVERLAY[OVERLAY.index("<LatLonBox>") : OVERLAY.index("</GroundOverlay>")]
-    corners = "9,47.999,0 9.0014,47.999,0 9.0014,48,0 9,48,0"
-    quad = f"<gx:LatLonQuad><coordinates>{corners}</coordinates></gx:LatLonQuad>"
-    (tmp_path / "quad.kml").write_text(OVERLAY.replace(box, quad))
-    refused(tmp_path / "quad.kml", "gx:LatLonQuad", "GeoTIFF")
+    quad = "<gx:LatLonQuad><coordinates>9,47.999,0 9.0014,{},0 9.0014,48,0 9,48,0</coordinates></gx:LatLonQuad>"
+    (tmp_path / "quad.kml").write_text(OVERLAY.replace(box, quad.format(47.999)))
+    frame = open_map(tmp_path / "quad.kml").frame
+    assert (frame.latitude, frame.longitude) == pytest.approx((47.9995, 9.0007), abs=1e-6)
+    (tmp_path / "turned.kml").write_text(OVERLAY.replace(box, quad.format(47.9985)))
+    refused(tmp_path / "turned.kml", "without one picture on the ground", "GeoTIFF")
+
+
+def test_several_overlays_in_one_file_are_refused(tmp_path: Path) -> None:
+    Image.fromarray(smooth(80, 100)).save(tmp_path / "a.png")
     overlay = OVERLAY.format("")
     start, end = overlay.index("<GroundOverlay>"), overlay.index("</kml>")
     several = overlay[:start] + f"<Document>{overlay[start:end] * 2}</Document></kml>"
@@ -647,3 +653,21 @@ def test_a_photo_turned_by_its_world_file_in_degrees(tmp_path: Path) -> None:
     east, north = -51.7 + 79.5 * steps[0] + 59.5 * steps[2], -19.7 + 79.5 * steps[1] + 59.5 * steps[3]
     assert (town.frame.latitude, town.frame.longitude) == pytest.approx((north, east), abs=1e-6)
     assert town.read(Window(0, 0, 2), 20)[1].all()
+
+
+def test_an_approximate_world_file_is_named(tmp_path: Path) -> None:
+    path = picture_with_world_file(tmp_path / "a.tif", ".tfwx")
+    refused(path, "a.tfwx stands for a transform that no world file can hold", "gdalwarp")
+
+
+def test_coordinates_of_pixel_centres_are_those_of_the_corner(tmp_path: Path) -> None:
+    """A GeoTIFF whose raster type is PixelIsPoint lies where the same one with PixelIsArea lies."""
+    import rasterio
+
+    path = write_geotiff(tmp_path / "a.tif", smooth(64, 64))
+    frame, bounds = open_map(path).frame, open_map(path).bounds
+    with rasterio.open(path, "r+") as file:
+        file.update_tags(AREA_OR_POINT="Point")
+    with rasterio.open(path) as file:
+        assert file.tags()["AREA_OR_POINT"] == "Point"
+    assert (open_map(path).frame, open_map(path).bounds) == (frame, bounds)

@@ -369,6 +369,27 @@ def test_empty_tiles_have_no_data(tmp_path: Path) -> None:
     refused(tiles, "are empty")
 
 
+def test_pages_of_html_among_the_tiles_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = b"<!DOCTYPE html><html>Not found</html>"
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(page)
+    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA)
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE tiles SET tile_data = ? WHERE rowid = 1", (page,))
+    for where in (tiles, path):
+        assert main(["map", str(where), "--out", str(tmp_path / "map")]) == 0
+        printed = capsys.readouterr().out
+        assert f"Some tiles of {where.name} are text, as a failed download leaves them; they have no data." in printed
+        assert "75% of it with data" in printed
+
+
+def test_the_content_of_a_tile_decides_about_its_format(tmp_path: Path, same: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE, "{z}/{x}/{y}.jpg")
+    for file in list(tiles.rglob("*.jpg")):
+        file.rename(file.with_suffix(".png"))
+    check(open_map(tiles), same, 12)
+
+
 def test_a_coarser_zoom_that_reaches_further_is_named(tmp_path: Path) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
     finer = tiles / str(ZOOM + 1) / str(2 * WEST)
