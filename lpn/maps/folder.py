@@ -159,6 +159,8 @@ def open_folder(folder: Path) -> Map:
         raise DataError(f"{shown} cannot be read ({error.strerror or error}); check its permissions.") from error
     except (ValueError, RecursionError) as error:
         raise DataError(f"{shown} is damaged, or no map; write the map again with lpn map, in a new folder.") from error
+    if not (abs(record.latitude) <= 90 and abs(record.longitude) <= 180):
+        raise DataError(f"{shown} is damaged; write the map again with lpn map, in a new folder.")
     sheets = [_opened(folder, sheet) for sheet in record.sheets]
     if not sheets:
         raise DataError(f"{shown} names no sheet; write it again with lpn map.")

@@ -30,7 +30,7 @@ OVERVIEW = 2 * _COVERAGE
 _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
 # Fewest pixels of a map along its shorter side: fewer show no place.
-_MIN_SIDE = 32
+_MIN_SIDE = 16
 
 
 class Map:
@@ -52,7 +52,7 @@ class Map:
         resolution: metres per pixel of the finest sheet.
 
     Raises:
-        DataError: if the sheets lie more than 400 km apart, or have fewer than 32 pixels along a side.
+        DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
     """
 
     def __init__(

@@ -226,6 +226,8 @@ class GdalRaster:
         unclear = bool(valid.all()) or (self._lossy and self._has_nodata)
         look = unclear and not (keep_borders or (deep and self._has_nodata) or self._palette is not None)
         borders = find_borders(values, deep) if look else {}
+        if self._has_nodata and borders and np.logical_or.reduce(list(borders.values())).all():
+            borders = {}  # a dark picture, whose own nodata value says that it is none
         for colour, region in borders.items():
             self.notes.append(border_note(colour, self._called, region))
             valid = valid & ~region

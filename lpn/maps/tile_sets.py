@@ -248,6 +248,8 @@ class DatabaseTiles:
         self._connection = sqlite3.connect(
             f"{path.absolute().as_uri()}?{mode}", uri=True, check_same_thread=False, isolation_level=None
         )
+        # Damaged text is no reason to give up the tiles.
+        self._connection.text_factory = lambda data: data.decode("utf-8", "replace")
         try:
             self._open()
         except BaseException:
@@ -323,7 +325,7 @@ class DatabaseTiles:
         try:
             with self._lock:
                 return self._connection.execute(question, values).fetchall()
-        except (sqlite3.Error, OverflowError) as error:
+        except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
             raise DataError(
                 f"{printable(str(self.path))} cannot be read as a map ({printable(str(error))[:100]}); expected an .mbtiles of "
                 "pictures, so copy it again."
@@ -343,7 +345,7 @@ class DatabaseTiles:
 
     def _record(self, question: str) -> dict[str, object]:
         """Return the first row of a table by the names of its columns; nothing if there is none."""
-        with suppress(sqlite3.Error), self._lock:
+        with suppress(sqlite3.Error, UnicodeDecodeError), self._lock:
             cursor = self._connection.execute(question)
             row = cursor.fetchone()
             return dict(zip([column[0].lower() for column in cursor.description], row, strict=True)) if row else {}

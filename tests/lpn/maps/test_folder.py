@@ -192,6 +192,7 @@ def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
         (whole.replace("lpn-map/1", "lpn-map/2"), "later version"),
         (whole[:50], "is damaged"),
         (json.dumps(json.loads(whole) | {"sheets": []}), "names no sheet"),
+        (json.dumps(json.loads(whole) | {"latitude": 91}), "is damaged"),
     ):
         manifest.write_text(text)
         with pytest.raises(DataError, match=words):

@@ -225,6 +225,13 @@ def test_nodata_that_no_pixel_has_does_not_hide_a_border(tmp_path: Path) -> None
     )
 
 
+def test_a_dark_picture_with_a_nodata_value_is_no_border(tmp_path: Path) -> None:
+    path = write(tmp_path / "town.tif", PICTURE[:, :, :1] // 64 + 1, nodata=0)
+    town = open_map(path)
+    assert share(town) == pytest.approx(1, abs=0.01)
+    assert not town.notes
+
+
 @pytest.mark.parametrize("options", [{"nodata": 0}, {"nodata": 0, "dtype": "uint16"}])
 def test_a_map_without_a_valid_pixel_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
     kind = options.pop("dtype", "uint8")
@@ -295,6 +302,16 @@ def test_other_colour_spaces_are_shown_as_gdal_converts_them(tmp_path: Path, kin
     red, green, blue = colour_of(path)
     expected = {"CMYK": (0, 255, 0), "YCBCR": (0, 200, 0), "CIELAB": (0, 236, 0)}[kind]
     assert (red, green, blue) == pytest.approx(expected, abs=12)
+
+
+def test_colours_that_nothing_converts_are_refused(tmp_path: Path) -> None:
+    source = write(tmp_path / "town.tif", PICTURE)
+    changes = [
+        (f"<ColorInterp>{old}<", f"<ColorInterp>{new}<") for old, new in (("Red", "Hue"), ("Green", "Saturation"))
+    ]
+    path = edit_vrt(tmp_path / "town.vrt", source, *changes)
+    with pytest.raises(DataError, match=r"has the colours of HSL; convert it to RGB"):
+        open_map(path)
 
 
 def test_a_cmyk_jpeg_is_shown_in_its_colours(tmp_path: Path) -> None:
