@@ -151,5 +151,7 @@ def _other(path: Path) -> tuple[str, str] | None:
 def _reason(error: Exception, path: Path) -> str:
     while isinstance(error.__cause__, Exception):  # which says more than "Read failed"
         error = error.__cause__
+    if isinstance(error, UnicodeDecodeError):
+        return "damaged text"
     text = printable(str(error)).replace(str(path), path.name)
     return text.removeprefix(f"'{path.name}' ").rstrip(".")[:200]

@@ -326,9 +326,10 @@ class DatabaseTiles:
             with self._lock:
                 return self._connection.execute(question, values).fetchall()
         except (sqlite3.Error, OverflowError, UnicodeDecodeError) as error:
+            reason = "damaged names" if isinstance(error, ValueError) else printable(str(error))[:100]
             raise DataError(
-                f"{printable(str(self.path))} cannot be read as a map ({printable(str(error))[:100]}); expected an .mbtiles of "
-                "pictures, so copy it again."
+                f"{printable(str(self.path))} cannot be read as a map ({reason}); expected an .mbtiles of pictures, so copy it "
+                "again."
             ) from error
 
     def _has(self, schema: Sequence[str]) -> bool:
