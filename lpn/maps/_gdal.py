@@ -17,6 +17,8 @@ from lpn.core.files import first_few, printable
 
 # Megabytes of decoded blocks that GDAL keeps in a process; its own default is 5 % of the memory.
 _CACHE_MEGABYTES = "192"
+# A hyperspectral camera has some hundred bands; a damaged header may say 65,535, which rasterio takes seconds to look at.
+_MAX_BANDS = 4096
 # `warnings.catch_warnings` changes the filters of all threads.
 _opening = threading.Lock()
 
@@ -83,6 +85,9 @@ def open_raster(path: Path) -> Any:
                 f"{shown} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
+    if file.count > _MAX_BANDS:
+        file.close()
+        raise DataError(f"{shown} would have {file.count} bands; it is damaged, so copy it again.")
     if not file.count:
         names = [printable(name.rpartition(":")[2]) for name in file.subdatasets]
         file.close()

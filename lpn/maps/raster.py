@@ -143,7 +143,8 @@ class GdalRaster:
             # JPEG smears alpha and nodata over several pixels.
             self._lossy = is_jpeg(file)
             kinds = _gdal.rasterio().enums.MaskFlags
-            flags = {kind for number in chosen for kind in file.mask_flag_enums[number - 1]}
+            of_bands = file.mask_flag_enums
+            flags = {kind for number in chosen for kind in of_bands[number - 1]}
             self._has_nodata = kinds.nodata in flags
             # Where there is an alpha band, GDAL's mask of the whole file is that band, and nodata only fills what it hides.
             masks = {kinds.per_dataset} if self.treatment.alpha else {kinds.per_dataset, kinds.nodata}

@@ -264,10 +264,8 @@ class DatabaseTiles:
         tables = {str(name) for (name,) in self._rows("SELECT name FROM sqlite_master")}
         schema = next((schema for schema in _SCHEMAS if self._has(schema)), None)
         if schema is None:
-            raise DataError(
-                f"{shown} has the tables {printable(', '.join(sorted(tables)))[:100] or 'none'}, and none of them holds tiles; "
-                "expected an .mbtiles of pictures."
-            )
+            named = f" (its tables are {printable(', '.join(sorted(tables)))[:100]})" if tables else ""
+            raise DataError(f"{shown} has no table of tiles{named}; expected an .mbtiles of pictures.")
         self._table, self._z, self._x, self._y, self._data = schema
         self.from_south = self._z == "zoom_level"
         if self.from_south:

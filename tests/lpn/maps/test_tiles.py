@@ -353,7 +353,7 @@ def test_databases_without_tiles_are_named(tmp_path: Path) -> None:
     refused(write_mbtiles(tmp_path / "none.mbtiles", smooth(9, 9)), "holds no tiles")
     with sqlite3.connect(tmp_path / "other.mbtiles") as database:
         database.execute("CREATE TABLE roads (name TEXT)")
-    refused(tmp_path / "other.mbtiles", "has the tables roads")
+    refused(tmp_path / "other.mbtiles", "has no table of tiles (its tables are roads)")
     path = write_mbtiles(tmp_path / "text_zoom.mbtiles", PICTURE)
     with sqlite3.connect(path) as database:
         database.execute("UPDATE tiles SET zoom_level = 'deep'")
