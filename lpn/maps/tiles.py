@@ -29,9 +29,14 @@ _MIN_SIDE, _MAX_SIDE = 16, 4096
 # Tiles that are looked at for the size of all.
 _SAMPLES = 5
 # Pairs of neighbouring tiles that are compared, and how many pixels an edge must show.
-_PAIRS, _EDGE = 12, 32
-# Tiles fit together where their edges differ by less than this share of what they differ in the other orders.
-_FITS = 0.5
+_PAIRS, _EDGE = 24, 32
+# White and black of borders, and the standard deviation below which an edge has one colour.
+_WHITE, _BLACK, _FLAT = 240, 16, 2.0
+# Tiles fit together where their edges differ by less than this share of what they differ when shifted, and in other orders.
+_FITS = 0.6
+
+# A picture, (side, side, 3), and which of its pixels are valid, (side, side).
+Tile = tuple[UInt8Array, BoolArray]
 
 # How stored numbers count: column and row from the north, column and row from the south, row from the north and column.
 _XYZ, _TMS, _YX = "XYZ", "TMS", "YX"
@@ -193,7 +198,7 @@ class TileRaster:
             # Tiles at the edge reach beyond the map, and show white or black there.
             closer = [round(edge) for edge in bounds]
             removed = closer[0] - left, closer[1] - top, right - closer[2], bottom - closer[3]
-            if max(removed) < side:
+            if max(removed) < side and min(closer[2] - closer[0], closer[3] - closer[1]) >= _MIN_SIDE:
                 left, top = max(left, closer[0]), max(top, closer[1])
                 right, bottom = min(right, closer[2]), min(bottom, closer[3])
                 self._origin = left, top
@@ -246,34 +251,24 @@ class TileRaster:
     def _fitting_order(self) -> str | None:
         """Return the order in which the edges of neighbouring tiles agree; None if that does not tell."""
         orders = (_XYZ, _TMS) if self._tiles.named else (_XYZ, _TMS, _YX)
-        differences = np.array(list(self._differences(orders)))
-        if not len(differences):
-            return None
-        means = differences.mean(axis=0)
-        best = int(means.argmin())
-        others = np.delete(means, best)
-        if means[best] + 1 < _FITS * others.min():
-            return orders[best]
+        sums = {order: np.zeros(2) for order in orders}
+        for one, other in self._neighbours():
+            for order in orders:
+                sums[order] += _differences(one, other, *_TOUCHING[order])
+        misfits = sorted((apart / shifted, order) for order, (apart, shifted) in sums.items() if shifted)
+        if misfits and misfits[0][0] < _FITS * min([1.0, *(misfit for misfit, _ in misfits[1:])]):
+            return misfits[0][1]
         return None
 
-    def _differences(self, orders: tuple[str, ...]) -> Iterator[list[float]]:
-        """Yield, for pairs of tiles whose second numbers follow, the mean difference of the edges that would touch."""
+    def _neighbours(self) -> Iterator[tuple[Tile, Tile]]:
+        """Yield pairs of tiles whose second numbers follow, from all over the deepest zoom."""
         places = self._tiles.places(self.zoom)
         known = set(places)
         pairs = [(place, after) for place in places if (after := (place[0], place[1] + 1)) in known]
-        for number in np.unique(np.linspace(0, len(pairs) - 1, 2 * _PAIRS).astype(int)).tolist() if pairs else ():
+        for number in np.unique(np.linspace(0, len(pairs) - 1, _PAIRS).astype(int)).tolist() if pairs else ():
             one, other = (self._decoded(self.zoom, place) for place in pairs[number])
-            if one is None or other is None or one[0].shape != other[0].shape:
-                continue
-            edges = []
-            for order in orders:
-                first, second = _TOUCHING[order]
-                both = one[1][first] & other[1][second]
-                if both.sum() < _EDGE:
-                    break
-                edges.append(float(np.abs(one[0][first].astype(int) - other[0][second])[both].mean()))
-            else:
-                yield edges
+            if one is not None and other is not None and one[0].shape == other[0].shape:
+                yield one, other
 
     def _order_by_bounds(self) -> str | None:
         """Return the order in which the tiles lie where the stated bounds are; None if that does not tell."""
@@ -293,7 +288,7 @@ class TileRaster:
             return place[1], place[0]
         return (place[0], (1 << zoom) - 1 - place[1]) if self._order == _TMS else place
 
-    def _tile(self, zoom: int, column: int, row: int) -> tuple[UInt8Array, BoolArray] | None:
+    def _tile(self, zoom: int, column: int, row: int) -> Tile | None:
         """Return a tile and its mask: its own picture, else made of the four of the next zoom; None if it shows nothing."""
         place = self._turned(zoom, (column, row))
         tile = self._decoded(zoom, place) if zoom in self._tiles.zooms else None
@@ -327,7 +322,7 @@ class TileRaster:
         corners = np.array([self._turned(self.zoom, place) for place in (low, high)]) >> finer
         return bool(((corners.min(0) <= (column, row)) & (corners.max(0) >= (column, row))).all())
 
-    def _decoded(self, zoom: int, place: Place) -> tuple[UInt8Array, BoolArray] | None:
+    def _decoded(self, zoom: int, place: Place) -> Tile | None:
         """Return a stored tile and its mask; None if there is none, or an empty one."""
         data = self._tiles.read(zoom, place)
         if data is None:
@@ -353,6 +348,23 @@ class TileRaster:
             f"The tile {self._tiles.name(zoom, place)} has {picture.shape[1]} x {picture.shape[0]} pixels; expected {side} x "
             f"{side}, as other tiles have."
         )
+
+
+def _differences(one: Tile, other: Tile, first: Any, second: Any) -> tuple[float, float]:
+    """Return by how much an edge of one tile differs from that of another, and from the same edge shifted by half a side.
+
+    Where the edges touch, the first number is far below the second one. Both are 0 where the edges tell nothing: white and black
+    of borders, and edges of one colour, fit everywhere.
+    """
+    edges = np.stack([one[0][first], other[0][second]]).astype(int)
+    plain = (edges.min(2) >= _WHITE) | (edges.max(2) <= _BLACK)
+    known = one[1][first] & other[1][second] & ~plain.any(0)
+    half = len(known) // 2
+    known &= np.roll(known, half)
+    if known.sum() < _EDGE or edges[:, known].std(1).max(1).min() < _FLAT:
+        return 0.0, 0.0
+    apart, shifted = (np.abs(edges[0] - np.roll(edges[1], by, axis=0))[known].sum() for by in (0, half))
+    return float(apart), float(shifted)
 
 
 def _covers(deepest: Extent, other: Extent, finer: int) -> bool:

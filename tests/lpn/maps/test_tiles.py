@@ -135,6 +135,20 @@ def test_the_order_of_tiles_without_metadata_is_that_in_which_they_fit(
     assert check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same)[1:] == [words]
 
 
+@pytest.mark.parametrize("colour", [0, 255])
+def test_a_border_does_not_hide_the_order_of_tiles(tmp_path: Path, colour: int) -> None:
+    """Above the first row and below the second one there is the same colour, which would fit in the wrong order, too."""
+    picture = smooth(512, 768)
+    picture[:40] = picture[472:] = colour
+    for name in ("{z}/{x}/{y}.png", "{z}/{x}/{south}.png"):
+        town = open_map(write_folder(tmp_path / f"{len(name)}", picture, name))
+        assert town.frame.latitude == LATITUDE
+    # Nothing else than the colour touches.
+    picture[200:300] = colour
+    town = open_map(write_folder(tmp_path / "bare", picture))
+    assert any("does not tell" in note for note in town.notes)
+
+
 def test_tiles_that_fit_are_right_against_their_metadata(tmp_path: Path, same: Map) -> None:
     tiles = write_folder(tmp_path / "town", PICTURE)
     (tiles / "tilemapresource.xml").write_text("<TileMap/>")
