@@ -32,8 +32,8 @@ class Frame:
         height_above_takeoff: in metres above the point of take-off, which is the ground below the camera on flat land only.
         altitude: in metres above the sea, or above the ellipsoid where the file's writer meant that.
         heading: of the picture's top in degrees clockwise from north, 0 <= heading < 360.
-        heading_source: "gimbal"; "camera", a direction in EXIF; "aircraft", whose camera may look elsewhere; or "course", the
-            direction of motion. None without a heading.
+        heading_source: "gimbal"; "camera", a direction of the camera in EXIF or XMP; "aircraft", whose camera may look elsewhere;
+            or "course", the direction of motion. None without a heading.
         pitch: in degrees; -90 looks straight down, 0 looks at the horizon.
         roll: in degrees about the picture's upward direction; positive with the right side down, so that a camera that would look
             straight down looks to the left.

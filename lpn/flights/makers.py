@@ -186,8 +186,8 @@ _PREFIXES: Mapping[str, str] = {prefix: key for key, space in NAMESPACES.items()
 _VERSION = re.compile(r"/[0-9]+(?:\.[0-9]+)*$")
 # Words of names that tell a position, a height, or an angle.
 _TELLING = frozenset((
-    "lat", "latitude", "lon", "lng", "longitude", "longtitude", "position", "alt", "altitude", "height", "elevation", "agl", "amsl",
-    "msl", "yaw", "pitch", "roll", "heading", "bearing", "azimuth", "tilt", "direction", "orientation",
+    "lat", "latitude", "lon", "lng", "longitude", "longtitude", "position", "alt", "altitude", "height", "elevation", "agl",
+    "amsl", "msl", "yaw", "pitch", "roll", "heading", "bearing", "azimuth", "tilt", "direction", "orientation",
 ))  # fmt: skip
 # Words of names that tell those of something else than the camera, or their quality.
 _ELSEWHERE = frozenset((
@@ -297,7 +297,7 @@ def degrees_of(text: str) -> float | None:
     parts = [float(part) for part in _PARTS.findall(text)]
     if hemisphere is None or not 1 <= len(parts) <= 3 or any(part >= 60.5 for part in parts[1:]):
         return None
-    total = sum(part / 60**i for i, part in enumerate(parts))
+    total = sum(part / 60.0**i for i, part in enumerate(parts))
     south = (hemisphere[1] or hemisphere[2]).upper() in "SW" or text.lstrip().startswith("-")
     return -total if south else total
 

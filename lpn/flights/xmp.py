@@ -89,9 +89,7 @@ def read_xmp(packet: bytes) -> tuple[list[XmpProperty], list[str]]:
     text = _DECLARATION.sub("", text)
     prefixes = {uri: prefix for prefix, uri in reversed(_PREFIX.findall(text))}
     root = None
-    if _TYPE.search(text):
-        flaws.append("it declares a document type, whose entities were not expanded")
-    else:
+    if not _TYPE.search(text):
         try:
             root = ElementTree.fromstring(text)
         except ElementTree.ParseError as error:
@@ -117,6 +115,7 @@ def _decoded(packet: bytes) -> tuple[str, list[str]]:
         flaws += ["a byte is not UTF-8, and was read as Latin-1"] if others else []
     text, forbidden = _FORBIDDEN.subn("", text.strip("\x00\ufeff \t\r\n"))
     flaws += ["characters that XML does not allow were left out"] if forbidden else []
+    flaws += ["it declares a document type, whose entities were not expanded"] if _TYPE.search(text) else []
     opening = _OPENING.search(text)
     return text if opening is None else text[opening.start() :], flaws
 
@@ -188,6 +187,10 @@ def _tree(text: str) -> ElementTree.Element:
         if (closed := token["closed"]) is not None:
             last = len(stack) - 1
             opening = next((i for i in range(last, max(last - _MOST_OPEN, 0), -1) if stack[i][1] == closed), len(stack))
+            # Elements that were not closed hold what follows them, which belongs beside them.
+            for i in range(len(stack) - 1, opening, -1):
+                stack[i - 1][0].extend(list(stack[i][0]))
+                del stack[i][0][:]
             del stack[opening:]
         elif (opened := token["opened"]) is not None:
             pairs = [(name, _plain(first or second)) for name, first, second in _ATTRIBUTE.findall(token["rest"])]

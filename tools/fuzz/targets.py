@@ -507,11 +507,13 @@ def flights(folder: Path) -> list[FuzzCase]:
     from lpn.core.images import header_error
     from lpn.flights import footprint, open_flight, write_flight
     from lpn.flights.logs import for_photos, for_video, read_log
+    from lpn.flights.makers import XmpValues
     from lpn.flights.photos import photo_of
     from lpn.flights.subtitles import blocks_of, parse_subtitles
     from lpn.flights.telemetry import Telemetry
     from lpn.flights.xmp import read_xmp
-    from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo
+    from tools.fixtures.field_photos import FIELD
+    from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo, xmp_packet
 
     base, gps = ExifTags.Base, ExifTags.GPS
     camera: dict[int, Any] = {
@@ -524,15 +526,23 @@ def flights(folder: Path) -> list[FuzzCase]:
     packets = [
         dji_xmp(GpsLatitude="+46.8", GimbalYawDegree="-45.00", GimbalPitchDegree="-89.90", RelativeAltitude="+39.80"),
         sensefly_xmp(Heading=70.06, Height=66.1, RollAngle=-2.9, PitchAngle=2.5, UTCTime="2013-06-04T17:38:03"),
+        xmp_packet(
+            '<s:CameraOrientationNED rdf:parseType="Resource"><s:Yaw>1</s:Yaw></s:CameraOrientationNED>', {"s": "a:b"}
+        ),
     ]
+    field = [data for data, _, _ in FIELD.values()]
     whole = [photo_bytes(exif(46.8, -91.9, {base.Orientation: 6}, camera, clock), packet, (8, 6)) for packet in packets]
     directories = exif(46.8, -91.9, {base.Orientation: 8}, camera, clock).tobytes()
 
     def photo(data: bytes) -> None:
         if header_error(io.BytesIO(data)) is None:
-            frame = photo_of(data, Path("a.jpg")).frame
+            taken = photo_of(data, Path("a.jpg"))
+            frame = taken.frame
             assert frame.latitude is None or abs(frame.latitude) <= 90
             assert frame.heading is None or 0 <= frame.heading < 360
+            assert frame.roll is None or abs(frame.roll) <= 180
+            assert frame.pitch is None or abs(frame.pitch) <= 360
+            assert all(len(oddity) < 2000 and oddity.isprintable() for oddity in taken.oddities)
             footprint(frame, 50.0)
 
     def packed(data: bytes) -> None:
@@ -542,9 +552,9 @@ def flights(folder: Path) -> list[FuzzCase]:
 
     def packet(data: bytes) -> None:
         try:
-            read_xmp(data)
-        except ValueError:
-            return
+            XmpValues(read_xmp(data)[0])
+        except ValueError as error:
+            assert str(error).isprintable()
 
     lines = (
         "1\n00:00:00,000 --> 00:00:01,000\n2024-05-01 14:00:00.000\n[focal_len: 24.00] [latitude: 47.1] [longitude: 8.1] "
@@ -590,6 +600,7 @@ def flights(folder: Path) -> list[FuzzCase]:
 
     return [
         FuzzCase(whole, photo),
+        FuzzCase(field, photo),
         FuzzCase([directories], packed),
         FuzzCase(packets, packet),
         FuzzCase([lines.encode()], subtitles),

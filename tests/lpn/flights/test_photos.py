@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
-from PIL import ExifTags
+from PIL import ExifTags, Image
 
+from lpn.cli import main
 from lpn.core.errors import DataError, PictureError
+from lpn.core.images import load_picture
 from lpn.flights import open_flight
+from lpn.flights.base import Frame
 from lpn.flights.photos import natural, photo_of, read_photo
 from lpn.flights.xmp import read_xmp
-from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo
+from tools.fixtures.field_photos import FIELD, PARROT, elements
+from tools.fixtures.photos import (
+    dji_xmp,
+    exif,
+    photo_bytes,
+    sensefly_xmp,
+    tiff_exif,
+    with_segment,
+    write_photo,
+    xmp_packet,
+)
 
 BASE, GPS = ExifTags.Base, ExifTags.GPS
 NOON = {BASE.DateTimeOriginal: "2024:05:01 14:00:00"}
@@ -244,3 +260,115 @@ def test_equal_names_get_their_folders(tmp_path: Path) -> None:
     for folder in ("100MEDIA", "101MEDIA"):
         write_photo(tmp_path / folder / "DJI_0001.JPG", exif(1.0, 2.0))
     assert [f.name for f in open_flight(tmp_path).frames] == ["100MEDIA/DJI_0001.JPG", "101MEDIA/DJI_0001.JPG"]
+
+
+@pytest.mark.parametrize("name", FIELD)
+def test_photos_as_people_have_them(name: str) -> None:
+    data, expected, note = FIELD[name]
+    photo = photo_of(data, Path("a.jpg"))
+    found = {field: getattr(photo.frame, field) for field in expected}
+    assert found == {
+        field: pytest.approx(value, abs=1e-6) if isinstance(value, float) else value
+        for field, value in expected.items()
+    }
+    assert photo.oddities == () if note is None else any(note in oddity for oddity in photo.oddities)
+
+
+def written(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[list[dict[str, str]], str]:
+    """The rows of flight.csv that `lpn flight` writes for a folder of photos, and what it prints."""
+    main.main(["flight", str(folder), "--out", str(folder / "out")])
+    with (folder / "out" / "flight.csv").open(newline="") as table:
+        return list(csv.DictReader(table)), capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "notes"),
+    [
+        ("Parrot Anafi", {"heading": "15.0", "heading_source": "gimbal", "pitch": "-90.0", "roll": "0.0"}, []),
+        ("Pix4D's Camera", {"heading": "319.0", "pitch": "-90.0", "height_above_ground": "61.25"}, []),
+        ("a letter of Latin-1", {"heading": "319.0", "pitch": "-90.0", "height_above_takeoff": "61.2"},
+         ["3 of 3 photos: each has damaged XMP (a byte is not UTF-8, and was read as Latin-1), of which the readable "]),
+        ("seconds of 0/0 behind decimal minutes", {"latitude": "47.301234", "heading": ""},
+         ["3 of 3 photos: each has seconds of GPSLatitude that cannot be read; its decimal minutes were used.",
+          "3 of 3 photos: each has seconds of GPSLongitude that cannot be read; its decimal minutes were used."]),
+        ("a maker that nobody knows", {"heading": "", "pitch": ""},
+         ["3 of 3 photos: each has values that look like a position, height, or angle and were not read: drone-new:TiltDegree, "
+          "drone-new:HeadingDegree."]),
+    ],
+)  # fmt: skip
+def test_lpn_flight_writes_what_the_photos_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, row: dict[str, str], notes: list[str]
+) -> None:
+    for i in range(3):
+        (tmp_path / f"{i}.jpg").write_bytes(FIELD[name][0])
+    rows, printed = written(tmp_path, capsys)
+    assert [{column: line[column] for column in row} for line in rows] == [row] * 3
+    assert not [note for note in notes if note not in printed]
+    assert "course over ground" not in printed
+    assert "codec" not in printed
+
+
+def test_the_course_is_never_taken_where_a_photo_tells_a_heading(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    packet = xmp_packet(
+        elements("drone-parrot", CameraRollDegree=0.0, CameraPitchDegree=-90.0, CameraYawDegree=15.0), PARROT
+    )
+    for i in range(3):
+        camera = {BASE.DateTimeOriginal: f"2024:05:01 10:00:{2 * i:02d}"}
+        write_photo(tmp_path / f"{i}.jpg", exif(47.301234, 8.501234 + 0.0002 * i, camera=camera), packet)
+    rows, printed = written(tmp_path, capsys)
+    assert [(row["heading"], row["heading_source"]) for row in rows] == [("15.0", "gimbal")] * 3
+    assert "course over ground" not in printed
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP", "TIFF"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_sizes_are_those_of_the_picture_as_it_is_loaded(tmp_path: Path, kind: str, orientation: int) -> None:
+    camera = {BASE.FocalLength: 4.0, BASE.FocalLengthIn35mmFilm: 23}
+    told = exif(main={BASE.Orientation: orientation}, camera=camera)
+    file = tmp_path / "a.x"
+    Image.new("RGB", (320, 240)).save(file, kind, exif=told.tobytes() if kind != "TIFF" else told)
+    height, width = load_picture(file).shape[:2]
+    frame = read_photo(file).frame
+    assert (frame.width, frame.height) == (width, height)
+    if kind != "TIFF":  # Pillow writes no camera's tags into a TIFF
+        assert frame.fov == pytest.approx(58.876173 if orientation >= 5 else 73.920206, abs=1e-6)
+
+
+def test_the_heading_of_a_mirrored_picture_is_that_of_its_top_as_it_is_loaded(tmp_path: Path) -> None:
+    # A picture with its top to the north-east, whose corner there is white; a program stored it in every orientation.
+    upright = np.zeros((240, 320, 3), np.uint8)
+    upright[:60, -80:] = 255
+    stored = {
+        1: upright, 2: upright[:, ::-1], 3: upright[::-1, ::-1], 4: upright[::-1], 5: upright.swapaxes(0, 1),
+        6: np.rot90(upright, 1), 7: np.rot90(upright, 2).swapaxes(0, 1), 8: np.rot90(upright, -1),
+    }  # fmt: skip
+    # The gimbal's yaw is the direction of the stored picture's top, where that is mirrored to the side first.
+    yaws = {1: 45, 2: 45, 3: 225, 4: 225, 5: 315, 6: 135, 7: 135, 8: 315}
+    for orientation, pixels in stored.items():
+        told = exif(main={BASE.Orientation: orientation})
+        data = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(pixels)).save(data, "JPEG", exif=told.tobytes())
+        packet = dji_xmp(GimbalYawDegree=yaws[orientation], GimbalPitchDegree=-90, GimbalRollDegree=0)
+        file = tmp_path / f"{orientation}.jpg"
+        file.write_bytes(with_segment(data.getvalue(), b"http://ns.adobe.com/xap/1.0/\x00" + packet))
+        assert load_picture(file)[20, -20].min() > 200, orientation
+        photo = read_photo(file)
+        assert photo.frame.heading == pytest.approx(45.0), orientation
+        mirrored = [oddity for oddity in photo.oddities if "is mirrored by its EXIF orientation" in oddity]
+        assert len(mirrored) == (orientation in (2, 4, 5, 7))
+
+
+def test_one_damaged_directory_of_exif_leaves_the_others() -> None:
+    told = tiff_exif(main={BASE.Orientation.value: (3, b"\x06\x00")}, gps={1: (2, b"N\x00")})
+    pointer = told.index(b"\x25\x88\x04\x00") + 8
+    damaged = told[:pointer] + b"\xff\xff\xff\x0f" + told[pointer + 4 :]
+    frame = photo_of(photo_bytes(damaged), Path("a.jpg")).frame
+    assert (frame.width, frame.height, frame.latitude) == (30, 40, None)
+
+
+def test_an_unknown_frame_has_every_field_of_the_table() -> None:
+    empty = photo_of(photo_bytes(), Path("a.jpg"))
+    assert empty.frame == Frame("a.jpg", Path("a.jpg"), 40, 30)
+    assert empty.oddities == ()
