@@ -58,7 +58,7 @@ NAMESPACES: Mapping[str, Namespace] = {
     "drone-parrot": Namespace(("parrot.com/drone-parrot",), ("drone-parrot",)),
     "drone-skydio": Namespace(("skydio.com/drone-skydio",), ("drone-skydio", "skydio")),
     "drone-yuneec": Namespace(("yuneec.com/drone-yuneec",), ("drone-yuneec",)),
-    "Camera": Namespace(("pix4d.com/camera", "ns.sensefly.com/camera", "camera"), ("camera",)),
+    "Camera": Namespace(("pix4d.com/camera", "pix4d.com", "ns.sensefly.com/camera", "camera"), ("camera",)),
     "sensefly": Namespace(("ns.sensefly.com/sensefly", "sensefly.com/sensefly"), ("sensefly",)),
     "Sentera": Namespace(("ns.myname.com/sentera", "sentera.com/camera"), ("sentera",)),
     "FLIR": Namespace(("ns.flir.com/xmp",), ("flir",)),

@@ -73,6 +73,10 @@ _DJI_GIMBAL, _DJI_AIRCRAFT = (10, 9, 11), (7, 6, 8)
 _TURNING_WORDS = re.compile(r"\b(?:yaw|pitch|roll)\b", re.IGNORECASE)
 _LENS_TAGS = ("FocalLength", "FocalPlaneXResolution", "FocalLengthIn35mmFilm")
 _AERIALVL = re.compile(r"@(?:([0-9.]+)@)?([-+]?[0-9.]+)@([-+]?[0-9.]+)@\.\w+")
+# EXIF has colons between all numbers; programs write other marks, blanks for zeros, and zones.
+_TIME = re.compile(
+    r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)[ T]+(\d\d?):([\d ]\d):([\d ]\d)(\.\d+)? *(Z|[-+]\d\d:?\d\d)?", re.ASCII
+)
 _FRACTION = re.compile(r"(\.\d{6})\d+")
 _RANK: Mapping[HeadingSource, int] = {source: i for i, source in enumerate(get_args(HeadingSource))}
 _NAMED = 12
@@ -204,11 +208,11 @@ def _packets(picture: Image.Image, known: _Metadata) -> Iterator[bytes]:
         elif (begin := _PACKET.search(segment[:256])) is not None:
             standard.append(segment[begin.start() :])
     if not standard:
+        info = picture.info
         inside = (
-            picture.info.get("xmp"),
-            picture.info.get("XML:com.adobe.xmp"),
-            known.main.get(_XMP_TAG),
-            known.exif.get(_XMP_TAG),
+            *(info.get(name) for name in ("xmp", "XML:com.adobe.xmp")),
+            *(_raw_profile(info.get(f"Raw profile type {name}")) for name in ("xmp", "APP1")),
+            *(tags.get(_XMP_TAG) for tags in (known.main, known.exif)),
         )
         packet = next((packet for packet in inside if packet), None)
         if isinstance(packet, tuple | list) and all(isinstance(value, int) and 0 <= value < 256 for value in packet):
@@ -221,6 +225,15 @@ def _packets(picture: Image.Image, known: _Metadata) -> Iterator[bytes]:
             yield b"".join(pieces[offset] for offset in sorted(pieces))
         else:
             known.oddities.append("has extended XMP that belongs to another packet, and was not used")
+
+
+def _raw_profile(text: Any) -> bytes | None:
+    """Return the XMP packet that ImageMagick writes into a PNG, as a name, a length, and hexadecimal digits."""
+    digits = (
+        re.sub(r"\s", "", text.lstrip().partition("\n")[2].lstrip().partition("\n")[2]) if isinstance(text, str) else ""
+    )
+    content = bytes.fromhex(digits) if re.fullmatch("(?:[0-9a-fA-F]{2})+", digits) else b""
+    return content if _PACKET.search(content[:256]) else None
 
 
 def _turns(known: _Metadata) -> int:
@@ -593,16 +606,16 @@ def _gps_time(known: _Metadata) -> float | None:
 
 
 def _local_time(stamp: str) -> tuple[float | None, float | None]:
-    """Return the seconds of a time of EXIF or ISO 8601, and those of its zone, if it has one."""
-    found = re.fullmatch(
-        r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)[ T](\d\d:\d\d:\d\d)(\.\d+)?(Z|[-+]\d\d:\d\d)?", stamp.strip(), re.ASCII
-    )
+    """Return the seconds of a time as EXIF or ISO 8601 write it, and those of its zone, if it has one."""
+    found = _TIME.fullmatch(stamp.strip())
     if found is None:
         return None, None
-    seconds = _seconds(f"{found[1]}:{found[2]}:{found[3]} {found[4]}", "%Y:%m:%d %H:%M:%S")
-    if seconds is not None and found[5]:
-        seconds += float(found[5])
-    return seconds, 0.0 if found[6] == "Z" else _zone(found[6] or "")
+    day, clock = ":".join(found.group(1, 2, 3)), ":".join(found.group(4, 5, 6))
+    seconds = _seconds(f"{day} {clock}".replace(": ", ":0"), "%Y:%m:%d %H:%M:%S")
+    if seconds is not None and found[7]:
+        seconds += float(found[7])
+    zone = found[8] or ""
+    return seconds, 0.0 if zone == "Z" else _zone(zone if ":" in zone else f"{zone[:3]}:{zone[3:]}")
 
 
 def _name_the_rest(known: _Metadata) -> None:

@@ -220,6 +220,26 @@ def test_times_without_a_zone_are_from_the_first_photo_and_order_the_flight(tmp_
     assert any("1 of 4 photos have no time" in note for note in flight.notes)
 
 
+@pytest.mark.parametrize(
+    ("stamp", "local", "utc"),
+    [
+        ("2024:05:01 14:00:00", 1714572000.0, None), ("2024-05-01 14:00:00", 1714572000.0, None),
+        ("2024-05-01T14:00:00Z", 1714572000.0, 1714572000.0), ("2024:05:01 14:00:00 +0200", 1714572000.0, 1714564800.0),
+        ("2024/05/01 4:00:00 +0200", 1714536000.0, 1714528800.0), ("2024:05:01 14:00: 7", 1714572007.0, None),
+        ("2024:05:01 14:00:00.25", 1714572000.25, None), ("2024:05:01 14:00:00\x00\x00", 1714572000.0, None),
+        ("0000:00:00 00:00:00", None, None), ("    :  :     :  :  ", None, None),
+    ],
+)  # fmt: skip
+def test_times_as_programs_write_them(stamp: str, local: float | None, utc: float | None) -> None:
+    photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: stamp})), Path("a.jpg"))
+    assert (photo.local, photo.utc, photo.oddities) == (local, utc, ())
+
+
+def test_a_time_that_cannot_be_read_is_named() -> None:
+    photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: "1999:99:99 99:99:99"})), Path("a.jpg"))
+    assert (photo.local, photo.oddities) == (None, ("has a DateTimeOriginal that cannot be read",))
+
+
 def test_names_are_ordered_by_their_numbers() -> None:
     assert sorted(["DJI_0010.jpg", "DJI_0009.JPG", "a2", "²"], key=natural) == [
         "a2",
