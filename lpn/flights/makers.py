@@ -1,7 +1,8 @@
 """The properties of XMP that tell a camera's position, height, angles, and focal length, by maker.
 
 Namespaces are told apart by URI, whose scheme, version, and last slash differ between programs. A namespace whose URI is not
-declared is known by its prefix. Rows of one field stand best first. Names are compared without regard to case.
+declared is known by its prefix. DJI's names, which other makers copy, count in every namespace. Rows of one field stand best
+first. Names are compared without regard to case.
 
 A **convention** says how angles are meant, and holds those together that belong together:
 
@@ -181,6 +182,12 @@ ROWS: tuple[XmpRow, ...] = (
 )  # fmt: skip
 
 _ROWS: Mapping[tuple[str, str], XmpRow] = {(row.namespace, row.name.casefold()): row for row in ROWS}
+# Names that DJI coined, and that firmware of others writes below namespaces of its own.
+_COPIED = frozenset(
+    row.name.casefold()
+    for row in ROWS
+    if row.namespace == "drone-dji" and re.match(r"(?:Gimbal|Flight)\w+Degree|(?:Relative|Absolute)Alt|GpsL", row.name)
+)
 _SPACES: Mapping[str, str] = {uri: key for key, space in NAMESPACES.items() for uri in space.uris}
 _PREFIXES: Mapping[str, str] = {prefix: key for key, space in NAMESPACES.items() for prefix in space.prefixes}
 _VERSION = re.compile(r"/[0-9]+(?:\.[0-9]+)*$")
@@ -189,6 +196,7 @@ _TELLING = frozenset((
     "lat", "latitude", "lon", "lng", "longitude", "longtitude", "position", "alt", "altitude", "height", "elevation", "agl",
     "amsl", "msl", "yaw", "pitch", "roll", "heading", "bearing", "azimuth", "tilt", "direction", "orientation",
 ))  # fmt: skip
+_HEADING = frozenset(("yaw", "heading", "bearing", "azimuth", "direction", "orientation"))
 # Words of names that tell those of something else than the camera, or their quality.
 _ELSEWHERE = frozenset((
     "accuracy", "error", "std", "dop", "speed", "velocity", "rate", "climb", "reverse", "home", "target", "lrf", "sun", "solar",
@@ -240,7 +248,8 @@ class XmpValues:
         unreadable: dict[str, None] = {}
         contradictory: dict[str, None] = {}
         for item in properties:
-            row = _ROWS.get((_space(item) or "", item.name.casefold()))
+            name = item.name.casefold()
+            row = _ROWS.get((_space(item) or "", name)) or (_ROWS["drone-dji", name] if name in _COPIED else None)
             if row is None:
                 if _looks_telling(item):
                     unread.setdefault(str(item))
@@ -275,6 +284,11 @@ class XmpValues:
     def text(self, field: str) -> str:
         """Return the text of the best row of a field; "" without one."""
         return next((str(self.values[row]) for row in self.all_of(field)), "")
+
+    @property
+    def heading_unread(self) -> bool:
+        """Whether a property that was not read looks like a heading."""
+        return any(_words(name.rpartition(":")[2]) & _HEADING for name in self.unread)
 
 
 def number(text: str) -> float | None:
@@ -319,9 +333,13 @@ def _space(item: XmpProperty) -> str | None:
     return key
 
 
+def _words(name: str) -> set[str]:
+    return {word.casefold() for word in _WORD.findall(name)}
+
+
 def _looks_telling(item: XmpProperty) -> bool:
     """Return whether a property has a number, and a name that tells a position, a height, or an angle of the camera."""
-    words = {word.casefold() for word in _WORD.findall(item.name)}
+    words = _words(item.name)
     if not words & _TELLING or words & _ELSEWHERE or _OTHERS.search(item.namespace.casefold()):
         return False
     return degrees_of(item.text) is not None and not any(name in item.name.casefold() for name in _LOCAL)

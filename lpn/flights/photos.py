@@ -90,6 +90,7 @@ class Photo:
         utc, local: seconds since 1970-01-01 in UTC and on the camera's clock.
         turns: quarter turns clockwise of the EXIF orientation, which make the picture upright.
         oddities: predicates whose subject is the photo, such as "has no EXIF"; equal ones are counted in a note of the flight.
+        heading_unread: its file has a value that looks like a heading, and that was not read.
     """
 
     frame: Frame
@@ -97,6 +98,7 @@ class Photo:
     local: float | None = None
     turns: int = 0
     oddities: tuple[str, ...] = ()
+    heading_unread: bool = False
 
 
 @dataclass
@@ -157,7 +159,7 @@ def photo_of(data: bytes, file: Path) -> Photo:
     if frame.latitude is None and (named := _AERIALVL.fullmatch(file.name)) is not None:
         frame, utc = _named_frame(frame, named, known, utc)
     _name_the_rest(known)
-    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)))
+    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), known.xmp.heading_unread)
 
 
 def _metadata(picture: Image.Image) -> _Metadata:

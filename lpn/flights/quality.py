@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,21 +29,32 @@ _FAR = 200.0
 _NAMED = 3
 
 
-def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
-    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it."""
+def with_courses(frames: Sequence[Frame], unread: Container[str] = ()) -> tuple[list[Frame], list[str]]:
+    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it.
+
+    Args:
+        unread: names of frames whose files have a heading that was not read, and which the course does not replace.
+    """
     places, times = local_metres(degrees(frames)), _times(frames)
-    made, found = [], 0
+    made, courses, left = [], 0, 0
     for i, frame in enumerate(frames):
-        heading = None if frame.heading is not None else _course(places, times, i)
-        found += heading is not None
-        made.append(frame if heading is None else replace(frame, heading=heading, heading_source="course"))
-    missing = sum(frame.heading is None for frame in frames)
-    if not found:
-        return made, []
-    return made, [
-        f"{missing} of {len(frames)} frames have no heading: {found} got the course over ground, which is the camera's heading "
-        "only if the drone flew forwards."
-    ]
+        course = None if frame.heading is not None else _course(places, times, i)
+        if course is not None and frame.name in unread:
+            course, left = None, left + 1
+        courses += course is not None
+        made.append(frame if course is None else replace(frame, heading=course, heading_source="course"))
+    missing, notes = sum(frame.heading is None for frame in frames), []
+    if courses:
+        notes.append(
+            f"{missing} of {len(frames)} frames have no heading: {courses} got the course over ground, which is the camera's "
+            "heading only if the drone flew forwards."
+        )
+    if left:
+        notes.append(
+            f"{left} of {len(frames)} frames have no heading, and did not get the course over ground: their files have a value "
+            "that looks like a heading and was not read."
+        )
+    return made, notes
 
 
 def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()) -> list[str]:

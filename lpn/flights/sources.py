@@ -157,7 +157,7 @@ def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log
         named, note = _logged(named, log)
         log_notes += [*log.notes, note]
     frames, is_utc, notes = set_times(named)
-    frames, course_notes = with_courses(frames)
+    frames, course_notes = with_courses(frames, {photo.frame.name for photo in named if photo.heading_unread})
     notes += log_notes + flight_notes(frames, [photo.oddities for photo in named]) + course_notes
     if broken:
         more = f" {len(broken) - _NAMED} more are left out, too." if len(broken) > _NAMED else ""

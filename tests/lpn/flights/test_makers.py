@@ -56,6 +56,19 @@ def test_no_property_is_in_the_table_twice() -> None:
     assert {row.namespace for row in ROWS} == {*NAMESPACES}
 
 
+@pytest.mark.parametrize("address", ["http://www.example.com/drone-new/1.0/", NAMESPACES["drone-parrot"].uris[0]])
+def test_names_that_dji_coined_count_in_every_namespace(address: str) -> None:
+    content = "<p:GimbalYawDegree>-41</p:GimbalYawDegree><p:RelativeAltitude>+33.0</p:RelativeAltitude><p:Latitude>7</p:Latitude>"
+    copied = values_of(content, address)
+    assert {row.name: value for row, value in copied.values.items()} == {
+        "RelativeAltitude": 33.0,
+        "GimbalYawDegree": -41.0,
+    }
+    assert {row.namespace for row in copied.values} == {"drone-dji"}
+    assert copied.unread == ["p:Latitude"]
+    assert not copied.heading_unread
+
+
 def test_a_namespace_is_known_by_its_address_and_not_by_its_prefix() -> None:
     assert values_of("<p:Yaw>1</p:Yaw>", "http://pix4d.com/camera/1.0", "p").values
     assert not values_of("<Camera:Yaw>1</Camera:Yaw>", "http://example.org/camera/", "Camera").values
@@ -73,7 +86,7 @@ def test_a_namespace_is_known_by_its_address_and_not_by_its_prefix() -> None:
         "CameraHeading",
         "AircraftYaw",
         "Lat",
-        "gpsLongitude",
+        "cameraLongitude",
         "HeightAGL",
         "BaroAltitude",
         "MountAzimuth",

@@ -342,6 +342,18 @@ def test_the_course_is_never_taken_where_a_photo_tells_a_heading(
     assert "course over ground" not in printed
 
 
+def test_the_course_does_not_stand_in_for_a_heading_that_was_not_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for i, name in enumerate(("TiltDegree", "CameraHeading", "CameraHeading")):
+        packet = xmp_packet(f"<n:{name}>41.0</n:{name}>", {"n": "http://example.com/new/"})
+        camera = {BASE.DateTimeOriginal: f"2024:05:01 10:00:{2 * i:02d}"}
+        write_photo(tmp_path / f"{i}.jpg", exif(47.301234, 8.501234 + 0.0002 * i, camera=camera), packet)
+    rows, printed = written(tmp_path, capsys)
+    assert [(row["heading"], row["heading_source"]) for row in rows] == [("90.0", "course"), ("", ""), ("", "")]
+    assert "2 of 3 frames have no heading, and did not get the course over ground" in " ".join(printed.split())
+
+
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP", "TIFF"])
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_sizes_are_those_of_the_picture_as_it_is_loaded(tmp_path: Path, kind: str, orientation: int) -> None:
