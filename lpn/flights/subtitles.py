@@ -1,19 +1,22 @@
-"""DJI's subtitles with telemetry, in a `.SRT` beside a video or inside of it.
+"""Subtitles with telemetry of drones, in a `.SRT`, `.ASS`, or `.VTT` beside a video or inside of it.
 
-    [latitude: 59.30] [longitude: 18.20] [rel_alt: 1.3 abs_alt: 132.8]      bracketed; also longtitude, altitude, gb_yaw
+    [latitude: 59.30] [longitude: 18.20] [rel_alt: 1.3 abs_alt: 132.8]      by name; also longtitude, lat=, altitude, gb_yaw
     GPS(149.0251,-20.2533,16) BAROMETER:1.9                                 longitude first, with the number of satellites
     GPS(36.6146,-6.1120,0.0M) BAROMETER:0.3M                                latitude first, with a height
-    GPS (-58.85, -34.23, 15), D 698.70m, H 85.80m, G.PRY (-24.4°, 0.0°, 110.4°)
+    GPS (-58.85, -34.23, 15), D 698.70m, H 85.80m, G.PRY (-24.4°, 0.0°, 110.4°)    RTK in place of GPS with an RTK fix
+    GPS(W: 70.5, S: 33.4, 812.5m) ReH:40.0                                  Autel: letters of hemispheres, with an altitude
+    N 47°18'04.4" E 8°30'04.4"                                              letters without a name
 
-rel_alt, BAROMETER, Hb, and H are heights above take-off; abs_alt and altitude are above the sea. (0, 0) is a position before
-the first fix, and unknown. A heading is that of the gimbal, else of the aircraft. The time of day has no zone.
+rel_alt, BAROMETER, Hb, H, and ReH are heights above take-off; abs_alt and altitude are above the sea. (0, 0) is a position
+before the first fix, and unknown. A heading is that of the gimbal, else of the aircraft. The time of day has no zone. Numbers may
+have units, and decimal commas, which are told from the file as a whole.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,30 +27,68 @@ import numpy as np
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.flights import cameras
+from lpn.flights import cameras, values
 from lpn.flights.base import HeadingSource
 from lpn.flights.telemetry import TelemetryEntry
 
 GpsOrder = Literal["lat-lon", "lon-lat"]
 
 _MOST_BYTES = 500_000_000
-_NUMBER = r"(-?[0-9]+(?:\.[0-9]+)?)"
+# A comma that digits follow is a decimal one here. Lists of numbers are split before.
+_PLAIN_NUMBER = r"[0-9]+(?:\.[0-9]+|,[0-9]+(?![0-9]*[.,][0-9]))?(?![0-9]|[.,][0-9])"
+_NUMBER = rf"([-+]?{_PLAIN_NUMBER})"
+_DEGREES = rf"[-+]?{_PLAIN_NUMBER}(?:\s*(?:°|deg)(?:\s*{_PLAIN_NUMBER}\s*'(?:\s*{_PLAIN_NUMBER}\s*(?:\"|''))?)?)?"
+_END = r"(?=\s*(?:°|deg\b|[mM]\b|ft\b|feet\b)?[\s\]),;|}])"
 _INDEX_LINE = re.compile(r"^[ \t]*[0-9]+[ \t]*$", re.MULTILINE)
-_CODES = re.compile(
-    r"([0-9]{2,}):([0-9]{2}):([0-9]{2})[,.]([0-9]{3}) *--> *([0-9]{2,}):([0-9]{2}):([0-9]{2})[,.]([0-9]{3})"
-)
+_CODE = r"(?:([0-9]{1,3}):)?([0-9]{2}):([0-9]{2})[,.]([0-9]{2,3})"
+_CODES = re.compile(rf"{_CODE} *--> *{_CODE}")
+# A line of .ASS has nine values before its text, in which \N begins a new line.
+_DIALOGUE = re.compile(rf"^Dialogue:[^,\n]*, *{_CODE} *, *{_CODE} *,(?:[^,\n]*,){{6}}(.*)$", re.MULTILINE)
 _CLOCK = re.compile(
-    r"([0-9]{4})[-.]([0-9]{1,2})[-.]([0-9]{1,2})[ T]([0-9]{1,2}):([0-9]{2}):([0-9]{2})"
-    r"(?:[.,]([0-9]{3}))?(?:,([0-9]{3}))?(?=[,\s]|$)"
+    r"([0-9]{4})[-./]([0-9]{1,2})[-./]([0-9]{1,2})[ T]([0-9]{1,2}):([0-9]{2}):([0-9]{2})"
+    r"(?:[.,]([0-9]{3}))?(?:,([0-9]{3}))?(?=[,\sZ]|$)"
 )
+_ONLY_CLOCK = re.compile(r"^[-0-9:., /T]+$")
 # A bracket that the file's end cuts off.
 _OPEN = re.compile(r"\[[^\]\n]*$", re.MULTILINE)
-_NAMED = re.compile(rf"([A-Za-z_]+) ?[:(] ?{_NUMBER}(?=[\s\]),]|M\b)")
-_GPS = re.compile(rf"GPS ?\({_NUMBER}, ?{_NUMBER}, ?([^,)]*)\)")
-_HOME = re.compile(rf"HOME ?\({_NUMBER}, ?{_NUMBER}[,)]")
-_DISTANCE, _HEIGHT = (re.compile(rf"\b{letter} {_NUMBER}(m|ft)\b") for letter in "DH")
-_ANGLES = re.compile(rf"\b([FG])\.PRY \({_NUMBER}[^0-9,]*, ?{_NUMBER}[^0-9,]*, ?{_NUMBER}[^0-9,]*\)")
-_FOOT = 0.3048
+_NAMED = re.compile(rf"([A-Za-z_]+) ?[:=(] ?{_NUMBER}\s*(ft\b|feet\b)?{_END}")
+_COORDINATES = [
+    re.compile(
+        rf"\b(?:{names})\b\.? ?[:=]? ?((?:[{letters}] ?:? ?)?{_DEGREES}(?:\s*[{letters}]\b)?){_END}", re.IGNORECASE
+    )
+    for names, letters in (("lat|latitude", "NS"), ("lon|lng|long|longitude|longtitude", "EW"))
+]
+# The position as a list, in brackets or not. RTK stands in place of GPS with an RTK fix.
+_LABEL = r"\b(?:GPS|RTK|POS|POSITION|COORDINATES?|LOCATION)\b"
+_LISTS = [
+    re.compile(rf"{_LABEL} ?[:=]? ?[(\[]([^()\[\]\n]{{3,100}})[)\]]", re.IGNORECASE),
+    re.compile(rf"{_LABEL} ?[:=]? ?([-+0-9][-+0-9.,;°'\" NSEW:m]{{4,80}})", re.IGNORECASE),
+]
+_LETTERED = {
+    letters: rf"(?:(?<![A-Za-z.])[{letters}] ?:? ?{_DEGREES}|(?<![0-9.,]){_DEGREES} ?[{letters}](?![A-Za-z]))"
+    for letters in ("NS", "EW")
+}
+_PAIR = re.compile(
+    "|".join(rf"{_LETTERED[a]}[\s,;|\[\]]{{0,5}}{_LETTERED[b]}" for a, b in (("NS", "EW"), ("EW", "NS")))
+)
+# Two numbers of degrees without any name.
+_UNNAMED = re.compile(r"(?<![0-9.,:(])(-?[0-9]{1,3}\.[0-9]{4,}), ?(-?[0-9]{1,3}\.[0-9]{4,})(?![0-9.,])")
+_HOME = re.compile(r"\bHOME ?\(([^()\n]{3,100})\)")
+_DISTANCE, _HEIGHT = (re.compile(rf"(?<![A-Za-z.]){letter} ?[:=]? ?{_NUMBER} ?(m|ft)\b") for letter in "DH")
+_ANGLES = re.compile(r"\b([FG])\.PRY ?\(([^()\n]{5,100})\)")
+# The names of a value in lower case without signs, best first.
+_NAMES: Mapping[str, tuple[str, ...]] = {
+    "takeoff": ("relalt", "barometer", "hb", "reh", "relativealtitude", "relaltitude", "relheight", "height"),
+    "altitude": ("absalt", "altitude", "absolutealtitude", "gpsaltitude", "amsl", "alt"),
+    "gimbal_yaw": ("gbyaw", "gimbalyaw", "gimbalheading", "camerayaw"),
+    "gimbal_pitch": ("gbpitch", "gimbalpitch", "camerapitch"),
+    "gimbal_roll": ("gbroll", "gimbalroll", "cameraroll"),
+    "heading": ("droneyaw", "flightyaw", "heading", "hdg"),
+    "zoom": ("dzoomratio",),
+    "focal_length": ("focallen",),
+}
+_TELLING = re.compile(r"GPS|RTK|HOME|LAT|LON|\b[NS] ?:? ?[0-9]", re.IGNORECASE)
+_MOST_LETTERS = 120
 # Zooms from 100 on are in ten-thousandths: [dzoom_ratio: 10000, delta:0].
 _LEAST_SCALED, _ZOOM_SCALE = 100.0, 10_000.0
 # HOME and D decide the order of GPS(a, b, c) from this many metres on, by this factor of the error.
@@ -88,15 +129,26 @@ class _Triple:
     distance: float | None
 
 
+@dataclass(frozen=True)
+class _Place:
+    """The position in one subtitle: in degrees, or as a triple whose order is still open; `written` is its first number."""
+
+    latitude: float | None = None
+    longitude: float | None = None
+    altitude: float | None = None
+    triple: _Triple | None = None
+    written: str = ""
+
+
 def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
-    """Read a `.SRT` file; see `parse_subtitles`.
+    """Read a file of subtitles; see `parse_subtitles`.
 
     Raises:
         DataError: also if the file cannot be read or is larger than 500 MB.
     """
     try:
         if file.stat().st_size > _MOST_BYTES:
-            raise DataError(f"{printable(file.name)} has more than 500 MB; expected DJI's subtitles.")
+            raise DataError(f"{printable(file.name)} has more than 500 MB; expected subtitles with telemetry.")
         data = file.read_bytes()
     except OSError as error:
         raise DataError(f"{printable(file.name)} cannot be read ({error.strerror or error}); check it.") from error
@@ -104,10 +156,24 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
 
 
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
-    """Split the contents of a `.SRT` file at the lines that hold an index only."""
-    text = data.decode("utf-8-sig", "replace").replace("\r\n", "\n").replace("\r", "\n")
+    """Split a file of subtitles at the lines that hold an index only; .ASS at its dialogues, .VTT at its time codes."""
+    try:
+        text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
+    except DataError:  # without any text there is no subtitle
+        return []
+    if text.lstrip().startswith("[Script Info]") or "\nDialogue:" in text:
+        return [
+            SubtitleBlock(
+                found[9].replace("\\N", "\n") + "\n", _seconds(found.groups()[:4]), _seconds(found.groups()[4:8])
+            )
+            for found in _DIALOGUE.finditer(text)
+        ]
+    parts = _INDEX_LINE.split(text)[1:]
+    if not parts or text.startswith("WEBVTT"):
+        starts = [found.start() for found in _CODES.finditer(text)]
+        parts = [text[start:end] for start, end in zip(starts, [*starts[1:], len(text)], strict=False)]
     blocks = []
-    for part in _INDEX_LINE.split(text)[1:]:
+    for part in parts:
         codes = _CODES.search(part)
         start, end = (None, None) if codes is None else (_seconds(codes.groups()[:4]), _seconds(codes.groups()[4:]))
         blocks.append(SubtitleBlock(part, start, end))
@@ -115,20 +181,20 @@ def blocks_of(data: bytes) -> list[SubtitleBlock]:
 
 
 def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOrder | None = None) -> Subtitles:
-    """Return the telemetry of subtitles in any of DJI's dialects; one file may mix them.
+    """Return the telemetry of subtitles in any dialect that is known; one file may mix them.
 
     Args:
         name: the file's, for messages.
         gps_order: order of the first two values in GPS(a, b, c); None finds it out, and a note says how if it was a guess.
 
     Raises:
-        DataError: if no subtitle holds telemetry.
+        DataError: if no subtitle holds telemetry; the message has one line of what they hold.
     """
-    entries: list[TelemetryEntry] = []
-    triples: dict[int, _Triple] = {}
+    texts: list[tuple[str, float, float | None]] = []
     end, first_clock = 0.0, None
     for block in blocks:
-        clock = _clock(block.text)
+        text = values.plain(block.text)
+        clock = _clock(text)
         first_clock = clock if first_clock is None else first_clock
         start = block.start
         if start is None and clock is not None and first_clock is not None:
@@ -136,13 +202,19 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
         if start is None:
             continue
         end = max(end, start if block.end is None else block.end)
-        entry, triple = _entry(block.text, start, clock)
-        if triple is not None:
-            triples[len(entries)] = triple
-        entries.append(entry)
+        texts.append((_OPEN.sub("", text), start, clock))
+    verdicts = [_has_decimal_commas(raw) for text, _, _ in texts if (raw := _listed(text)) is not None]
+    commas = verdicts.count(True) > verdicts.count(False)
+    places = [_place_of(text, commas) for text, _, _ in texts]
+    if not any(place.latitude is not None or place.triple is not None for place in places):
+        places = [_unnamed(text) for text, _, _ in texts]
+    has_points = any("." in place.written for place in places)
+    entries = [_entry(*known, place, commas or not has_points) for known, place in zip(texts, places, strict=True)]
+    triples = {i: place.triple for i, place in enumerate(places) if place.triple is not None}
     if not any(_tells(entry) for entry in entries) and not triples:
         raise DataError(
-            f"{name} holds no telemetry of DJI; expected subtitles such as [latitude: 59.30] or GPS(18.2,59.3,16)."
+            f"{name} holds no telemetry of DJI or Autel in a dialect that is known; expected subtitles such as [latitude: 59.30], GPS(18.2,59.3,16), or "
+            f"GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
         )
     notes = []
     if triples:
@@ -150,14 +222,35 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
         notes += [note] if note else []
         for at, triple in triples.items():
             entries[at] = _placed(entries[at], triple, order)
+    entries, more = _in_degrees(entries, places, name)
+    notes += more
+    if any(verdicts) or any("," in place.written for place in places):
+        notes.append(f"The commas within numbers of {name} count as decimal commas: 47,301 is 47.301.")
     if missing := sum(entry.latitude is None for entry in entries):
-        notes.append(f"{missing} of {len(entries)} entries of {name} have no position.")
+        unread = "" if any(place.written for place in places) else _a_line(texts)
+        notes.append(f"{missing} of {len(entries)} entries of {name} have no position{unread}.")
     return Subtitles(tuple(entries), end, tuple(notes))
 
 
-def _seconds(parts: Sequence[str]) -> float:
-    hours, minutes, seconds, thousandths = map(int, parts)
-    return 3600.0 * hours + 60 * minutes + seconds + thousandths / 1000
+def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
+    """Return the end of a sentence with one line of subtitles, such as tells most about a position."""
+    lines = [line.strip() for text, _, _ in texts for line in text.splitlines()]
+    lines = [
+        line
+        for line in lines
+        if line and not any(pattern.search(line) for pattern in (_CODES, _INDEX_LINE, _ONLY_CLOCK))
+    ]
+    if not lines:
+        return ""
+    line = next(
+        (line for line in lines if _TELLING.search(line)), max(lines, key=lambda line: sum(map(str.isdigit, line)))
+    )
+    return f"; one of its lines is {printable(line)[:_MOST_LETTERS]!r}"
+
+
+def _seconds(parts: Sequence[str | None]) -> float:
+    hours, minutes, seconds = (int(part or 0) for part in parts[:3])
+    return 3600.0 * hours + 60 * minutes + seconds + float(f"0.{parts[3]}")
 
 
 def _clock(text: str) -> float | None:
@@ -172,55 +265,142 @@ def _clock(text: str) -> float | None:
         return None
 
 
-def _entry(text: str, start: float, clock: float | None) -> tuple[TelemetryEntry, _Triple | None]:
-    """Parse one subtitle; a position whose order is still open is returned beside it."""
-    named: dict[str, str] = dict(_NAMED.findall(_OPEN.sub("", text)))
-    latitude, longitude = _place(_value(named, "latitude"), _value(named, "longitude", "longtitude"))
-    takeoff = _value(named, "rel_alt", "BAROMETER", "Hb")
-    if takeoff is None and (high := _HEIGHT.search(text)):
-        takeoff = float(high[1]) * (_FOOT if high[2] == "ft" else 1.0)
-    heading, source, pitch, roll = _angles(text, named)
-    entry = TelemetryEntry(
-        start, clock, latitude, longitude, None, takeoff, _value(named, "abs_alt", "altitude"), heading, source, pitch, roll,
-        _fov(named.get("focal_len"), _value(named, "dzoom_ratio")),
-    )  # fmt: skip
-    return entry, _triple(text)
+def _listed(text: str) -> str | None:
+    """Return the list of numbers that GPS or RTK names; None without one."""
+    return next((found[1].strip() for pattern in _LISTS if (found := pattern.search(text))), None)
 
 
-def _value(named: dict[str, str], *names: str) -> float | None:
-    found = next((float(named[name]) for name in names if name in named), math.nan)
-    return found if math.isfinite(found) else None
+def _has_decimal_commas(raw: str) -> bool | None:
+    """Return whether the commas within a list's numbers are decimal ones; None if it has no sign of either."""
+    if re.search(r"[0-9],[0-9]", raw) and (";" in raw or re.search(r",\s", raw)) and "." not in raw:
+        return True
+    if "." in raw:
+        return False
+    # Two whole numbers and a third are a position in whole degrees; more are numbers with decimals.
+    return True if re.fullmatch(r"(?:[-+]?[0-9]+,){3,5}[-+]?[0-9]+[mM]?", raw) else None
 
 
-def _triple(text: str) -> _Triple | None:
-    found = _GPS.search(text)
-    if found is None:
+def _items(raw: str, commas: bool) -> list[str]:
+    """Split a list of numbers, and write each with a point; `commas` decides where the list itself does not."""
+    own = _has_decimal_commas(raw)
+    if not (commas if own is None else own):
+        return re.split(r"\s*[,;]\s*", raw) if re.search(r"[,;]", raw) else raw.split()
+    if ";" in raw or re.search(r",\s", raw):
+        return [item.replace(",", ".") for item in re.split(r"\s*;\s*" if ";" in raw else r",\s+", raw)]
+    whole = raw.split(",")
+    return [".".join(whole[i : i + 2]) for i in range(0, len(whole), 2)]
+
+
+def _place_of(text: str, commas: bool) -> _Place:
+    """Return the position of a subtitle: by names, by GPS or RTK and a list, or by letters of hemispheres alone."""
+    named = [found[1] if (found := pattern.search(text)) else "" for pattern in _COORDINATES]
+    if all(named):
+        latitude, longitude = _place(values.angle(named[0], "NS", True), values.angle(named[1], "EW", True))
+        return _Place(latitude, longitude, written=named[0])
+    if (raw := _listed(text)) is not None:
+        place = _of_list(_items(raw, commas), text, commas)
+        if place is not None:
+            return place
+    if pair := _PAIR.search(text):
+        # Letters tell which of the two is the latitude.
+        found = re.findall("|".join(f"({pattern})" for pattern in _LETTERED.values()), pair[0])
+        if len(found) == 2:
+            texts = ["".join(column) for column in zip(*found, strict=True)]
+            latitude, longitude = _place(values.angle(texts[0], "NS", True), values.angle(texts[1], "EW", True))
+            return _Place(latitude, longitude, written=texts[0])
+    return _Place()
+
+
+def _of_list(items: Sequence[str], text: str, commas: bool) -> _Place | None:
+    """Return the position in a list of two or three values; None if they are none, such as N/A."""
+    if not 2 <= len(items) <= 4:
         return None
-    home, distance = _HOME.search(text), _DISTANCE.search(text)
-    metres = None if distance is None else float(distance[1]) * (_FOOT if distance[2] == "ft" else 1.0)
-    return _Triple(
-        float(found[1]), float(found[2]), found[3].strip(), (float(home[1]), float(home[2])) if home else None, metres
+    third = items[2] if len(items) > 2 else ""
+    letters = [values.letter_of(item) for item in items[:2]]
+    if any(letters):
+        north_first = letters[0] in ("N", "S") or letters[1] in ("E", "W")
+        north, east = items[:2] if north_first else items[1::-1]
+        latitude, longitude = _place(values.angle(north, "NS"), values.angle(east, "EW"))
+        return _Place(latitude, longitude, values.number(third), written=north)
+    a, b = values.angle(items[0]), values.angle(items[1])
+    if a is None or b is None:
+        return None
+    return _Place(
+        triple=_Triple(a, b, third, _home(text, commas), _metres_of(_DISTANCE, text, commas)), written=items[0]
     )
 
 
-def _angles(text: str, named: dict[str, str]) -> tuple[float | None, HeadingSource | None, float | None, float | None]:
+def _home(text: str, commas: bool) -> tuple[float, float] | None:
+    if (found := _HOME.search(text)) is None:
+        return None
+    items = _items(found[1].strip(), commas)
+    a, b = (values.angle(item) if not values.letter_of(item) else None for item in (*items, "", "")[:2])
+    return None if a is None or b is None else (a, b)
+
+
+def _unnamed(text: str) -> _Place:
+    """Return two numbers of degrees that nothing names, such as those of a goggles' overlay."""
+    found = None if _TELLING.search(text) else _UNNAMED.search(text)
+    if found is None or max(abs(float(found[1])), abs(float(found[2]))) < 2:
+        return _Place()
+    return _Place(triple=_Triple(float(found[1]), float(found[2]), "", None, None), written=found[1])
+
+
+def _metres_of(pattern: re.Pattern[str], text: str, commas: bool) -> float | None:
+    found = pattern.search(text)
+    return None if found is None else values.number(found[1] + found[2], commas)
+
+
+def _entry(text: str, start: float, clock: float | None, place: _Place, commas: bool) -> TelemetryEntry:
+    """Parse one subtitle with its position."""
+    written = {re.sub("[^a-z]", "", name.casefold()): (number, unit) for name, number, unit in _NAMED.findall(text)}
+
+    def value(what: str) -> float | None:
+        return next((values.number("".join(written[name]), commas) for name in _NAMES[what] if name in written), None)
+
+    takeoff = value("takeoff")
+    takeoff = _metres_of(_HEIGHT, text, commas) if takeoff is None else takeoff
+    altitude = value("altitude")
+    focal_length = next((written[name][0] for name in _NAMES["focal_length"] if name in written), None)
+    return TelemetryEntry(
+        start, clock, place.latitude, place.longitude, None, takeoff, place.altitude if altitude is None else altitude,
+        *_angles(text, value), _fov(focal_length, value("zoom")),
+    )  # fmt: skip
+
+
+def _angles(
+    text: str, value: Callable[[str], float | None]
+) -> tuple[float | None, HeadingSource | None, float | None, float | None]:
     """Return heading, its source, pitch, and roll; angles of a gimbal that are all 0 are unknown."""
-    turns = {letter: (float(yaw), float(pitch), float(roll)) for letter, pitch, roll, yaw in _ANGLES.findall(text)}
-    yaw, pitch = _value(named, "gb_yaw"), _value(named, "gb_pitch")
-    gimbal = turns.get("G") or (None if yaw is None or pitch is None else (yaw, pitch, _value(named, "gb_roll") or 0.0))
+    turns = {letter: turn for letter, raw in _ANGLES.findall(text) if (turn := _turn(raw)) is not None}
+    yaw, pitch = value("gimbal_yaw"), value("gimbal_pitch")
+    gimbal = turns.get("G") or (None if yaw is None or pitch is None else (yaw, pitch, value("gimbal_roll") or 0.0))
     if gimbal is not None and any(gimbal):
         heading, pitch, roll = cameras.from_gimbal(*gimbal)
         return heading, "gimbal", pitch, roll
     if "F" in turns and any(turns["F"]):
         return turns["F"][0] % 360.0, "aircraft", None, None
+    if (flown := value("heading")) is not None:
+        return flown % 360.0, "aircraft", None, None
     return None, None, None, None
+
+
+def _turn(raw: str) -> tuple[float, float, float] | None:
+    """Return yaw, pitch, and roll of a list of pitch, roll, and yaw."""
+    found = [values.number(re.sub(r"[^0-9]+$", "", item)) for item in _items(raw.strip(), False)]
+    if len(found) != 3:
+        return None
+    pitch, roll, yaw = found
+    return None if pitch is None or roll is None or yaw is None else (yaw, pitch, roll)
 
 
 def _fov(focal_length: str | None, zoom: float | None) -> float | None:
     """Return the field of view of a focal length that is equivalent to one on 35 mm film: "24.00" or, in tenths, "240"."""
     if focal_length is None:
         return None
-    equivalent = float(focal_length) / (1.0 if "." in focal_length or len(focal_length) < 3 else 10.0)
+    equivalent = float(focal_length.replace(",", ".")) / (
+        1.0 if not focal_length.isdecimal() or len(focal_length) < 3 else 10.0
+    )
     zoom = zoom or 1.0
     equivalent *= max(zoom / _ZOOM_SCALE if zoom >= _LEAST_SCALED else zoom, 1.0)
     return cameras.fov_of_equivalent(equivalent) if 5 <= equivalent <= 1000 else None
@@ -242,14 +422,27 @@ def _place(latitude: float | None, longitude: float | None) -> tuple[float | Non
 
 def _placed(entry: TelemetryEntry, triple: _Triple, order: GpsOrder) -> TelemetryEntry:
     """Return an entry with the position of its GPS(a, b, c), and its altitude, if the third value is one."""
-    if entry.latitude is not None:
-        return entry
     latitude, longitude = _place(*((triple.a, triple.b) if order == "lat-lon" else (triple.b, triple.a)))
-    height = re.fullmatch(rf"{_NUMBER}M?", triple.third)
-    altitude = entry.altitude
-    if altitude is None and height is not None and not _counts_satellites(triple) and float(height[1]):
-        altitude = float(height[1])
+    height = None if _counts_satellites(triple) else values.number(triple.third)
+    altitude = entry.altitude if entry.altitude is not None else height or None
     return replace(entry, latitude=latitude, longitude=longitude, altitude=altitude)
+
+
+def _in_degrees(
+    entries: Sequence[TelemetryEntry], places: Sequence[_Place], name: str
+) -> tuple[list[TelemetryEntry], list[str]]:
+    """Return the entries with positions in degrees, and a note if a camera wrote radians, as a Mavic Air 2 may."""
+    known = [(entry, place) for entry, place in zip(entries, places, strict=True) if entry.latitude is not None]
+    latitudes, longitudes = np.array([(e.latitude, e.longitude) for e, _ in known], np.float64).reshape(-1, 2).T
+    if not values.seem_radians(latitudes, longitudes, [place.written.replace(",", ".") for _, place in known]):
+        return list(entries), []
+    note = f"The positions of {name} count as radians: as degrees they would be at sea, near 0, 0."
+    return [
+        entry
+        if entry.latitude is None or entry.longitude is None
+        else replace(entry, latitude=math.degrees(entry.latitude), longitude=math.degrees(entry.longitude))
+        for entry in entries
+    ], [note]
 
 
 def _counts_satellites(triple: _Triple) -> bool:
@@ -280,10 +473,14 @@ def _order(
         return by_home, ""
     satellites = sum(map(_counts_satellites, triples)) * 2 > len(triples)
     order: GpsOrder = "lon-lat" if satellites else "lat-lon"
-    first, why = ("longitude", "counts satellites") if satellites else ("latitude", "is a height")
+    first, why = (
+        ("longitude", ", because the third value counts satellites") if satellites
+        else ("latitude", ", because the third value is a height") if any(triple.third for triple in triples)
+        else ("latitude", "")
+    )  # fmt: skip
     return order, (
-        f"The order of latitude and longitude in GPS(a, b, c) of {name} is ambiguous; {first} first was taken, because the third "
-        f"value {why}. If that is wrong, give --gps-order {'lat-lon' if satellites else 'lon-lat'}."
+        f"The order of latitude and longitude in GPS(a, b, c) of {name} is ambiguous; {first} first was taken{why}. If that is "
+        f"wrong, give --gps-order {'lat-lon' if satellites else 'lon-lat'}."
     )
 
 

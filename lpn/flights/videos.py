@@ -24,6 +24,7 @@ from lpn.flights.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subt
 from lpn.flights.telemetry import Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
+SUBTITLES = (".srt", ".ass", ".vtt")
 # Seconds from which the sharpest picture is chosen, and how many pictures of them are compared.
 _WINDOW, _CANDIDATES = 1.0, 12
 # Pictures are compared at this width.
@@ -186,11 +187,12 @@ def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, t
 
 
 def beside(video: Path, files: Sequence[Path]) -> Path | None:
-    """Return the `.SRT` file of a video: of its stem among `files`, else of its stem beside it; None if there is none."""
+    """Return the subtitles of a video: of its stem among `files`, else of its stem beside it; None if there are none."""
     for file in files:
         if file.stem.casefold() == video.stem.casefold():
             return file
-    for suffix in (".SRT", ".srt", ".Srt"):
-        if (file := video.with_suffix(suffix)).is_file():
-            return file
+    for suffix in SUBTITLES:
+        for spelling in (suffix.upper(), suffix, suffix.title()):
+            if (file := video.with_suffix(spelling)).is_file():
+                return file
     return None
