@@ -1,11 +1,15 @@
-"""Logs of a flight as `.csv`: one row a picture, or one row a moment.
+"""Logs of a flight as tables and tracks: one row a picture, or one row a moment.
 
     Filename,Latitude,Longitude,Altitude,Gimball_Roll,Gimball_Yaw,Gimball_Pitch,...     wildnav's photo_metadata.csv
     num,filename,date,lat,lon,height,Omega,Kappa,Phi1,Phi2                              UAV-VisLoc
     time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),...   Airdata
+    #Label,X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll                             Agisoft
+    SourceFile,GPSLatitude,GPSLongitude                                                 exiftool -csv: 47 deg 18' 4.44" N
 
-Columns are known by their names, whose case and spelling may vary, and may be in any order. Units stand behind a name, as in
-height(feet) or speed_ms. Columns of other names are left out. Where nothing names a unit, metres, degrees, and seconds are meant.
+Columns are known by their names (`lpn.flights.log_columns`), in any order, and their values must be what the name says: degrees
+on the Earth. Lines of comment before the names, decimal commas, degrees and minutes, letters of hemispheres, degrees times 1e7,
+radians, and a latitude and longitude whose names are swapped are told from the file as a whole, and a note says so. Where nothing
+names a unit, metres, degrees, and seconds are meant. GPX and KML are read by `lpn.flights.track_files`.
 """
 
 from __future__ import annotations
@@ -13,56 +17,50 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import read_lines
-from lpn.flights import cameras
+from lpn.flights import cameras, values
+from lpn.flights.base import HeadingSource
+from lpn.flights.log_columns import LogColumns, columns_of
 from lpn.flights.telemetry import TelemetryEntry
 
-# Names of a column without signs, in lower case, best first.
-_NAMES: Mapping[str, tuple[str, ...]] = {
-    "file": ("filename", "file", "imagename", "image", "photo", "picture", "sourcefile", "path", "name"),
-    "latitude": ("latitude", "lat", "gpslatitude", "gpslat", "osdlatitude"),
-    "longitude": ("longitude", "lon", "lng", "long", "gpslongitude", "gpslon", "osdlongitude"),
-    "height_above_ground": ("heightaboveground", "heightabovegroundatdronelocation", "agl", "heightagl", "altitudeagl"),
-    "height_above_takeoff": (
-        "heightabovetakeoff", "relativealtitude", "relativeheight", "relalt", "heightabovehome", "osdheight", "height",
-    ),
-    "altitude": (
-        "altitudeabovesealevel", "absolutealtitude", "absalt", "altitudeamsl", "gpsaltitude", "osdaltitude", "altitude", "alt",
-    ),
-    "gimbal_heading": ("gimbalheading", "gimbalyaw", "gimbalyawdegree", "gimballyaw", "cameraheading", "camerayaw"),
-    "gimbal_pitch": ("gimbalpitch", "gimbalpitchdegree", "gimballpitch", "camerapitch"),
-    "gimbal_roll": ("gimbalroll", "gimbalrolldegree", "gimballroll", "cameraroll"),
-    "heading": ("heading", "compassheading", "flightyaw", "flightyawdegree", "yaw", "osdyaw", "phi1", "phi"),
-    "nose": ("omega",),
-    "bank": ("kappa",),
-    "fov": ("fov", "hfov", "horizontalfov"),
-    "time": ("time", "seconds", "elapsed", "elapsedtime", "flytime", "osdflytime", "timestamp", "epoch"),
-    "date": ("datetime", "date", "utc", "timestamp", "time", "createdate", "datetimeoriginal"),
-    "is_video": ("isvideo",),
-}  # fmt: skip
-_UNITS = {
-    "feet": 0.3048, "foot": 0.3048, "ft": 0.3048, "meters": 1.0, "metres": 1.0, "meter": 1.0, "metre": 1.0, "m": 1.0, "cm": 0.01,
-    "km": 1000.0, "degrees": 1.0, "degree": 1.0, "deg": 1.0, "°": 1.0, "rad": math.degrees(1), "radians": math.degrees(1),
-    "millisecond": 0.001, "milliseconds": 0.001, "ms": 0.001, "s": 1.0, "sec": 1.0, "seconds": 1.0, "utc": 1.0, "wgs84": 1.0,
-}  # fmt: skip
-_BRACKETED = re.compile(r"^([^(\[]*)[(\[]([^)\]]*)[)\]]\s*$")
-_DATES = (
-    "%Y-%m-%d %H:%M:%S",
-    "%Y:%m:%d %H:%M:%S",
-    "%Y/%m/%d %H:%M:%S",
-    "%Y.%m.%d %H:%M:%S",
-    "%Y/%m/%d %H:%M",
-    "%Y-%m-%d %H:%M",
+SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
+_MOST_BYTES = 200_000_000
+# The line of names is looked for among so many lines. DroneDeploy's has some thirty lines before it.
+_MOST_HEAD = 200
+_DELIMITERS = (",", ";", "\t", "|", None)
+_PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
+_UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
+# A second line with units, as in FlySight's files.
+_UNIT_CELL = re.compile(r"[(\[]?(?:deg|degrees|°|rad|dd|decimal degrees)[)\]]?", re.IGNORECASE)
+_COMMA_DECIMAL = re.compile(r"[-+]?\d{1,3},\d+")
+_DATE = re.compile(
+    r"(?:(?P<year>\d{4})[-:/.](?P<month>\d{1,2})[-:/.](?P<day>\d{1,2})|(?P<first>\d{1,2})(?P<sign>[-/.])(?P<second>\d{1,2})[-/.]"
+    r"(?P<late>\d{4}|\d{2})|(?P<packed>\d{8}))?"
+    r"(?:(?:^|[T ,]+)(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<seconds>\d{2})(?:[.,:](?P<fraction>\d{1,9}))?)?)?"
+    r"\s*(?P<half>[AP]\.?M\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2})?)?",
+    re.IGNORECASE | re.ASCII,
 )
-_LATEST = 1e11  # epochs above it are in milliseconds
-_EPOCH = 1e9
+# GPS time is ahead of UTC by so many seconds since 2017.
+_GPS_AHEAD = 18.0
+# Epochs in seconds; larger ones are in milli-, micro-, or nanoseconds. Smaller numbers count from a start.
+_EPOCHS = (1e9, 1e11)
+# Rows that are farther apart than so many seconds in the median count milliseconds, or microseconds.
+_MILLISECONDS, _MICROSECONDS = 1e3, 2e4
+_SCALED = 1e7
+# Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
+_LEAST_SCALED = 2e7
+# What the first line of a geo.txt in degrees says.
+_GEOGRAPHIC = re.compile(r"EPSG:4326|longlat|WGS ?84", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -73,11 +71,13 @@ class LogRow:
         entry: its values; `time` is that of its column, else NaN, and `clock` that of its date.
         file: the picture it tells about; None in a log of moments.
         recording: whether the drone recorded a video; None if the log does not say.
+        line: its number in the file, from 1; 0 in a track.
     """
 
     entry: TelemetryEntry
     file: str | None = None
     recording: bool | None = None
+    line: int = 0
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Log:
     """A log of a flight.
 
     Attributes:
-        utc: the entries' `clock` is UTC.
+        utc: the entries' `clock` is UTC, as far as the log says.
         notes: sentences about what was odd.
     """
 
@@ -95,57 +95,117 @@ class Log:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _Table:
+    """The lines of a log below its names: the columns, rows of cells with their line numbers, and whether commas are decimal."""
+
+    columns: LogColumns
+    header: tuple[str, ...]
+    rows: list[tuple[int, list[str]]]
+    commas: bool
+    notes: list[str]
+
+
 def read_log(file: Path) -> Log:
-    """Read a log.
+    """Read a log that is a table.
 
     Raises:
         DataError: if it is no such file, has no latitude and longitude, or holds a value that is no number or no position; the
             message names the line of such a value.
     """
     name = printable(file.name)
-    lines = [
-        (number, line)
-        for number, line in enumerate(read_lines(file, name), 1)
-        if line.strip() and not line.startswith("sep=")
-    ]
-    if not lines:
-        raise DataError(f"{name} is empty; expected a log with a line of column names.")
-    reader = csv.reader((line for _, line in lines), delimiter=max(",;\t", key=lines[0][1].count))
     try:
-        table = [(lines[reader.line_num - 1][0], cells) for cells in reader]
-    except csv.Error as error:
-        raise DataError(f"{name} is not comma-separated values ({error}); correct it.") from error
-    header = [cell.strip() for cell in table[0][1]]
-    columns, factors, notes = _columns(header, name)
-    if not {"latitude", "longitude"} <= columns.keys():
+        if file.stat().st_size > _MOST_BYTES:
+            raise DataError(f"{name} has more than {_MOST_BYTES // 1_000_000} MB; expected a log of one flight.")
+        data = file.read_bytes()
+    except OSError as error:
+        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
+    if file.suffix.lower() == ".txt" and b"\x00" in data[:1000] and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
         raise DataError(
-            f"{name} has the columns {printable(', '.join(header))[:300]}; expected latitude and longitude among them."
+            f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."
         )
-    utc = "date" in columns and "utc" in header[columns["date"]].casefold()
-    rows, zoned = [], False
-    for number, cells in table[1:]:
-        named = {what: _cell(cells, at) for what, at in columns.items()}
-        row, has_zone = _row(named, factors, f"Line {number} of {name}")
-        zoned |= has_zone
-        rows.append(row)
-    if not rows:
-        raise DataError(f"{name} has column names and no row; expected one row a picture or moment.")
+    table = _table(values.decoded(data, name), name)
+    places, notes, is_scaled = _positions(table, name)
+    table = _with_mavlink_units(table) if is_scaled else table
+    clocks, zoned, clock_notes = _clocks(table, name)
+    times = _seconds(table)
+    rows = []
+    for i, (line, cells) in enumerate(table.rows):
+        entry = TelemetryEntry(times[i], clocks[i], *places[i])
+        rows.append(_row(entry, _Cells(table, cells, f"Line {line} of {name}"), line))
     known = sum(row.entry.latitude is not None for row in rows)
-    if known < len(rows):
-        notes.append(f"{len(rows) - known} of {len(rows)} rows of {name} have no position.")
-    return Log(name, tuple(rows), utc or zoned, tuple(notes))
+    missing = [] if known == len(rows) else [f"{len(rows) - known} of {len(rows)} rows of {name} have no position."]
+    notes = [*table.columns.notes, *table.notes, *notes, *clock_notes, *missing]
+    return Log(name, tuple(rows), table.columns.utc or zoned, tuple(notes))
 
 
-def for_photos(log: Log) -> dict[str, TelemetryEntry]:
-    """Return the entries of a log by the names of their pictures in lower case, without folders."""
-    return {_key(row.file): row.entry for row in log.rows if row.file}
+def rows_by_name(log: Log) -> dict[str, list[LogRow]]:
+    """Return the rows of a log by the names of their pictures in lower case, without folders."""
+    found = defaultdict(list)
+    for row in log.rows:
+        if row.file:
+            found[path_parts(row.file)[-1]].append(row)
+    return dict(found)
 
 
-def for_video(log: Log, number: int) -> tuple[list[TelemetryEntry], str | None]:
-    """Return the entries of a log's recording with times from its start, and a note where that start is a guess.
+def path_parts(path: str) -> tuple[str, ...]:
+    """Return the folders and the name of a path of any system in lower case."""
+    return tuple(part.strip().casefold() for part in path.replace("\\", "/").split("/") if part.strip()) or ("",)
+
+
+def picture_name(text: str) -> str | None:
+    """Return a text without spaces about it if it is the name of a picture, else None."""
+    text = text.strip()
+    return text if len(text) < 1000 and _PICTURE.fullmatch(text) else None
+
+
+def seconds_of(text: str) -> tuple[float | None, bool]:
+    """Return a date's seconds since 1970-01-01, None if it is none; and whether it has a zone, without which it counts as UTC."""
+    match = _DATE.fullmatch(text.strip()) if len(text) < 100 else None
+    clock = None if match is None else _date(match, False)
+    return clock, clock is not None and match is not None and match["zone"] is not None
+
+
+def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
+    """Return the entries of a log that have a clock, with their clock as their time; and a note about moments listed twice.
+
+    A clock in whole seconds gets its fraction from the column of elapsed time.
+    """
+    known = [row.entry for row in log.rows if row.entry.clock is not None]
+    clocks = np.array([entry.clock for entry in known], np.float64)
+    times = np.array([entry.time for entry in known], np.float64)
+    if len(known) > 1 and np.isfinite(times).all() and (clocks == np.floor(clocks)).all():
+        # Whole seconds are cut off, so that the clock is ahead of the elapsed time by the largest difference, or a little more.
+        lead = clocks - times
+        if float(np.ptp(lead)) <= 1.0:
+            clocks = times + lead.max()
+    return _distinct([replace(entry, time=float(clock)) for entry, clock in zip(known, clocks, strict=True)], log.name)
+
+
+def _distinct(entries: Sequence[TelemetryEntry], name: str) -> tuple[list[TelemetryEntry], str | None]:
+    """Return the first entry of each moment, in the order of time, and a note if others of that moment are elsewhere."""
+    first: dict[float, TelemetryEntry] = {}
+    twice = set()
+    for entry in entries:
+        kept = first.setdefault(entry.time, entry)
+        if (kept.latitude, kept.longitude) != (entry.latitude, entry.longitude):
+            if kept.latitude is None:
+                first[entry.time] = entry
+            elif entry.latitude is not None:
+                twice.add(entry.time)
+    note = (
+        f"{len(twice)} of {len(first)} moments of {name} are listed more than once with different positions; the first row of "
+        "each was used."
+    )
+    return sorted(first.values(), key=lambda entry: entry.time), note if twice else None
+
+
+def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[TelemetryEntry], list[str]]:
+    """Return the entries of a log's recording with times from its start, and notes such as that its start is a guess.
 
     Args:
         number: of the recording in a log that tells when the drone recorded, from 0.
+        began: the video's start in seconds since 1970-01-01 in UTC, where its file says it.
 
     Raises:
         DataError: if the log has no times, or fewer recordings.
@@ -162,94 +222,458 @@ def for_video(log: Log, number: int) -> tuple[list[TelemetryEntry], str | None]:
         if row.recording:
             runs[-1].append((row, time))
         before = bool(row.recording)
-    note = None
+    notes = []
+    start = None
     if not any(row.recording is not None for row, _ in timed):
         runs, number = [timed], 0
-        note = f"{log.name} does not tell when the video began; its first row counts as the beginning."
+        start, note = _start(log, began, timed)
+        notes.append(note)
     if number >= len(runs):
         raise DataError(
             f"{log.name} tells of {len(runs)} recordings, and this is video {number + 1}; give the log of this flight."
         )
-    start = runs[number][0][1]
-    return [replace(row.entry, time=time - start) for row, time in runs[number]], note
+    start = runs[number][0][1] if start is None else start
+    entries, note_of_twice = _distinct([replace(row.entry, time=time - start) for row, time in runs[number]], log.name)
+    return entries, notes + ([] if note_of_twice is None else [note_of_twice])
 
 
-def _key(file: str) -> str:
-    return file.replace("\\", "/").rpartition("/")[2].strip().casefold()
+def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]]) -> tuple[float | None, str]:
+    """Return the time of a log's column at which a video began, by the time in the video's file, and a note."""
+    known = [(row.entry.clock, time) for row, time in timed if row.entry.clock is not None]
+    if began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
+        clock, time = min(known, key=lambda pair: abs(pair[0] - began))
+        return (
+            time + began - clock,
+            f"The time in the video's file says where in {log.name} it began; that clock may be wrong.",
+        )
+    return None, f"{log.name} does not tell when the video began; its first row counts as the beginning."
 
 
-def _cell(cells: Sequence[str], at: int) -> str:
+@dataclass(frozen=True)
+class _Cells:
+    """The cells of one row, with the place of the row for messages."""
+
+    table: _Table
+    cells: Sequence[str]
+    where: str
+
+    def text(self, what: str) -> str:
+        """Return the text of a value, "" for one that is unknown."""
+        at = self.table.columns.places.get(what)
+        text = "" if at is None or at >= len(self.cells) else self.cells[at].strip()
+        return "" if text.casefold() in _UNKNOWN else text
+
+    def value(self, what: str) -> float | None:
+        """Return a value in metres or degrees; None if it is unknown.
+
+        Raises:
+            DataError: if it is no number.
+        """
+        text = self.text(what)
+        if not text:
+            return None
+        found = values.number(values.plain(text), self.table.commas)
+        if found is None or not math.isfinite(found):
+            raise DataError(
+                f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
+            )
+        # A unit in the cell counts in place of the column's.
+        return found if text[-1].isalpha() or text[-1] == "°" else found * self.table.columns.factors[what]
+
+    def angle(self, what: str, letters: str) -> float | None:
+        """Return degrees of a coordinate, with the letter of its own column if it has one; None if it is unknown.
+
+        Raises:
+            DataError: if it is no angle.
+        """
+        text = self.text(what)
+        if not text:
+            return None
+        found = values.angle(text, letters, self.table.commas)
+        if found is None and "e" in text.casefold():
+            found = values.number(text, self.table.commas)
+        if found is None or not math.isfinite(found):
+            raise DataError(f"{self.where} has the {what} {printable(text)[:80]!r}; expected a number of degrees.")
+        found *= self.table.columns.factors.get(what, 1.0)
+        letter = self.text(f"{what}_letter")[:1].upper()
+        return -abs(found) if letter and letter == letters[1] else found
+
+    def coordinates(self) -> tuple[float | None, float | None]:
+        """Return latitude and longitude; both None if either is unknown.
+
+        Raises:
+            DataError: if they are none.
+        """
+        if "position" not in self.table.columns.places:
+            latitude, longitude = self.angle("latitude", "NS"), self.angle("longitude", "EW")
+            return (None, None) if latitude is None or longitude is None else (latitude, longitude)
+        text = self.text("position")
+        if not text:
+            return None, None
+        parts = re.split(r"\s*;\s*|\s*,\s+|\s*,(?=\s*[-+]?\d)|(?<=[NS])\s+", text, maxsplit=1)
+        parts = parts if len(parts) == 2 else text.split()
+        found = [values.angle(part, letters) for part, letters in zip(parts, ("NS", "EW"), strict=False)]
+        if len(parts) != 2 or found[0] is None or found[1] is None:
+            raise DataError(
+                f"{self.where} has the position {printable(text)[:80]!r}; expected a latitude and a longitude."
+            )
+        return found[0], found[1]
+
+
+def _table(text: str, name: str) -> _Table:
+    """Find the line of names, and split the lines below it into cells."""
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.startswith("sep=")
+    ]
+    if not lines:
+        raise DataError(f"{name} is empty; expected a log with a line of column names.")
+    at, delimiter, header, notes = _header(lines, name)
+    lines = lines[at + 1 :]
+    columns = columns_of(header, name)
+    lines = [(number, line) for number, line in lines if not line.startswith(("#", "%"))]
+    rows = list(_cells(lines, delimiter, name))
+    if (
+        rows
+        and columns.places.keys() >= {"latitude"}
+        and _UNIT_CELL.fullmatch(_at(rows[0][1], columns.places["latitude"]))
+    ):
+        rows = rows[1:]
+    if not rows:
+        raise DataError(f"{name} has column names and no row; expected one row a picture or moment.")
+    rows = _rejoined(rows, header, columns, name, notes) if delimiter == "," else rows
+    commas = any(
+        _COMMA_DECIMAL.fullmatch(_at(cells, columns.places[what]))
+        for _, cells in rows for what in ("latitude", "longitude") if what in columns.places
+    )  # fmt: skip
+    if commas:
+        notes.append(f"The commas within numbers of {name} count as decimal commas: 47,301 is 47.301.")
+    return _Table(columns, tuple(header), rows, commas, notes)
+
+
+def _at(cells: Sequence[str], at: int) -> str:
     return cells[at].strip() if at < len(cells) else ""
 
 
-def _columns(header: Sequence[str], name: str) -> tuple[dict[str, int], dict[str, float], list[str]]:
-    """Return the place of each known column, the factor of its unit, and notes."""
-    plain, units = [], []
-    for cell in header:
-        found = _BRACKETED.match(cell)
-        text, unit = (found[1], found[2].strip()) if found else (cell, "")
-        head, _, tail = text.strip().rpartition("_")
-        if not unit and head and tail.casefold() in _UNITS and tail.casefold() != "utc":
-            text, unit = head, tail
-        plain.append(re.sub(r"[^a-z0-9]", "", text.casefold()))
-        units.append(unit.casefold())
-    columns: dict[str, int] = {}
-    factors: dict[str, float] = {}
-    notes = []
-    for what, names in _NAMES.items():
-        at = next((plain.index(one) for one in names if one in plain), None)
-        if at is None:
-            continue
-        if units[at] and units[at] not in _UNITS:
-            notes.append(f"The column {printable(header[at])} of {name} is in an unknown unit and was left out.")
-            continue
-        columns[what], factors[what] = at, _UNITS.get(units[at], 1.0)
-    if "gimballyaw" in plain and "altitude" in columns and "height_above_takeoff" not in columns:
-        # wildnav copies its column Altitude from RelativeAltitude.
-        columns["height_above_takeoff"], factors["height_above_takeoff"] = columns.pop("altitude"), factors["altitude"]
-        notes.append(f"The column Altitude of {name} counts as height above take-off, as in wildnav's files.")
-    elif "height_above_takeoff" in columns and plain[columns["height_above_takeoff"]] == "height":
-        notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
-    return columns, factors, notes
+def _split(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return line.split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [""])]
+    except csv.Error:
+        return [line]
 
 
-def _row(cells: Mapping[str, str], factors: Mapping[str, float], where: str) -> tuple[LogRow, bool]:
-    """Return a row, and whether its date has a zone."""
+def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | None, list[str], list[str]]:
+    """Return the index of the line of names, the delimiter, the names, and notes.
 
-    def value(what: str) -> float | None:
-        text = cells.get(what, "")
-        if not text or text.casefold() in ("n/a", "na", "nan", "null", "none", "-"):
-            return None
-        try:
-            found = float(text) * factors[what]
-        except ValueError:
-            found = math.nan
-        if not math.isfinite(found):
-            raise DataError(f"{where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number.")
-        return found
+    Files of Pix4D and OpenDroneMap's geo.txt have none: the names are known, and the index is that of the line before the rows.
+    """
+    for at, (_, line) in enumerate(lines[:_MOST_HEAD]):
+        for delimiter in _DELIMITERS:
+            header = _split(line, delimiter)
+            if len(header) < 2 or any(values.angle(cell) is not None for cell in header):
+                continue
+            header = header[1:] if header[0] in ("#", "%") else header
+            if not columns_of(header, name).has_position:
+                continue
+            # RTKLIB writes a date and a time below one name.
+            if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):
+                header = [header[0].lstrip("%"), "timeofday", *header[1:]]
+            return at, delimiter, header, []
+    first = next((i for i, (_, line) in enumerate(lines[:_MOST_HEAD]) if not line.startswith("#")), 0)
+    for delimiter in _DELIMITERS:
+        if _is_picture_row(lines[first][1], delimiter):
+            note = "latitude before longitude was taken, as in Pix4D's files"
+            return first - 1, delimiter, ["file", "lat", "lon", "alt"], [_without_names(name, note)]
+        if (
+            len(lines) > first + 1
+            and _is_picture_row(lines[first + 1][1], delimiter)
+            and _GEOGRAPHIC.search(lines[first][1])
+        ):
+            note = "longitude before latitude was taken, as in geo.txt of OpenDroneMap"
+            return first, delimiter, ["file", "lon", "lat", "alt"], [_without_names(name, note)]
+    raise DataError(_no_position(lines, name))
 
-    latitude, longitude = value("latitude"), value("longitude")
-    if latitude is None or longitude is None or latitude == longitude == 0:
-        latitude = longitude = None
-    elif abs(latitude) > 90 or abs(longitude) > 180:
-        raise DataError(
-            f"{where} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to 90."
-        )
-    time, clock, zoned = _time(cells, factors)
-    entry = TelemetryEntry(
-        time,
-        clock,
-        latitude,
-        longitude,
-        value("height_above_ground"),
-        value("height_above_takeoff"),
-        value("altitude"),
-        fov=value("fov"),
+
+def _without_names(name: str, note: str) -> str:
+    return f"{name} has no line of column names; {note}. Angles in it were not read."
+
+
+def _is_picture_row(line: str, delimiter: str | None) -> bool:
+    """Return whether a line has a picture's name and two numbers."""
+    cells = _split(line, delimiter)
+    return (
+        len(cells) > 2
+        and bool(_PICTURE.fullmatch(cells[0]))
+        and all(values.angle(cell) is not None for cell in cells[1:3])
     )
-    return LogRow(_with_angles(entry, value), cells.get("file") or None, _flag(cells.get("is_video"))), zoned
 
 
-def _with_angles(entry: TelemetryEntry, value: Callable[[str], float | None]) -> TelemetryEntry:
+def _no_position(lines: Sequence[tuple[int, str]], name: str) -> str:
+    """Return the message about a file without a position; columns that may be one are named."""
+    delimiter = max(",;\t", key=lines[0][1].count)
+    header = _split(lines[0][1].lstrip("#% "), delimiter)
+    message = (
+        f"{name} has the columns {printable(', '.join(header))[:300]}; expected latitude and longitude among them."
+    )
+    if any(word in lines[0][1].casefold() for word in ("easting", "northing", "utm", "epsg")):
+        return message + " Eastings and northings of a map are not read; export degrees of WGS 84."
+    second = _split(lines[1][1], delimiter) if len(lines) > 1 else []
+    likely = [
+        header[i]
+        for i, cell in enumerate(second[: len(header)])
+        if re.fullmatch(r"-?\d{1,3}\.\d{4,}", cell) and abs(float(cell)) <= 180
+    ]
+    if len(likely) < 2:
+        return message
+    return message + f" {printable(likely[0])} and {printable(likely[1])} look like degrees; if they are, name them so."
+
+
+def _cells(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the cells of each row with the number of its last line."""
+    if delimiter is None:
+        yield from ((number, line.split()) for number, line in lines)
+        return
+    reader = csv.reader((line for _, line in lines), delimiter=delimiter)
+    try:
+        for cells in reader:
+            yield lines[reader.line_num - 1][0], cells
+    except csv.Error as error:
+        raise DataError(
+            f"Line {lines[min(reader.line_num, len(lines)) - 1][0]} of {name} is not comma-separated values; correct it."
+        ) from error
+
+
+def _rejoined(
+    rows: list[tuple[int, list[str]]], header: Sequence[str], columns: LogColumns, name: str, notes: list[str]
+) -> list[tuple[int, list[str]]]:
+    """Join numbers whose decimal commas also separate the cells: 47,301,8,501 under lat,lon.
+
+    Raises:
+        DataError: if such numbers can be joined in more than one way.
+    """
+    places = [columns.places[what] for what in ("latitude", "longitude") if what in columns.places]
+    longer = [
+        (line, cells)
+        for line, cells in rows
+        if len(cells) > len(header)
+        and any(cells[len(header) :])
+        and all(re.fullmatch(r"[-+]?\d{1,3}", _at(cells, at)) for at in places[:1])
+    ]
+    if len(longer) * 2 <= len(rows) or not places:
+        return rows
+    joined = []
+    for line, cells in rows:
+        ways = _ways([cell.strip() for cell in cells], len(header))
+        if len(ways) != 1:
+            raise DataError(
+                f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas give; save "
+                "it with decimal points, or with semicolons between the values."
+            )
+        joined.append((line, ways[0]))
+    notes.append(f"{name} has commas both within and between numbers; they were joined to one number a column.")
+    return joined
+
+
+def _ways(cells: Sequence[str], columns: int) -> list[list[str]]:
+    """Return the ways to join neighbouring whole numbers to decimals so that a row has a number of columns; two at most."""
+    ways: list[list[str]] = []
+    todo: list[tuple[int, list[str]]] = [(0, [])] if len(cells) <= 2 * columns else []
+    while todo and len(ways) < 2:
+        at, row = todo.pop()
+        left, wanted = len(cells) - at, columns - len(row)
+        if not left and not wanted:
+            ways.append(row)
+        elif left and wanted and wanted <= left <= 2 * wanted:
+            todo.append((at + 1, [*row, cells[at]]))
+            if left > 1 and re.fullmatch(r"[-+]?\d+", cells[at]) and cells[at + 1].isdecimal():
+                todo.append((at + 2, [*row, f"{cells[at]}.{cells[at + 1]}"]))
+    return ways
+
+
+def _positions(table: _Table, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
+    """Return the positions of the rows in degrees, both None where unknown; notes about what the values are; if they are scaled.
+
+    Raises:
+        DataError: if they are not degrees on the Earth; the message names the line.
+    """
+    rows = [_Cells(table, cells, f"Line {line} of {name}") for line, cells in table.rows]
+    found = np.array([row.coordinates() for row in rows], np.float64)
+    found[(found == 0).all(axis=1)] = np.nan
+    known = ~np.isnan(found[:, 0])
+    notes, is_scaled = [], False
+    latitudes, longitudes = found[known].T
+    size = np.abs(found[known]).max(axis=0) if known.any() else np.zeros(2)
+    whole = bool(known.any() and (found[known] == np.floor(found[known])).all())
+    texts = [row.text("latitude") for row, is_known in zip(rows, known, strict=True) if is_known]
+    if whole and size.max() > _LEAST_SCALED and size[0] <= 90 * _SCALED and size[1] <= 180 * _SCALED:
+        found, is_scaled = found / _SCALED, True
+        notes.append(f"The positions of {name} are whole numbers and count as degrees times 1e7, as in MAVLink.")
+    elif not whole and _are_minutes(latitudes, 90) and _are_minutes(longitudes, 180):
+        found = np.sign(found) * (np.abs(found) // 100 + np.abs(found) % 100 / 60)
+        notes.append(f"The positions of {name} count as degrees and minutes, ddmm.mmmm, as in NMEA.")
+    elif size[0] > 90 and size[1] <= 90 and size[0] <= 180 and len(latitudes) > 1 and (np.abs(latitudes) > 90).all():
+        found = found[:, ::-1]
+        notes.append(f"Latitude and longitude of {name} are swapped: its latitudes are beyond 90 degrees.")
+    elif values.seem_radians(latitudes, longitudes, texts):
+        found = np.degrees(found)
+        notes.append(f"The positions of {name} count as radians: as degrees they would be at sea, near 0, 0.")
+    for row, (latitude, longitude) in zip(rows, found.tolist(), strict=True):
+        if abs(latitude) > 90 or abs(longitude) > 180:
+            grid = (
+                " Eastings and northings of a map are not read; export degrees of WGS 84." if size.min() > 1000 else ""
+            )
+            raise DataError(
+                f"{row.where} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to 90.{grid}"
+            )
+    places = [(None, None) if math.isnan(latitude) else (latitude, longitude) for latitude, longitude in found.tolist()]
+    return places, notes, is_scaled
+
+
+def _with_mavlink_units(table: _Table) -> _Table:
+    """Return a table whose whole numbers of heights are millimetres, and those of headings beyond 360 hundredths of degrees."""
+    factors = dict(table.columns.factors)
+    for what, most, factor in (
+        ("altitude", 1000, 0.001),
+        ("height_above_takeoff", 1000, 0.001),
+        ("heading", 360, 0.01),
+    ):
+        if what in factors:
+            cells = [_number_or_nan(_at(row, table.columns.places[what])) for _, row in table.rows]
+            known = np.array([cell for cell in cells if not math.isnan(cell)])
+            if len(known) and (known == np.floor(known)).all() and np.abs(known).max() > most:
+                factors[what] *= factor
+    return replace(table, columns=replace(table.columns, factors=factors))
+
+
+def _are_minutes(found: Float64Array, most: int) -> bool:
+    """Return whether angles are degrees and minutes as ddmm.mmmm: beyond the degrees of the Earth, with minutes below 60."""
+    size = np.abs(found)
+    return bool(len(size) and size.max() > 180 and size.max() < 100 * most + 60 and (size % 100 < 60).all())
+
+
+def _clocks(table: _Table, name: str) -> tuple[list[float | None], bool, list[str]]:
+    """Return seconds since 1970-01-01 of the rows' dates, whether they have a zone, and notes."""
+    texts = []
+    for _, cells in table.rows:
+        row = _Cells(table, cells, "")
+        date, clock = row.text("date"), row.text("clock")
+        if date and clock and clock != date and ":" not in date:
+            date = f"{date} {clock}"
+        texts.append(date or clock)
+    numbers = [_number_or_nan(text) for text in texts]
+    if all(math.isnan(number) for number in numbers):
+        parsed = [_DATE.fullmatch(text) for text in texts]
+        day_first, note = _day_first(parsed, name)
+        found = [None if match is None else _date(match, day_first) for match in parsed]
+        late = (
+            _GPS_AHEAD
+            if "date" in table.columns.places and "gpst" in table.header[table.columns.places["date"]].casefold()
+            else 0.0
+        )
+        zoned = any(match is not None and match["zone"] for match in parsed)
+        notes = [note] if note else []
+        if late:
+            notes.append(f"The times of {name} are GPS time; {late:g} s were taken off for UTC.")
+        return [None if clock is None else clock - late for clock in found], zoned, notes
+    least, most = _EPOCHS
+    scale = 1.0
+    largest = np.nanmax(numbers)
+    while largest * scale > most:
+        scale /= 1000.0
+    clocks = [number * scale if least < number * scale < most else None for number in numbers]
+    if _step(numbers) >= _MILLISECONDS and scale == 1.0:
+        return [None] * len(numbers), False, []
+    return clocks, any(clock is not None for clock in clocks), []
+
+
+def _number_or_nan(text: str) -> float:
+    try:
+        found = float(text)
+    except ValueError:
+        return math.nan
+    return found if math.isfinite(found) else math.nan
+
+
+def _step(numbers: Sequence[float]) -> float:
+    """Return the median difference of neighbouring numbers that differ, 0 if there is none."""
+    known = np.array(numbers, np.float64)
+    steps = np.diff(known[~np.isnan(known)])
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def _seconds(table: _Table) -> list[float]:
+    """Return the seconds of the column of time, NaN where unknown."""
+    if "time" not in table.columns.places:
+        return [math.nan] * len(table.rows)
+    at, factor = table.columns.places["time"], table.columns.factors["time"]
+    found = [
+        _number_or_nan(_at(cells, at).replace(",", ".") if table.commas else _at(cells, at)) * factor
+        for _, cells in table.rows
+    ]
+    step = _step(found)
+    if factor == 1.0 and step >= _MILLISECONDS:
+        scale = 1e-6 if step >= _MICROSECONDS else 1e-3
+        found = [time * scale for time in found]
+    return found
+
+
+def _day_first(parsed: Sequence[re.Match[str] | None], name: str) -> tuple[bool, str]:
+    """Return whether dates such as 5/1/2024 have the day first, and a note if that is a guess."""
+    short = [match for match in parsed if match is not None and match["first"]]
+    if not short:
+        return False, ""
+    if any(int(match["first"]) > 12 for match in short):
+        return True, ""
+    if any(int(match["second"]) > 12 for match in short):
+        return False, ""
+    day_first = short[0]["sign"] == "."
+    first = "day" if day_first else "month"
+    return (
+        day_first,
+        f"The dates of {name}, such as {short[0][0].split()[0]}, count as {first} first; nothing in it rules that out.",
+    )
+
+
+def _date(match: re.Match[str], day_first: bool) -> float | None:
+    """Return seconds since 1970-01-01 of a date, None if it is none."""
+    if match["packed"]:
+        year, month, day = match["packed"][:4], match["packed"][4:6], match["packed"][6:]
+    elif match["first"]:
+        month, day = (match["second"], match["first"]) if day_first else (match["first"], match["second"])
+        year = match["late"] if len(match["late"]) == 4 else f"20{match['late']}"
+    else:
+        year, month, day = match["year"], match["month"], match["day"]
+    if year is None:
+        return None
+    hour = int(match["hour"] or 0)
+    if half := (match["half"] or "").upper()[:1]:
+        hour = hour % 12 + (12 if half == "P" else 0)
+    try:
+        found = datetime(
+            int(year), int(month), int(day), hour, int(match["minute"] or 0), int(match["seconds"] or 0), tzinfo=UTC
+        )
+        clock = found.timestamp() + float(f"0.{match['fraction'] or 0}")
+    except (ValueError, OverflowError):
+        return None
+    zone = (match["zone"] or "").replace(":", "")
+    if zone[:1] in ("+", "-") and zone[1:]:
+        clock -= (int(zone[1:3]) * 3600 + int(zone[3:5] or 0) * 60) * (1 if zone[0] == "+" else -1)
+    return clock
+
+
+def _row(entry: TelemetryEntry, cells: _Cells, line: int) -> LogRow:
+    entry = replace(
+        entry,
+        **{what: cells.value(what) for what in ("height_above_ground", "height_above_takeoff", "altitude", "fov")},
+    )
+    entry = _with_angles(entry, cells.value, cells.table.columns.nadir_zero)
+    return LogRow(entry, cells.text("file") or None, _flag(cells.text("is_video")), line)
+
+
+def _with_angles(entry: TelemetryEntry, value: Callable[[str], float | None], nadir_zero: bool) -> TelemetryEntry:
     """Return an entry with the gimbal's angles; those that are all 0 are unknown, and the aircraft's heading counts."""
     yaw, pitch, roll = value("gimbal_heading"), value("gimbal_pitch"), value("gimbal_roll")
     if yaw is not None and (yaw or pitch or roll):
@@ -260,39 +684,9 @@ def _with_angles(entry: TelemetryEntry, value: Callable[[str], float | None]) ->
     if flown is None:
         return entry
     pitch = (pitch or None) if nose is None else nose - 90.0
-    return replace(entry, heading=flown % 360.0, heading_source="aircraft", pitch=pitch, roll=bank)
+    source: HeadingSource = "camera" if nadir_zero else "aircraft"
+    return replace(entry, heading=flown % 360.0, heading_source=source, pitch=pitch, roll=bank)
 
 
-def _time(cells: Mapping[str, str], factors: Mapping[str, float]) -> tuple[float, float | None, bool]:
-    """Return seconds of the column of time, else NaN; seconds since 1970-01-01 of that of the date; whether it has a zone."""
-    try:
-        time = float(cells.get("time", "")) * factors["time"]
-    except (ValueError, KeyError):
-        time = math.nan
-    text = cells.get("date", "")
-    try:
-        number = float(text)
-    except ValueError:
-        clock, zoned = _date(text)
-    else:
-        zoned = _EPOCH < number < math.inf
-        clock = (number / 1000 if number > _LATEST else number) if zoned else None
-    return time if math.isfinite(time) else math.nan, clock, zoned
-
-
-def _date(text: str) -> tuple[float | None, bool]:
-    text = text.strip()
-    for pattern in _DATES:
-        try:
-            return datetime.strptime(text, pattern).replace(tzinfo=UTC).timestamp(), False
-        except (ValueError, OverflowError):
-            continue
-    try:
-        found = datetime.fromisoformat(text)
-        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp(), found.tzinfo is not None
-    except (ValueError, OverflowError):
-        return None, False
-
-
-def _flag(text: str | None) -> bool | None:
-    return None if text is None or not text else text.casefold() in ("1", "true", "yes")
+def _flag(text: str) -> bool | None:
+    return None if not text else text.casefold() in ("1", "true", "yes")

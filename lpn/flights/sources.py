@@ -10,14 +10,17 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.datasets.base import files_below
-from lpn.flights import logs, subtitles, videos
-from lpn.flights.base import Flight, Frame, HeadingSource
+from lpn.flights import logs, subtitles, track_files, videos
+from lpn.flights.base import Flight, Frame, HeadingSource, local_metres
+from lpn.flights.clock_fit import ClockFit, fit_clocks
 from lpn.flights.folder import FRAMES, check_folder, write_flight
-from lpn.flights.logs import Log
+from lpn.flights.logs import Log, LogRow
 from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_angles
 from lpn.flights.quality import flight_notes, with_courses
 from lpn.flights.subtitles import GpsOrder, Subtitles
@@ -30,6 +33,8 @@ _NAMED = 5
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
 _LEAST_EVERY = 0.04
+# A log whose positions are within so many metres of the photos' when swapped, and else beyond so many, is swapped.
+_SWAPPED_NEAR, _SWAPPED_FAR = 5_000.0, 20_000.0
 
 
 @dataclass(frozen=True)
@@ -79,8 +84,8 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     """Read the files of one flight, and write its folder.
 
     Args:
-        files: photos, videos, `.SRT` files, `.csv` logs, and folders of photos, videos, and `.SRT` files. A `.csv` log alone
-            brings the photos that it names from below its folder.
+        files: photos, videos, subtitles, logs, tracks, and folders of photos, videos, and subtitles. A log alone brings the
+            photos that it names from below its folder.
         out: the folder; frames of videos are written to `frames` in it.
 
     Raises:
@@ -90,25 +95,40 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     options = options or FlightOptions()
     check_folder(out)
     found = _sorted_files(files)
-    read = [logs.read_log(file) for file in found.logs]
+    read, texts, unread = _read_logs(found.logs)
+    found = replace(found, logs=list(read), others=[*found.others, *texts])
     name = out.resolve().name
     if found.photos and found.videos:
         raise DataError(
             f"Photos ({len(found.photos)}) and videos ({len(found.videos)}) have different clocks; make one flight of each."
         )
     if found.videos:
-        flight = _flight_of_videos(found, read, out / FRAMES, name, options)
+        flight = _flight_of_videos(found, list(read.values()), out / FRAMES, name, options)
     else:
-        photos = found.photos or [
-            photo for log, file in zip(read, found.logs, strict=True) for photo in _named_by(log, file)
-        ]
+        photos = found.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
         if not photos:
             raise DataError(_no_pictures(found))
-        flight = flight_of_photos(photos, name, read)
+        flight = flight_of_photos(photos, name, list(read.values()))
     flight = _completed(flight, options)
-    flight = replace(flight, notes=(*flight.notes, *_others_note(found.others)))
+    flight = replace(flight, notes=(*flight.notes, *unread, *_others_note(found.others)))
     write_flight(flight, out)
     return flight
+
+
+def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str]]:
+    """Read logs and tracks; plain text that is no log is returned beside them, with notes where it could become one."""
+    read: dict[Path, Log] = {}
+    others, notes = [], []
+    for file in files:
+        is_track = file.suffix.lower() in track_files.SUFFIXES
+        try:
+            read[file] = track_files.read_track(file) if is_track else logs.read_log(file)
+        except DataError as error:
+            if file.suffix.lower() not in (".txt", ".log"):
+                raise
+            others.append(file)
+            notes += [] if str(error).endswith(("among them.", "column names.")) else [str(error)]
+    return read, others, notes
 
 
 def flight_of_folder(folder: Path) -> Flight:
@@ -154,8 +174,8 @@ def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log
     named = _with_names(photos)
     log_notes: list[str] = []
     for log in flight_logs:
-        named, note = _logged(named, log)
-        log_notes += [*log.notes, note]
+        named, notes_of_log = _logged(named, log)
+        log_notes += [*log.notes, *notes_of_log]
     frames, is_utc, notes = set_times(named)
     frames, course_notes = with_courses(frames, {photo.frame.name for photo in named if photo.heading_unread})
     notes += log_notes + flight_notes(frames, [photo.oddities for photo in named]) + course_notes
@@ -171,13 +191,13 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
     kinds = (
         (PHOTOS, found.photos),
         (videos.SUFFIXES, found.videos),
-        ((".srt",), found.subtitles),
-        ((".csv",), found.logs),
+        (videos.SUBTITLES, found.subtitles),
+        ((*logs.SUFFIXES, *track_files.SUFFIXES), found.logs),
     )
-    taken = (*PHOTOS, *videos.SUFFIXES, ".srt", *_OTHER_PICTURES)
+    taken = (*PHOTOS, *videos.SUFFIXES, *videos.SUBTITLES, *_OTHER_PICTURES)
     for path in paths:
         if not path.exists():
-            raise DataError(f"There is no {path}; give photos, videos, .SRT files, .csv logs, or folders of them.")
+            raise DataError(f"There is no {path}; give photos, videos, subtitles, logs, tracks, or folders of them.")
         inside = path.is_dir()
         for file in files_below(path, taken) if inside else [path]:
             kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), found.others)
@@ -197,8 +217,12 @@ def _no_pictures(found: _Files) -> str:
 
 def _named_by(log: Log, file: Path) -> list[Path]:
     """Return the photos below a log's folder that it names."""
-    entries = logs.for_photos(log)
-    return [photo for photo in files_below(file.parent, PHOTOS) if photo.name.casefold() in entries] if entries else []
+    rows = logs.rows_by_name(log)
+    return [
+        photo
+        for photo in (files_below(file.parent, PHOTOS) if rows else [])
+        if photo.name.casefold() in rows or photo.stem.casefold() in rows
+    ]
 
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
@@ -215,29 +239,125 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
     return [replace(photo, frame=replace(photo.frame, name=name)) for photo, name in zip(photos, names, strict=True)]
 
 
-def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], str]:
-    """Return photos with the values of a log: of the row that names the photo, or of the moment it was taken."""
-    entries = logs.for_photos(log)
-    if entries:
-        made = [_with_entry(photo, entries.get(photo.frame.file.name.casefold()), log.utc) for photo in photos]
+def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], list[str]]:
+    """Return photos with the values of a log, of the row that names the photo or of the moment it was taken; and notes."""
+    log, notes = _turned_as_photos(log, photos)
+    rows = logs.rows_by_name(log)
+    how, why_not = "by name", ""
+    if rows:
+        chosen = [_row_of(photo, rows) for photo in photos]
+        made = [
+            _with_entry(photo, None if row is None else row[0].entry, log.utc)
+            for photo, row in zip(photos, chosen, strict=True)
+        ]
+        notes += _twice_note(photos, chosen, log.name)
     else:
-        moments = [replace(row.entry, time=row.entry.clock) for row in log.rows if row.entry.clock is not None]
+        moments, note_of_twice = logs.moments(log)
+        notes += [] if note_of_twice is None else [note_of_twice]
         telemetry = Telemetry(moments)
-        made = []
-        for photo in photos:
-            time = photo.utc if log.utc else photo.local
-            values = (
-                {} if time is None else {name: value for name, value in telemetry.at(time).items() if value is not None}
-            )
-            made.append(photo if "latitude" not in values else _with_values(photo, values))
+        fit = fit_clocks(photos, telemetry, log.utc)
+        how, why_not = f"by {fit.basis}", "" if fit.offset is not None else f": {fit.sentence}"
+        made = [_at_moment(photo, telemetry, fit, log.utc) for photo in photos]
+        how += f", {fit.sentence}" if fit.sentence and fit.offset is not None else ""
     used = sum(after is not before for after, before in zip(made, photos, strict=True))
-    how = "by name" if entries else f"by {'UTC' if log.utc else 'their clock'}"
     if not used:
-        return list(photos), f"{log.name} fits none of the {len(photos)} photos {how}, and was not used."
-    return (
-        made,
-        f"{log.name} gives the values of {used} of {len(photos)} photos, {how}; they replace those in the files.",
+        return list(photos), [
+            *notes,
+            f"{log.name} fits none of the {len(photos)} photos {how}, and was not used{why_not}.",
+        ]
+    said = f"{log.name} gives the values of {used} of {len(photos)} photos, {how}; they replace those in the files."
+    return made, [*notes, said]
+
+
+def _at_moment(photo: Photo, telemetry: Telemetry, fit: ClockFit, utc: bool) -> Photo:
+    """Return a photo with the values of the moment it was taken, and with its time in UTC where the fit of clocks tells it."""
+    time = photo.utc if fit.basis == "UTC" else photo.local
+    if time is None or fit.offset is None:
+        return photo
+    known = {name: value for name, value in telemetry.at(time + fit.offset).items() if value is not None}
+    if "latitude" not in known:
+        return photo
+    made = _with_values(photo, known)
+    return replace(made, utc=time + fit.offset) if utc and photo.utc is None else made
+
+
+def _row_of(photo: Photo, rows: dict[str, list[LogRow]]) -> tuple[LogRow, list[LogRow]] | None:
+    """Return the row that names a photo, and all that do alike; None without one.
+
+    Of several, those count whose folders agree most with the photo's, then the nearest to the photo's own position, else the first.
+    """
+    file = photo.frame.file
+    named = rows.get(file.name.casefold()) or rows.get(file.stem.casefold(), [])
+    if not named:
+        return None
+    parts = logs.path_parts(str(file))
+    agreeing = [_common_tail(logs.path_parts(row.file or ""), parts) for row in named]
+    named = [row for row, count in zip(named, agreeing, strict=True) if count == max(agreeing)]
+    distances = [_metres_apart(photo.frame, row.entry) for row in named]
+    known = [(metres, i) for i, metres in enumerate(distances) if metres is not None]
+    return named[min(known)[1] if known else 0], named
+
+
+def _common_tail(a: Sequence[str], b: Sequence[str]) -> int:
+    count = 0
+    while count < min(len(a), len(b)) and a[-1 - count] == b[-1 - count]:
+        count += 1
+    return count
+
+
+def _metres_apart(frame: Frame | TelemetryEntry, entry: TelemetryEntry) -> float | None:
+    """Return the metres between two positions, None if one is unknown."""
+    if frame.latitude is None or entry.latitude is None:
+        return None
+    both = np.array([(frame.latitude, frame.longitude), (entry.latitude, entry.longitude)], np.float64)
+    return float(np.hypot(*local_metres(both)[1]))
+
+
+def _twice_note(photos: Sequence[Photo], chosen: Sequence[tuple[LogRow, list[LogRow]] | None], name: str) -> list[str]:
+    """Return a note, if any, about pictures that a log lists more than once with different values."""
+    twice = [
+        (photo, found[1])
+        for photo, found in zip(photos, chosen, strict=True)
+        if found is not None
+        and any(replace(row.entry, time=0.0) != replace(found[1][0].entry, time=0.0) for row in found[1])
+    ]
+    if not twice:
+        return []
+    photo, rows = twice[0]
+    apart = _metres_apart(rows[0].entry, rows[-1].entry)
+    lines = " and ".join(str(row.line) for row in rows[:3])
+    used = (
+        "the row nearest to the photo's own position was used"
+        if all(photo.frame.latitude is not None for photo, _ in twice)
+        else "the row nearest to the photo's own position was used, and the first row where the photo has none"
+        if any(photo.frame.latitude is not None for photo, _ in twice)
+        else "the first row was used, as the photo has no position of its own"
     )
+    return [
+        f"{len(twice)} of {len(photos)} photos are listed more than once in {name} with different values, such as "
+        f"{printable(photo.frame.name)} in lines {lines}{'' if apart is None else f', {apart:.0f} m apart'}; {used}."
+    ]
+
+
+def _turned_as_photos(log: Log, photos: Sequence[Photo]) -> tuple[Log, list[str]]:
+    """Return a log with latitude and longitude in the order that the photos' own positions prove, and a note if it was the other."""
+    ours = np.array([(p.frame.latitude, p.frame.longitude) for p in photos if p.frame.latitude is not None], np.float64)
+    theirs = np.array(
+        [(r.entry.latitude, r.entry.longitude) for r in log.rows if r.entry.latitude is not None], np.float64
+    )
+    if not len(ours) or not len(theirs) or np.abs(theirs[:, 1]).max() > 90:
+        return log, []
+    here, there = np.median(ours, axis=0), np.median(theirs, axis=0)
+    far, near = (float(np.hypot(*local_metres(np.stack([here, place]))[1])) for place in (there, there[::-1]))
+    if near > _SWAPPED_NEAR or far < _SWAPPED_FAR:
+        return log, []
+    rows = tuple(
+        replace(row, entry=replace(row.entry, latitude=row.entry.longitude, longitude=row.entry.latitude))
+        for row in log.rows
+    )
+    return replace(log, rows=rows), [
+        f"Latitude and longitude of {log.name} are swapped, as the photos' own positions say."
+    ]
 
 
 def _with_entry(photo: Photo, entry: TelemetryEntry | None, utc: bool) -> Photo:
@@ -312,11 +432,11 @@ def _telemetry(
     notes: list[str] = []
     for log in flight_logs:
         try:
-            entries, note = logs.for_video(log, number)
+            entries, notes_of_log = logs.for_video(log, number, videos.began(video))
         except DataError as error:
             notes.append(str(error))
             continue
-        return Telemetry(entries), None, notes + ([] if note is None else [note])
+        return Telemetry(entries), None, [*notes, *notes_of_log]
     only = found.subtitles if len(found.videos) == len(found.subtitles) == 1 else []
     file = only[0] if only else videos.beside(video, found.subtitles)
     known_subtitles = None

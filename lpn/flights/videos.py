@@ -10,6 +10,8 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +94,19 @@ def mismatch(subtitles: Subtitles, name: str, video: Path, duration: float) -> s
         f"{printable(name)} ends at {subtitles.end:.0f} s and {printable(video.name)} at {duration:.0f} s: they are of two "
         "recordings, or one is cut; positions are doubtful."
     )
+
+
+def began(video: Path) -> float | None:
+    """Return the time in a video's file at which it was made, in seconds since 1970-01-01 in UTC; None without one, or PyAV."""
+    if find_spec("av") is None:
+        return None
+    import av
+
+    try:
+        with av.open(str(video), metadata_errors="replace") as container:
+            return datetime.fromisoformat(container.metadata.get("creation_time", "")).timestamp()
+    except (av.FFmpegError, OSError, ValueError, OverflowError):
+        return None
 
 
 def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Subtitles | None:

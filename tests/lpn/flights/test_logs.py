@@ -10,7 +10,7 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
-from lpn.flights.logs import for_photos, for_video, read_log
+from lpn.flights.logs import for_video, read_log, rows_by_name
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
 
@@ -44,7 +44,7 @@ def written(folder: Path, text: str, name: str = "log.csv") -> Path:
 
 def test_wildnav_s_rows_are_read(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, WILDNAV))
-    first, second = for_photos(log)["1.jpg"], for_photos(log)["2.jpg"]
+    first, second = (rows_by_name(log)[name][0].entry for name in ("1.jpg", "2.jpg"))
     assert (first.latitude, first.longitude, first.height_above_takeoff, first.altitude) == (
         60.403241,
         22.462133,
@@ -101,8 +101,8 @@ def test_a_log_s_heading_turns_with_the_picture(tmp_path: Path, orientation: int
 def test_airdata_s_feet_become_metres_and_its_recordings_begin_with_the_video(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, AIRDATA))
     assert log.utc
-    entries, note = for_video(log, 0)
-    assert note is None
+    entries, notes = for_video(log, 0)
+    assert notes == []
     assert [entry.time for entry in entries] == [0.0, 1.0, 2.0]
     assert entries[0].latitude == pytest.approx(47.0003)
     assert entries[0].height_above_takeoff == pytest.approx(103 * 0.3048)
@@ -144,11 +144,11 @@ def test_generic_names_units_and_separators_are_known(tmp_path: Path) -> None:
     header = "File;Lat;Lng;Rel Alt [ft];Yaw (rad);FOV;elapsed_ms"
     rows = "photos\\A.JPG;10;-20;100;3.14159265;70;1500\nb.jpg;0;0;N/A;;;\n"
     log = read_log(written(tmp_path, f"\ufeffsep=;\n{header}\n{rows}"))
-    entry = for_photos(log)["a.jpg"]
+    entry = rows_by_name(log)["a.jpg"][0].entry
     assert (entry.latitude, entry.longitude, entry.fov, entry.time) == (10.0, -20.0, 70.0, 1.5)
     assert entry.height_above_takeoff == pytest.approx(30.48)
     assert (entry.heading, entry.heading_source) == (pytest.approx(180.0), "aircraft")
-    empty = for_photos(log)["b.jpg"]
+    empty = rows_by_name(log)["b.jpg"][0].entry
     assert (empty.latitude, empty.height_above_takeoff, empty.heading, math.isnan(empty.time)) == (
         None,
         None,
@@ -163,10 +163,9 @@ def test_generic_names_units_and_separators_are_known(tmp_path: Path) -> None:
 
 def test_a_log_without_a_recording_begins_with_the_video_and_says_so(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, "timestamp,lat,lon\n1714564800.5,1,2\n1714564802.5,1.1,2\n"))
-    entries, note = for_video(log, 0)
+    entries, notes = for_video(log, 0)
     assert [entry.time for entry in entries] == [0.0, 2.0]
-    assert note is not None
-    assert "its first row counts as the beginning" in note
+    assert "its first row counts as the beginning" in notes[0]
     dated = read_log(written(tmp_path, "date,lat,lon\n2024-05-01T12:00:00+02:00,1,2\n"))
     assert dated.utc
     assert dated.rows[0].entry.clock == 1714557600.0

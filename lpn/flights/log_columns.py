@@ -1,0 +1,225 @@
+"""The columns of flight logs: their names by dialect, with a public source of each, and their units.
+
+A column's name counts without case and signs, so that "GPS.Lat [deg]" is gpslat in degrees. A part behind a colon, point, or
+slash counts alone where the whole name is unknown: "IMU_ATTI(0):Latitude" is a latitude.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from lpn.core.files import printable
+
+# The names of a column, in lower case without signs, by where they are documented; best first for each value.
+DIALECTS: Mapping[str, Mapping[str, str]] = {
+    "common spellings": {
+        "file": "filename file imagename image photo picture path name",
+        "latitude": "latitude lat",
+        "longitude": "longitude lon lng long",
+        "height_above_ground": "heightaboveground agl heightagl altitudeagl",
+        "height_above_takeoff": "heightabovetakeoff relativealtitude relativeheight relalt heightabovehome",
+        "altitude": "altitudeabovesealevel absolutealtitude absalt altitudeamsl altitude alt elevation",
+        "gimbal_heading": "gimbalheading gimbalyaw cameraheading camerayaw",
+        "gimbal_pitch": "gimbalpitch camerapitch",
+        "gimbal_roll": "gimbalroll cameraroll",
+        "heading": "heading yaw",
+        "fov": "fov hfov horizontalfov",
+        "time": "time seconds elapsed elapsedtime timestamp epoch",
+        "date": "datetime utc timestamp date time",
+        "clock": "timeofday time",
+        "position": "position coordinates latlon latlong latlng gps",
+        "is_video": "isvideo",
+    },
+    # wildnav's photo_metadata.csv and UAV-VisLoc, whose Omega and Kappa are the aircraft's pitch and roll
+    "https://github.com/TIERS/wildnav": {
+        "gimbal_heading": "gimballyaw", "gimbal_pitch": "gimballpitch", "gimbal_roll": "gimballroll", "heading": "flightyaw",
+    },
+    "https://github.com/IntelliSensing/UAV-VisLoc": {
+        "height_above_takeoff": "height", "heading": "phi1 phi", "nose": "omega", "bank": "kappa",
+    },
+    "https://app.airdata.com/wiki/Help/Downloadable+Flight+Data+CSV": {
+        "height_above_ground": "heightabovegroundatdronelocation", "heading": "compassheading",
+    },
+    "https://forum.phantomhelp.com/t/flight-reader-field-descriptions/10579": {
+        "latitude": "osdlatitude", "longitude": "osdlongitude", "height_above_takeoff": "osdheight", "altitude": "osdaltitude",
+        "heading": "osdyaw", "time": "osdflytime flytime", "date": "customdate", "clock": "customupdatetime updatetime",
+        "is_video": "cameraisvideo customisvideo",
+    },
+    "https://datfile.net/DatCon/fieldsV3.html": {
+        "height_above_takeoff": "relativeheight", "altitude": "heightmsl", "time": "offsettime", "date": "datetimestamp",
+    },
+    "https://exiftool.org/TagNames/GPS.html": {
+        "file": "sourcefile", "latitude": "gpslatitude", "longitude": "gpslongitude", "altitude": "gpsaltitude",
+        "latitude_letter": "gpslatituderef latituderef latref ns", "longitude_letter": "gpslongituderef longituderef lonref ew",
+        "position": "gpsposition gpscoordinates", "date": "gpsdatetime datetimeoriginal createdate",
+        "gimbal_heading": "gimbalyawdegree", "gimbal_pitch": "gimbalpitchdegree", "gimbal_roll": "gimbalrolldegree",
+        "heading": "flightyawdegree",
+    },
+    "https://photogrammetrycommunity.github.io/metashape-expert-manual/": {
+        "file": "label camera", "longitude": "xlongitude", "latitude": "ylatitude", "altitude": "zaltitude",
+    },
+    "https://support.pix4d.com/hc/en-us/articles/360056389172": {
+        "latitude": "coordinate1", "longitude": "coordinate2", "altitude": "z",
+    },
+    "https://developer.dronedeploy.com/docs/flightlogs/sample-flight-log.html": {
+        "latitude": "aircraftlatitude", "longitude": "aircraftlongitude", "height_above_takeoff": "aircraftbarometricaltitude",
+        "heading": "aircraftheading",
+    },
+    # MAVLink's messages and logs of ArduPilot, PX4, QGroundControl, and Mission Planner
+    "https://mavlink.io/en/messages/common.html": {
+        "latitude": "gpslat", "longitude": "gpslon gpslng", "height_above_takeoff": "altituderelative", "heading": "hdg",
+        "time": "timeus timeboot", "date": "timeutcusec",
+    },
+    "https://github.com/h-elsner/Q500log2kml": {"date": "unnamedtime"},
+    "https://github.com/sco1/pyflysight/blob/main/doc/data_format.md": {"altitude": "hmsl"},
+    "https://github.com/tomojitakasu/RTKLIB": {"date": "gpst"},
+    # The same words in other languages
+    "translated": {
+        "file": "dateiname datei bild fichier nomfichier archivo imagen nomearquivo immagine имяфайла файл 文件名 ファイル名",
+        "latitude": "breitengrad breite latitud latitudine breddegrad breedtegraad szerokość широта 纬度 緯度",
+        "longitude": "längengrad länge longitud longitudine lengdegrad lengtegraad długość долгота 经度 経度",
+        "height_above_takeoff": "relativehöhe höheüberstart 相对高度",
+        "altitude": "höhe altitud altura altitudine quota hoogte wysokość высота 高度 海拔 海拔高度 標高",
+        "heading": "kurs gierwinkel cap rumbo azimut 航向 偏航角",
+        "date": "zeitstempel datumuhrzeit datum uhrzeit horodatage fecha fechahora data dataora дата время 时间 日時",
+        "clock": "uhrzeit heure hora ora время",
+    },
+}  # fmt: skip
+UNITS = {
+    "feet": 0.3048, "foot": 0.3048, "ft": 0.3048, "meters": 1.0, "metres": 1.0, "meter": 1.0, "metre": 1.0, "m": 1.0, "cm": 0.01,
+    "mm": 0.001, "km": 1000.0, "degrees": 1.0, "degree": 1.0, "deg": 1.0, "°": 1.0, "rad": math.degrees(1),
+    "radians": math.degrees(1), "millisecond": 0.001, "milliseconds": 0.001, "ms": 0.001, "us": 1e-6, "µs": 1e-6, "s": 1.0,
+    "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "wgs84": 1.0, "amsl": 1.0, "msl": 1.0, "utc": 1.0, "gmt": 1.0,
+    "local": 1.0,
+}  # fmt: skip
+# Names that hold their unit.
+_OWN_UNITS = {"timeus": 1e-6, "timeutcusec": 1e-6}
+_BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))\s*", re.DOTALL)
+# Positions of these are not the aircraft's.
+_OTHERS = (
+    "home", "device", "phone", "mobile", "app", "rc", "remote", "operator", "pilot", "base", "target", "controller", "gcs", "poi",
+    "takeoff", "landing", "user", "goto", "waypoint", "next", "accuracy", "error", "std", "dev", "est",
+)  # fmt: skip
+_NAMES: Mapping[str, tuple[str, ...]] = {
+    what: tuple(dict.fromkeys(name for dialect in DIALECTS.values() for name in dialect.get(what, "").split()))
+    for what in dict.fromkeys(what for dialect in DIALECTS.values() for what in dialect)
+}
+
+
+@dataclass(frozen=True)
+class LogColumns:
+    """The columns of a log that are known.
+
+    Attributes:
+        places: of each value in a row.
+        factors: of its unit, to metres, degrees, or seconds.
+        utc: the header says that the date is UTC.
+        nadir_zero: a pitch of 0 looks straight down, as in Agisoft's files.
+        notes: sentences about columns that count as something, or are left out.
+    """
+
+    places: Mapping[str, int]
+    factors: Mapping[str, float]
+    utc: bool
+    nadir_zero: bool
+    notes: tuple[str, ...]
+
+    @property
+    def has_position(self) -> bool:
+        """Whether a latitude and a longitude are among them."""
+        return {"latitude", "longitude"} <= self.places.keys() or "position" in self.places
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """A name in the header: as it is written, without signs, its last part alone, and its unit in lower case."""
+
+    text: str
+    plain: str
+    tail: str
+    unit: str
+
+
+def columns_of(header: Sequence[str], name: str) -> LogColumns:
+    """Return the known columns of a header; `name` is the log's, for notes."""
+    cells = [_cell(text.strip(), i) for i, text in enumerate(header)]
+    places: dict[str, int] = {}
+    factors: dict[str, float] = {}
+    notes: list[str] = []
+    for what, names in _NAMES.items():
+        at = _best(cells, what, names)
+        if at is None:
+            continue
+        unit = cells[at].unit
+        if unit and unit not in UNITS:
+            notes.append(f"The column {printable(header[at])} of {name} is in an unknown unit and was left out.")
+            continue
+        places[what] = at
+        factors[what] = _OWN_UNITS.get(cells[at].plain, UNITS.get(unit, 1.0))
+    if {"latitude", "longitude"} <= places.keys():
+        places.pop("position", None)
+        by_part = [cells[places[what]] for what in ("latitude", "longitude")]
+        if any(cell.plain not in _NAMES["latitude"] + _NAMES["longitude"] for cell in by_part):
+            notes.append(
+                f"The columns {' and '.join(printable(cell.text) for cell in by_part)} of {name} count as the position."
+            )
+    plain = [cell.plain for cell in cells]
+    if "gimballyaw" in plain and "altitude" in places and "height_above_takeoff" not in places:
+        # wildnav copies its column Altitude from RelativeAltitude.
+        places["height_above_takeoff"], factors["height_above_takeoff"] = places.pop("altitude"), factors["altitude"]
+        notes.append(f"The column Altitude of {name} counts as height above take-off, as in wildnav's files.")
+    elif "height_above_takeoff" in places and plain[places["height_above_takeoff"]] == "height":
+        if places.get("altitude") == places["height_above_takeoff"]:
+            del places["altitude"]
+        if "gpst" in plain:
+            places["altitude"] = places.pop("height_above_takeoff")
+        else:
+            notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
+    nadir_zero = "xlongitude" in plain
+    if nadir_zero:
+        places |= {what: plain.index(angle) for what, angle in (("nose", "pitch"), ("bank", "roll")) if angle in plain}
+        factors |= {"nose": 1.0, "bank": 1.0}
+    utc = "date" in places and any(word in header[places["date"]].casefold() for word in ("utc", "gmt", "gpst"))
+    return LogColumns(places, factors, utc, nadir_zero, tuple(notes))
+
+
+def _cell(text: str, at: int) -> _Cell:
+    text = text.lstrip("#% ").strip()
+    found = _BRACKETED.fullmatch(text)
+    body, unit = (found[1], (found[2] or found[3] or "").strip()) if found else (text, "")
+    unit = re.split(r"[\s,;(\[]", unit)[0]
+    if not unit:
+        for sign in "_/":
+            head, _, last = body.rpartition(sign)
+            if head and last.casefold() in UNITS and last.casefold() not in ("utc", "local", "gmt"):
+                body, unit = head, last
+                break
+    parts = [part for part in re.split(r"[:./]", body) if len(part) > 1] or [body]
+    # Yuneec's time has no name, and is the first column.
+    plain = _plain(body) or ("unnamedtime" if at == 0 else "")
+    tail = parts[-1] if parts != [body] and not _is_other(parts[:-1]) else ""
+    return _Cell(text, plain, _plain(tail), unit.casefold())
+
+
+def _plain(text: str) -> str:
+    return "".join(letter for letter in text.casefold() if letter.isalnum())
+
+
+def _is_other(parts: Sequence[str]) -> bool:
+    return any(_plain(part).startswith(_OTHERS) for part in parts)
+
+
+def _best(cells: Sequence[_Cell], what: str, names: Sequence[str]) -> int | None:
+    """Return the place of the best column of a value: by whole names first; for dates, UTC before all else."""
+    ranked = []
+    for at, cell in enumerate(cells):
+        for by_part, name in enumerate((cell.plain, cell.tail)):
+            if name and name in names:
+                unit = 0 if cell.unit in UNITS else 1 if not cell.unit else 2
+                zone = {"utc": 0, "gmt": 0, "local": 2}.get(cell.unit, 0 if "utc" in name else 1)
+                order = (zone if what == "date" else 0, by_part, names.index(name), unit, at)
+                ranked.append((order, at))
+    return min(ranked)[1] if ranked else None

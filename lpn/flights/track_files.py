@@ -1,0 +1,237 @@
+"""Tracks as GPX, KML, and KMZ, read as logs of moments; waypoints that are named as pictures are rows of those pictures.
+
+gpxpy reads GPX. KML is read element by element: gx:Track, points with a time (TimeStamp, TimeSpan, or among their data), lines with
+a time for each point, and points that are named as pictures. Other lines have no times, so they fit nothing. A file with a DTD is
+refused before it is parsed, so that no entity is expanded. Points before the place where a file is cut off are used, and a note
+says so.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from xml.etree import ElementTree
+
+import gpxpy
+import gpxpy.gpx
+
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.flights import values
+from lpn.flights.logs import Log, LogRow, picture_name, seconds_of
+from lpn.flights.telemetry import TelemetryEntry
+
+SUFFIXES = (".gpx", ".kml", ".kmz")
+_MOST_BYTES = 100_000_000
+_DTD = re.compile(r"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
+_DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
+_BARE_AMPERSAND = re.compile(r"&(?!#?\w{1,10};)")
+_COMMA_DEGREES = re.compile(r"""((?:lat|lon)=["'][-+]?\d{1,3}),(\d+["'])""")
+
+
+@dataclass
+class _Points:
+    """The points of a track: rows, whether a time has a zone, points without a time or a name, and notes."""
+
+    rows: list[LogRow] = field(default_factory=list)
+    zoned: bool = False
+    untimed: int = 0
+    notes: list[str] = field(default_factory=list)
+
+    def add(
+        self, latitude: float, longitude: float, altitude: float | None, time: str | datetime | None, name: str | None
+    ) -> None:
+        """Add a point, if it is on the Earth and has a time or a picture's name."""
+        if abs(latitude) > 90 or abs(longitude) > 180 or latitude == longitude == 0:
+            return
+        clock, zoned = seconds_of(time) if isinstance(time, str) else _seconds(time)
+        file = picture_name(name or "")
+        if clock is None and file is None:
+            self.untimed += 1
+            return
+        self.zoned |= zoned
+        entry = TelemetryEntry(float("nan"), clock, latitude, longitude, altitude=altitude)
+        self.rows.append(LogRow(entry, file))
+
+
+def read_track(file: Path) -> Log:
+    """Read a track.
+
+    Raises:
+        DataError: if it is no such file, has a DTD, or has no point with a position and a time.
+    """
+    name = printable(file.name)
+    try:
+        if file.stat().st_size > _MOST_BYTES:
+            raise DataError(f"{name} has more than {_MOST_BYTES // 1_000_000} MB; expected the track of one flight.")
+        data = file.read_bytes()
+    except OSError as error:
+        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
+    return parse_track(data, name)
+
+
+def parse_track(data: bytes, name: str) -> Log:
+    """Return the track in the contents of a GPX, KML, or KMZ file; see `read_track`.
+
+    Args:
+        name: the file's, for messages.
+    """
+    text = values.decoded(_unzipped(data, name), name)
+    if _DTD.search(text):
+        raise DataError(
+            f"{name} has a DTD or entities, which no track needs, so it was not read; save it without them."
+        )
+    text = _BARE_AMPERSAND.sub("&amp;", _DECLARATION.sub("", text))
+    if "<kml" in text:
+        points = _kml_points(text, name)
+    elif "<gpx" in text:
+        points = _gpx_points(text, name)
+    else:
+        raise DataError(f"{name} is neither GPX nor KML; expected a track with <gpx> or <kml> in it.")
+    if points.untimed and points.rows:
+        points.notes.append(f"{points.untimed} points of {name} have no time, and were left out.")
+    if not points.rows:
+        raise DataError(
+            f"{name} has {points.untimed} points without a time, so it fits no picture; export a track with times."
+            if points.untimed
+            else f"{name} has no point with a position; expected a track."
+        )
+    return Log(name, tuple(points.rows), points.zoned, tuple(points.notes))
+
+
+def _unzipped(data: bytes, name: str) -> bytes:
+    """Return the KML in a KMZ archive, or the contents as they are."""
+    if not data.startswith(b"PK"):
+        return data
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            inside = next((entry for entry in archive.infolist() if entry.filename.lower().endswith(".kml")), None)
+            if inside is None:
+                raise DataError(f"{name} has no .kml in it; expected a KMZ archive.")
+            if inside.file_size > _MOST_BYTES:
+                raise DataError(
+                    f"{name} holds more than {_MOST_BYTES // 1_000_000} MB; expected the track of one flight."
+                )
+            with archive.open(inside) as opened:
+                return opened.read(_MOST_BYTES)
+    except (
+        zipfile.BadZipFile,
+        OSError,
+        ValueError,
+        RuntimeError,
+        NotImplementedError,
+        EOFError,
+        zipfile.zlib.error,
+    ) as error:
+        raise DataError(f"{name} is a damaged archive; make it again.") from error
+
+
+def _gpx_points(text: str, name: str) -> _Points:
+    points = _Points()
+    if _COMMA_DEGREES.search(text):
+        text = _COMMA_DEGREES.sub(r"\1.\2", text)
+        points.notes.append(f"The commas within numbers of {name} count as decimal commas: 47,301 is 47.301.")
+    try:
+        gpx = gpxpy.parse(text)
+    except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        gpx = _without_rest(text, name)
+        points.notes.append(_cut_note(name))
+    for track in gpx.tracks:
+        for segment in track.segments:
+            for point in segment.points:
+                points.add(point.latitude, point.longitude, point.elevation, point.time, point.name)
+    for place in (*gpx.waypoints, *(point for route in gpx.routes for point in route.points)):
+        points.add(place.latitude, place.longitude, place.elevation, place.time, place.name)
+    return points
+
+
+def _without_rest(text: str, name: str) -> gpxpy.gpx.GPX:
+    """Return the track before the damage of a file: up to its last whole point that leaves it readable."""
+    closing = "</trkpt>"
+    end = text.rfind(closing)
+    for _ in range(20):
+        if end < 0:
+            break
+        try:
+            return gpxpy.parse(text[: end + len(closing)] + "</trkseg></trk></gpx>")
+        except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+            # Damage in the middle: half of what is before it is tried.
+            end = text.rfind(closing, 0, end // 2 if end > 4000 else end)
+    raise DataError(f"{name} is damaged, and no point of it can be read; export the track again.")
+
+
+def _cut_note(name: str) -> str:
+    return f"{name} is cut off or damaged; only its points before the damage were used."
+
+
+def _kml_points(text: str, name: str) -> _Points:
+    points = _Points()
+    parser = ElementTree.XMLPullParser(("end",))
+    try:
+        parser.feed(text)
+        parser.close()
+    except ElementTree.ParseError:
+        points.notes.append(_cut_note(name))
+    try:
+        for _, element in parser.read_events():
+            _add_element(element, points)
+    except ElementTree.ParseError:
+        pass  # the note is there already
+    return points
+
+
+def _add_element(element: ElementTree.Element, points: _Points) -> None:
+    """Add the points of a KML element that is complete, and forget what is in it."""
+    tag = _tag(element)
+    if tag == "Track":
+        times = [child.text or "" for child in element if _tag(child) == "when"]
+        places = [child.text or "" for child in element if _tag(child) == "coord"]
+        for time, place in zip(times, places, strict=False):
+            _add(points, place.split(), time, None)
+        element.clear()
+    elif tag == "Placemark":
+        inside = list(element.iter())
+        name = next((child.text for child in inside if _tag(child) == "name"), None)
+        places = [place for child in inside if _tag(child) == "coordinates" for place in (child.text or "").split()]
+        times = [child.text for child in inside if _tag(child) == "when"] or [
+            next((child.text for child in inside if _tag(child) == "begin"), None) or _time_in_data(inside)
+        ]
+        # One time is that of a point; a line has one for each of its points, or none that can be told.
+        times = times if len(times) == len(places) else [None] * len(places)
+        for place, time in zip(places, times, strict=True):
+            _add(points, place.split(","), time, name)
+        element.clear()
+
+
+def _time_in_data(inside: list[ElementTree.Element]) -> str | None:
+    """Return the time among a placemark's own data, such as <Data name="time"><value>...</value></Data>."""
+    for child in inside:
+        if _tag(child) in ("Data", "SimpleData") and re.search(r"time|date|when", child.get("name", ""), re.IGNORECASE):
+            return next((value.text for value in child.iter() if value.text and value.text.strip()), None)
+    return None
+
+
+def _add(points: _Points, numbers: list[str], time: str | None, name: str | None) -> None:
+    """Add a point of longitude, latitude, and altitude; one that is no number is left out and counted."""
+    found = [values.number(number) for number in numbers[:3]]
+    if len(found) < 2 or found[0] is None or found[1] is None:
+        points.untimed += 1
+        return
+    points.add(found[1], found[0], found[2] if len(found) > 2 else None, time, name)
+
+
+def _tag(element: ElementTree.Element) -> str:
+    return str(element.tag).rpartition("}")[2]
+
+
+def _seconds(time: datetime | None) -> tuple[float | None, bool]:
+    if time is None:
+        return None, False
+    try:
+        return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp(), time.tzinfo is not None
+    except (ValueError, OverflowError):
+        return None, False
