@@ -70,15 +70,15 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
     },
     # MAVLink's messages and logs of ArduPilot, PX4, QGroundControl, and Mission Planner
     "https://mavlink.io/en/messages/common.html": {
-        "latitude": "gpslat", "longitude": "gpslon gpslng", "height_above_takeoff": "altituderelative", "heading": "hdg",
-        "time": "timeus timeboot", "date": "timeutcusec",
+        "latitude": "gpslat", "longitude": "gpslon gpslng", "height_above_takeoff": "altituderelative", "altitude": "heightz",
+        "heading": "hdg", "time": "timeus timeboot", "date": "timeutcusec",
     },
     "https://github.com/h-elsner/Q500log2kml": {"date": "unnamedtime"},
     "https://github.com/sco1/pyflysight/blob/main/doc/data_format.md": {"altitude": "hmsl"},
-    "https://github.com/tomojitakasu/RTKLIB": {"date": "gpst"},
+    "https://github.com/tomojitakasu/RTKLIB": {"altitude": "ellipsoidalheight", "date": "gpst"},
     # The same words in other languages
     "translated": {
-        "file": "dateiname datei bild fichier nomfichier archivo imagen nomearquivo immagine имяфайла файл 文件名 ファイル名",
+        "file": "dateiname datei bild fichier nomfichier archivo imagen nomearquivo immagine файл 文件名 照片 ファイル名",
         "latitude": "breitengrad breite latitud latitudine breddegrad breedtegraad szerokość широта 纬度 緯度",
         "longitude": "längengrad länge longitud longitudine lengdegrad lengtegraad długość долгота 经度 経度",
         "height_above_takeoff": "relativehöhe höheüberstart 相对高度",
@@ -171,13 +171,10 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
         # wildnav copies its column Altitude from RelativeAltitude.
         places["height_above_takeoff"], factors["height_above_takeoff"] = places.pop("altitude"), factors["altitude"]
         notes.append(f"The column Altitude of {name} counts as height above take-off, as in wildnav's files.")
+    elif places.get("height_above_takeoff") == places.get("altitude", -1):
+        del places["height_above_takeoff"]
     elif "height_above_takeoff" in places and plain[places["height_above_takeoff"]] == "height":
-        if places.get("altitude") == places["height_above_takeoff"]:
-            del places["altitude"]
-        if "gpst" in plain:
-            places["altitude"] = places.pop("height_above_takeoff")
-        else:
-            notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
+        notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
     nadir_zero = "xlongitude" in plain
     if nadir_zero:
         places |= {what: plain.index(angle) for what, angle in (("nose", "pitch"), ("bank", "roll")) if angle in plain}

@@ -380,7 +380,8 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
                 continue
             # RTKLIB writes a date and a time below one name.
             if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):
-                header = [header[0].lstrip("%"), "timeofday", *header[1:]]
+                header = [re.sub(r"^height\b", "ellipsoidal height", cell) for cell in header[1:]]
+                header = ["GPST" if "GPST" in line else "UTC", "time of day", *header]
             return at, delimiter, header, []
     first = next((i for i, (_, line) in enumerate(lines[:_MOST_HEAD]) if not line.startswith("#")), 0)
     for delimiter in _DELIMITERS:
@@ -469,8 +470,8 @@ def _rejoined(
         ways = _ways([cell.strip() for cell in cells], len(header))
         if len(ways) != 1:
             raise DataError(
-                f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas give; save "
-                "it with decimal points, or with semicolons between the values."
+                f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas "
+                "give; save it with decimal points, or with semicolons between the values."
             )
         joined.append((line, ways[0]))
     notes.append(f"{name} has commas both within and between numbers; they were joined to one number a column.")
@@ -540,7 +541,7 @@ def _with_mavlink_units(table: _Table) -> _Table:
         ("height_above_takeoff", 1000, 0.001),
         ("heading", 360, 0.01),
     ):
-        if what in factors:
+        if what in table.columns.places:
             cells = [_number_or_nan(_at(row, table.columns.places[what])) for _, row in table.rows]
             known = np.array([cell for cell in cells if not math.isnan(cell)])
             if len(known) and (known == np.floor(known)).all() and np.abs(known).max() > most:

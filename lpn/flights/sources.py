@@ -247,7 +247,7 @@ def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], list[str]]:
     if rows:
         chosen = [_row_of(photo, rows) for photo in photos]
         made = [
-            _with_entry(photo, None if row is None else row[0].entry, log.utc)
+            photo if row is None else _with_entry(photo, row[0].entry, log.utc)
             for photo, row in zip(photos, chosen, strict=True)
         ]
         notes += _twice_note(photos, chosen, log.name)
@@ -284,7 +284,7 @@ def _at_moment(photo: Photo, telemetry: Telemetry, fit: ClockFit, utc: bool) -> 
 def _row_of(photo: Photo, rows: dict[str, list[LogRow]]) -> tuple[LogRow, list[LogRow]] | None:
     """Return the row that names a photo, and all that do alike; None without one.
 
-    Of several, those count whose folders agree most with the photo's, then the nearest to the photo's own position, else the first.
+    Of several, those count whose folders agree most with the photo's; then the nearest to its own position, else the first.
     """
     file = photo.frame.file
     named = rows.get(file.name.casefold()) or rows.get(file.stem.casefold(), [])
@@ -340,7 +340,7 @@ def _twice_note(photos: Sequence[Photo], chosen: Sequence[tuple[LogRow, list[Log
 
 
 def _turned_as_photos(log: Log, photos: Sequence[Photo]) -> tuple[Log, list[str]]:
-    """Return a log with latitude and longitude in the order that the photos' own positions prove, and a note if it was the other."""
+    """Return a log in whose positions the latitude is first, as the photos' own positions prove; and a note if it was not."""
     ours = np.array([(p.frame.latitude, p.frame.longitude) for p in photos if p.frame.latitude is not None], np.float64)
     theirs = np.array(
         [(r.entry.latitude, r.entry.longitude) for r in log.rows if r.entry.latitude is not None], np.float64
@@ -360,9 +360,7 @@ def _turned_as_photos(log: Log, photos: Sequence[Photo]) -> tuple[Log, list[str]
     ]
 
 
-def _with_entry(photo: Photo, entry: TelemetryEntry | None, utc: bool) -> Photo:
-    if entry is None:
-        return photo
+def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
     values = {name: value for name in VALUES if (value := getattr(entry, name)) is not None}
     made = _with_values(photo, values)
     if entry.clock is None:

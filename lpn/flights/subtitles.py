@@ -213,7 +213,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     triples = {i: place.triple for i, place in enumerate(places) if place.triple is not None}
     if not any(_tells(entry) for entry in entries) and not triples:
         raise DataError(
-            f"{name} holds no telemetry of DJI or Autel in a dialect that is known; expected subtitles such as [latitude: 59.30], "
+            f"{name} holds no telemetry of DJI or Autel in a known dialect; expected subtitles such as [latitude: 59.30], "
             f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
         )
     notes = []

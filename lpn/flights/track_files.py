@@ -1,9 +1,9 @@
 """Tracks as GPX, KML, and KMZ, read as logs of moments; waypoints that are named as pictures are rows of those pictures.
 
-gpxpy reads GPX. KML is read element by element: gx:Track, points with a time (TimeStamp, TimeSpan, or among their data), lines with
-a time for each point, and points that are named as pictures. Other lines have no times, so they fit nothing. A file with a DTD is
-refused before it is parsed, so that no entity is expanded. Points before the place where a file is cut off are used, and a note
-says so.
+gpxpy reads GPX. KML is read element by element: gx:Track, points with a time (TimeStamp, TimeSpan, or among their data), lines
+with a time for each point, and points that are named as pictures. Other lines have no times, so they fit nothing. A file with a
+DTD is refused before it is parsed, so that no entity is expanded. Points before the place where a file is cut off are used, and
+a note says so.
 """
 
 from __future__ import annotations

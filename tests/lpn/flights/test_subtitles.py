@@ -1,4 +1,4 @@
-"""Every dialect of DJI's subtitles, in a few lines each, and what cannot be known from them."""
+"""Every dialect of subtitles, in a few lines each, and what cannot be known from them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from lpn.core.errors import DataError
+from lpn.flights import make_flight
 from lpn.flights.subtitles import GpsOrder, blocks_of, parse_subtitles, read_subtitles
 from lpn.flights.telemetry import Telemetry, TelemetryEntry
+from tools.fixtures.videos import write_video
 
 BRACKETS = "[focal_len: 24.00] [latitude: 34.270373] [longitude: -84.176160] [rel_alt: 1.500 abs_alt: 302.208] [ct: 5]"
 PRY = "F.PRY (2.7°, -7.0°, 110.1°), G.PRY (-24.4°, 0.0°, 110.4°)"
@@ -245,6 +247,126 @@ def test_moments_are_chosen_by_the_distance_flown() -> None:
     far = [TelemetryEntry(float(i), latitude=80.0 * i, longitude=1.0) for i in range(2)]
     with pytest.raises(DataError, match="of which every 5 m is too many pictures"):
         Telemetry(far).times_by_distance(5.0)
+
+
+# Source: the text of an entry; latitude, longitude, height above take-off, altitude, heading, pitch. Numbers are invented.
+FIELD = {
+    "letters before": ("GPS (W: 70.5, S: 33.4, 812.5m)", (-33.4, -70.5, None, 812.5, None, None)),
+    "letters, east and north": ("GPS(E: 10.2, N: 47.3, 600.0m)", (47.3, 10.2, None, 600.0, None, None)),
+    "letters without a space": ("GPS(W:70.5,S:33.4,812.5m)", (-33.4, -70.5, None, 812.5, None, None)),
+    "letters behind": ("GPS(70.5W, 33.4S, 812.5m)", (-33.4, -70.5, None, 812.5, None, None)),
+    "autel evo": (
+        "HOME(W: 70.6, S: 33.5) 2020-11-01 15:29:24\nGPS(W: 70.5, S: 33.4, 161) \nISO:105 SHUTTER:500 EV:0.0 F-NUM:2.8",
+        (-33.4, -70.5, None, 161.0, None, None),
+    ),
+    "autel max": (
+        "HOME(E: 8.5, N: 47.3) 2025-08-27 13:21:35\nGPS(E: 8.501, N: 47.301, 574.21m)\nISO:100 SHUTTER:400 EV:0.0 F-NUM:2.8\n"
+        "F.PRY (0.6°, 1.2°, -31.2°), G.PRY (-40.3°, 0.0°, -31.2°)",
+        (47.301, 8.501, None, 574.21, 328.8, -40.3),
+    ),
+    "autel with a doubled sign": (
+        "HOME(-70.5006, -33.4324) 2019.9.8 16:49:24\nGPS(W: -70.-5005, S: -33.-4323, -37) ReH:12 \nISO:100 SHUTTER:1000",
+        (-33.4323, -70.5005, 12.0, -37.0, None, None),
+    ),
+    "letters alone": ("[N: 47.3 W: 8.5] ISO:100", (47.3, -8.5, None, None, None, None)),
+    "letters in two brackets": ("[E: 8.5][S: 47.3]", (-47.3, 8.5, None, None, None, None)),
+    "degrees, minutes, seconds": (
+        "N 47°18'04.44\" E 8°30'04.44\"", (47.301233333, 8.501233333, None, None, None, None),
+    ),
+    "an equals sign": ("latitude=47.301 longitude=8.501 rel_alt=45.2", (47.301, 8.501, 45.2, None, None, None)),
+    "short names and units": ("Lat: 47.301° Lon: 8.501° Alt: 100ft H: 45.2 m", (47.301, 8.501, 45.2, 30.48, None, None)),
+    "bars": ("|LAT:59.3023|LON:18.2030|ALT:132.86|", (59.3023, 18.203, None, 132.86, None, None)),
+    "a real minus sign": ("[latitude: −33.4] [longitude: −70.5]", (-33.4, -70.5, None, None, None, None)),
+    "decimal commas by name": (
+        "[latitude: 47,301] [longitude: 8,501] [rel_alt: 12,5 abs_alt: 512,0]", (47.301, 8.501, 12.5, 512.0, None, None),
+    ),
+    "decimal commas in a list": (
+        "GPS (8,501, 47,301, 16), D 252,06m, H 76,19m, G.PRY (-90,0°, 0,0°, 28,2°)", (47.301, 8.501, 76.19, None, 28.2, -90.0),
+    ),
+    "decimal commas without spaces": ("GPS(8,501,47,301,16)", (47.301, 8.501, None, None, None, None)),
+    "decimal commas with letters": ("GPS (W: 70,5, S: 33,4, 812,5m)", (-33.4, -70.5, None, 812.5, None, None)),
+    "semicolons": ("GPS(8,501; 47,301; 16)", (47.301, 8.501, None, None, None, None)),
+    "radians": ("[latitude: 0.825562] [longtitude: 0.148374] [altitude: 27.3]", (47.301218, 8.501204, None, 27.3, None, None)),
+    "goggles": ("D: 12m H: 45m 47.301234, 8.501234 15.1 V", (47.301234, 8.501234, 45.0, None, None, None)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "expected"), FIELD.values(), ids=FIELD)
+def test_dialects_of_the_field_are_read(text: str, expected: tuple[float | None, ...]) -> None:
+    entry = one(text)
+    found = (entry.latitude, entry.longitude, entry.height_above_takeoff, entry.altitude, entry.heading, entry.pitch)
+    assert found == pytest.approx(expected, abs=2e-6)
+
+
+P4RTK = (
+    "F/6.3, SS 60, ISO 100, EV 0, RTK ({longitude:.6f}, 47.300000, 28), HOME (10.203000, 47.301000, 603.55m), D {metres:.2f}m, "
+    "H 76.19m, H.S 7.50m/s, V.S 0.00m/s, F.PRY (-5.3°, 2.1°, 28.3°), G.PRY (-90.0°, 0.0°, 28.2°)"
+)
+
+
+def test_an_rtk_fix_is_a_position_whose_order_home_and_distance_settle(tmp_path: Path) -> None:
+    distances = (252.06, 245.32, 238.62, 231.98, 225.39, 218.86)
+    texts = [P4RTK.format(longitude=10.2 + k / 10_000, metres=metres) for k, metres in enumerate(distances)]
+    (tmp_path / "DJI_0001.SRT").write_bytes(srt(*texts))
+    video = write_video(tmp_path / "DJI_0001.MP4", 6)
+    flight = make_flight([video], tmp_path / "flight")
+    assert len(flight.frames) == 6
+    for k, entry in enumerate(read_subtitles(tmp_path / "DJI_0001.SRT").entries):
+        assert (entry.latitude, entry.longitude) == (47.3, pytest.approx(10.2 + k / 10_000, abs=1e-9))
+    for frame in flight.frames:
+        assert frame.latitude == pytest.approx(47.3, abs=1e-9)
+        assert frame.longitude == pytest.approx(10.2 + (frame.time or 0.0) / 10_000, abs=1e-4)
+        assert (frame.height_above_takeoff, frame.heading, frame.pitch) == pytest.approx((76.19, 28.2, -90.0))
+    assert not any("order of latitude" in note or "no position" in note for note in flight.notes)
+
+
+def test_commas_count_for_the_file_as_a_whole() -> None:
+    # The second entry alone could be two whole numbers and a height; the first one shows that commas are decimal.
+    found = parse_subtitles(blocks_of(srt("GPS(8,501, 47,301, 16)", "GPS(8,502,47,302,16)")), "a.SRT")
+    assert [(entry.latitude, entry.longitude) for entry in found.entries] == [(47.301, 8.501), (47.302, 8.502)]
+    assert any("count as decimal commas" in note for note in found.notes)
+    # Where positions have points, a comma in a height groups thousands, and 12,5 is not read at all.
+    grouped = one("[latitude: 47.301] [longitude: 8.501] [rel_alt: 12,5 abs_alt: 1,234]")
+    assert (grouped.latitude, grouped.height_above_takeoff, grouped.altitude) == (47.301, None, 1234.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("Signal:4 CH:8 FlightTime:0 SBat:4.7V GBat:7.2V", "Signal:4 CH:8 FlightTime:0 SBat:4.7V GBat:7.2V"),
+        ("Altitude high\n[latitude: 47,8.5]", "[latitude: 47,8.5]"),
+        ("GPS(E: -117.5, N: 33.5, 4.0m)", "GPS(E: -117.5, N: 33.5, 4.0m)"),
+    ],
+)
+def test_a_dialect_that_is_not_known_is_named_by_a_line_of_it(text: str, line: str) -> None:
+    with pytest.raises(DataError, match=r"holds no telemetry of DJI or Autel") as error:
+        one(text)
+    assert f"one of its lines is {line!r}" in str(error.value)
+    # With a height beside it the file is used, and the note has the line.
+    found = parse_subtitles(blocks_of(srt(f"{text}\nH: 12.5m")), "a.SRT")
+    assert found.entries[0].height_above_takeoff == 12.5
+    assert found.notes == (f"1 of 1 entries of a.SRT have no position; one of its lines is {line!r}.",)
+
+
+def test_files_of_other_kinds_hold_the_same_subtitles(tmp_path: Path) -> None:
+    text = "HOME(E: 8.5, N: 47.3) 2020-11-01 15:29:24\\NGPS(E: 8.501, N: 47.301, 161) \\NISO:105"
+    lines = [f"Dialogue: 0,0:00:0{i}.00,0:00:0{i + 1}.50,Default,,0,0,0,,{text}" for i in range(2)]
+    ass = "[Script Info]\n\n[Events]\nFormat: Layer, Start, End, Style, Name, MarginL, MarginR, MarginV, Effect, Text\n"
+    found = parse_subtitles(blocks_of((ass + "\n".join(lines)).encode()), "a.ass")
+    assert [(e.time, e.latitude, e.longitude, e.clock) for e in found.entries] == [
+        (0.0, 47.301, 8.501, 1604244564.0), (1.0, 47.301, 8.501, 1604244564.0),
+    ]  # fmt: skip
+    assert found.end == 2.5
+    vtt = "WEBVTT\n\n00:01.000 --> 00:02.250\nGPS(E: 8.501, N: 47.301, 161)\n\n"
+    found = parse_subtitles(blocks_of(vtt.encode()), "a.vtt")
+    assert [(e.time, e.latitude) for e in found.entries] == [(1.0, 47.301)]
+    assert (
+        parse_subtitles(blocks_of(srt(DIALECTS["mavic pro"][0]).decode().encode("utf-16")), "a").entries[0].latitude
+        == -20.2533
+    )
+    (tmp_path / "A.ASS").write_text(ass + "\n".join(lines), "utf-8")
+    flight = make_flight([write_video(tmp_path / "A.MP4", 2)], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == pytest.approx([47.301, 47.301])
 
 
 SAMPLES = Path(os.environ["LPN_FLIGHTS"]).parent / "srt" if "LPN_FLIGHTS" in os.environ else None
