@@ -15,6 +15,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import first_few, printable
+from lpn.core.numbers import distance
 from lpn.datasets.base import files_below
 from lpn.flights import logs, subtitles, track_files, videos
 from lpn.flights.base import Flight, Frame, HeadingSource, local_metres
@@ -324,7 +325,7 @@ def _twice_note(photos: Sequence[Photo], chosen: Sequence[tuple[LogRow, list[Log
     if not twice:
         return []
     photo, rows = twice[0]
-    apart = _metres_apart(rows[0].entry, rows[-1].entry)
+    apart = [metres for row in rows[1:] if (metres := _metres_apart(rows[0].entry, row.entry)) is not None]
     lines = " and ".join(str(row.line) for row in rows[:3])
     used = (
         "the row nearest to the photo's own position was used"
@@ -335,7 +336,7 @@ def _twice_note(photos: Sequence[Photo], chosen: Sequence[tuple[LogRow, list[Log
     )
     return [
         f"{len(twice)} of {len(photos)} photos are listed more than once in {name} with different values, such as "
-        f"{printable(photo.frame.name)} in lines {lines}{'' if apart is None else f', {apart:.0f} m apart'}; {used}."
+        f"{printable(photo.frame.name)} in lines {lines}{f', up to {distance(max(apart))} apart' if apart else ''}; {used}."
     ]
 
 

@@ -10,7 +10,7 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
-from lpn.flights.logs import for_video, read_log, rows_by_name
+from lpn.flights.logs import for_video, moments, read_log, rows_by_name
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
 
@@ -187,3 +187,283 @@ def test_a_log_without_a_recording_begins_with_the_video_and_says_so(tmp_path: P
 def test_damaged_logs_are_refused_by_their_row(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(DataError, match=message):
         read_log(written(tmp_path, text))
+
+
+# Name: the file; latitude, longitude, height above take-off, altitude, heading, pitch, clock of its first row; a part of a note.
+# Numbers are invented.
+FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
+    "agisoft.csv": (
+        "# CoordinateSystem: WGS 84\n#Label,X/Longitude,Y/Latitude,Z/Altitude,Error_(m),Yaw,Pitch,Roll\n"
+        "DJI_0001.JPG,8.501234,47.301234,512.5,0.1,30,2,-1\n# Total error,0.1\n",
+        (47.301234, 8.501234, None, 512.5, 30.0, -88.0, None), "",
+    ),
+    "exiftool.csv": (
+        "SourceFile,GPSLatitude,GPSLongitude,GPSAltitude,DateTimeOriginal\n"
+        "./a/DJI_0001.JPG,\"47 deg 18' 4.44\"\" N\",\"8 deg 30' 4.44\"\" W\",512.3 m Above Sea Level,2024:05:01 14:00:00\n",
+        (47.301233333, -8.501233333, None, 512.3, None, None, 1714572000.0), "",
+    ),
+    "exiftool_letters.csv": (
+        "SourceFile,GPSLatitude,GPSLatitudeRef,GPSLongitude,GPSLongitudeRef\nDJI_0001.JPG,33.4,South,70.5,West\n",
+        (-33.4, -70.5, None, None, None, None, None), "",
+    ),
+    "exiftool_position.csv": (
+        "SourceFile,EXIF:GPSPosition\nDJI_0001.JPG,\"47 deg 18' 4.44\"\" N, 8 deg 30' 4.44\"\" E\"\n",
+        (47.301233333, 8.501233333, None, None, None, None, None), "",
+    ),
+    "semicolons.csv": (
+        "Dateiname;Breitengrad;Längengrad;Höhe\nDJI_0001.JPG;47,301234;8,501234;512,5\n",
+        (47.301234, 8.501234, None, 512.5, None, None, None), "count as decimal commas",
+    ),
+    "commas.csv": (
+        "filename,lat,lon,alt\nDJI_0001.JPG,47,301234,8,501234,120,5\nDJI_0002.JPG,47,301244,8,501234,120,5\n",
+        (47.301234, 8.501234, None, 120.5, None, None, None), "joined to one number a column",
+    ),
+    "pix4d.csv": (
+        "DJI_0001.JPG,47.301234,8.501234,512.5\nDJI_0002.JPG,47.301334,8.501234,512.5\n",
+        (47.301234, 8.501234, None, 512.5, None, None, None), "latitude before longitude was taken",
+    ),
+    "pix4dmatic.csv": (
+        "#imagename,coordinate1,coordinate2,z,yaw,pitch,roll\nIMG_1.JPG,47.301234,8.501234,512.5,38.6,3.5,8.3\n",
+        (47.301234, 8.501234, None, 512.5, 38.6, None, None), "",
+    ),
+    "geo.txt": (
+        "EPSG:4326\nDJI_0001.JPG 8.501234 47.301234 512.5 30 0 0\n",
+        (47.301234, 8.501234, None, 512.5, None, None, None), "longitude before latitude was taken",
+    ),
+    "mavlink.csv": (
+        "timestamp,lat,lon,alt,relative_alt,hdg\n1714564800.5,473012340,85012340,512500,45200,2820\n",
+        (47.301234, 8.501234, 45.2, 512.5, 28.2, None, 1714564800.5), "degrees times 1e7",
+    ),
+    "location.txt": (
+        "#name latitude/Y longitude/X height/Z yaw pitch roll SAlt\nDSC1.JPG -31077865 322473932 1401.75 359.22 4.96 1.17 99\n",
+        (-3.1077865, 32.2473932, None, 1401.75, 359.22, None, None), "degrees times 1e7",
+    ),
+    "phantomhelp.csv": (
+        "sep=,\nCUSTOM.date [local],CUSTOM.updateTime [local],OSD.flyTime,OSD.flyTime [s],OSD.latitude,OSD.longitude,"
+        "OSD.height [ft],OSD.yaw [360],OSD.yaw,GIMBAL.pitch,GIMBAL.roll,GIMBAL.yaw,HOME.latitude,HOME.longitude\n"
+        "6/15/2026,1:00:00.05 PM,0m 0.1s,0.1,47.301,8.501,100,10,10,-90,0,12,1.0,2.0\n",
+        (47.301, 8.501, 30.48, None, 12.0, -90.0, 1781528400.05), "",
+    ),
+    "datcon.csv": (
+        "Tick#,Clock:offsetTime,IMU_ATTI(0):Longitude[degrees [-180;180]],IMU_ATTI(0):Latitude[degrees [-180;180]],"
+        "IMU_ATTI(0):relativeHeight:C,GPS:dateTimeStamp\n1,0.0,8.501,47.301,10.0,2021-04-19T09:31:07Z\n",
+        (47.301, 8.501, 10.0, None, None, None, 1618824667.0), "count as the position",
+    ),
+    "radians.csv": (
+        "offsetTime,IMU_ATTI(0):Longitude,IMU_ATTI(0):Latitude\n0.0,0.14837436,0.82556238\n",
+        (47.3012401, 8.5012246, None, None, None, None, None), "count as radians",
+    ),
+    "flysight.csv": (
+        "time,lat,lon,hMSL,velN,heading\n,(deg),(deg),(m),(m/s),(deg)\n2021-04-20T04:20:00.50Z,47.301,8.501,515.06,-0.6,30\n",
+        (47.301, 8.501, None, 515.06, 30.0, None, 1618892400.5), "",
+    ),
+    "yuneec.csv": (
+        ",fsk_rssi,voltage,altitude,latitude,longitude,roll,yaw,pitch\n20160815 12:34:56:789,-50,15,45.2,47.301,8.501,0,30,0\n",
+        (47.301, 8.501, None, 45.2, 30.0, None, 1471264496.789), "",
+    ),
+    "edgetx.csv": (
+        "Date,Time,1RSS(dB),GPS,Hdg(°),Alt(m)\n2024-05-01,12:00:01.100,-50,47.301 8.501,30,45\n",
+        (47.301, 8.501, None, 45.0, 30.0, None, 1714564801.1), "",
+    ),
+    "opentx.csv": (
+        "Date,Time,GPS\n2024-05-01,12:00:01.100,4718.0600 N 830.0600 E\n",
+        (47.301, 8.501, None, None, None, None, 1714564801.1), "",
+    ),
+    "nmea.csv": (
+        "filename,latitude,longitude\na.jpg,4718.0600,830.0600\nb.jpg,4718.0700,830.0600\n",
+        (47.301, 8.501, None, None, None, None, None), "degrees and minutes",
+    ),
+    "swapped.csv": (
+        "name,latitude,longitude\na.jpg,120.35,23.12\nb.jpg,120.36,23.12\n",
+        (23.12, 120.35, None, None, None, None, None), "are swapped",
+    ),
+    "dronedeploy.log": (
+        "#DroneDeploy\t2.1.0\nSession ID\t5879\nDate/Time (UTC)\tElapsed Time (sec)\tDevice Latitude (Degrees)\t"
+        "Device Longitude (Degrees)\tAircraft Latitude (Degrees)\tAircraft Longitude (Degrees)\t"
+        "Aircraft Barometric Altitude (ft)\t"
+        "Aircraft Heading (Degrees)\n01/13/2017 20:22:54\t0.5\t1.0\t2.0\t47.301\t8.501\t100\t30\n",
+        (47.301, 8.501, 30.48, None, 30.0, None, 1484338974.0), "",
+    ),
+    "ppk.pos": (
+        "% program   : RTKPOST\n%\n%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns\n"
+        "2024/05/01 12:00:18.000   47.301234000    8.501234000   512.5000   1  12\n",
+        (47.301234, 8.501234, None, 512.5, None, None, 1714564800.0), "18 s were taken off",
+    ),
+    "thousands.csv": (
+        "name,latitude,longitude,altitude\na.jpg,47.301,8.501,\"1,234.5\"\n",
+        (47.301, 8.501, None, 1234.5, None, None, None), "",
+    ),
+    "letters.csv": ("name,lat,lon\na.jpg,33.4° S,W 70.5\n", (-33.4, -70.5, None, None, None, None, None), ""),
+    "minus.csv": ("name,lat,lon\na.jpg,−33.4,−70.5\n", (-33.4, -70.5, None, None, None, None, None), ""),
+    "zones.csv": (
+        "latitude,longitude,altitude(feet),datetime(local),datetime(utc)\n"
+        "47.301,8.501,100,2024-05-01 14:00:00,2024-05-01 12:00:00\n",
+        (47.301, 8.501, None, 30.48, None, None, 1714564800.0), "",
+    ),
+    "qgroundcontrol.csv": (
+        "Timestamp,roll,pitch,heading,gps.lat,gps.lon,altitudeRelative,altitudeAMSL\n"
+        "2024-05-01 12:00:00.5,0,0,30,47.301,8.501,45,512\n",
+        (47.301, 8.501, 45.0, 512.0, 30.0, None, 1714564800.5), "",
+    ),
+    "chinese.csv": ("文件名,纬度,经度,高度\na.jpg,47.301,8.501,512\n", (47.301, 8.501, None, 512.0, None, None, None), ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FIELD)
+def test_dialects_of_the_field_are_read(tmp_path: Path, name: str) -> None:
+    text, expected, note = FIELD[name]
+    log = read_log(written(tmp_path, text, name))
+    entry = log.rows[0].entry
+    found = (
+        entry.latitude,
+        entry.longitude,
+        entry.height_above_takeoff,
+        entry.altitude,
+        entry.heading,
+        entry.pitch,
+        entry.clock,
+    )
+    assert found == pytest.approx(expected, abs=1e-6)
+    assert any(note in line for line in log.notes) if note else not log.notes
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "cp1252"])
+def test_logs_of_every_common_encoding_are_read(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "log.csv").write_bytes("name;lat (°);lon (°)\nö.jpg;47.3;8.5\n".encode(encoding))
+    row = read_log(tmp_path / "log.csv").rows[0]
+    assert (row.entry.latitude, row.entry.longitude, row.file) == (47.3, 8.5, "ö.jpg")
+
+
+@pytest.mark.parametrize(
+    ("dates", "clock", "says"),
+    [
+        (("5/13/2024 12:00:00", "5/1/2024 12:00:00"), 1715601600.0, False),
+        (("13/5/2024 12:00:00", "1/5/2024 12:00:00"), 1715601600.0, False),
+        (("5/1/2024 12:00 PM", "5/1/2024 12:00 AM"), 1714564800.0, True),
+        (("01.05.2024 12:00:00", "02.05.2024 12:00:00"), 1714564800.0, True),
+        (("2024-05-01T14:00:00+0200", ""), 1714564800.0, False),
+        (("1714564800000", ""), 1714564800.0, False),
+        (("1714564800000000", ""), 1714564800.0, False),
+        (("2024:05:01 12:00:00Z", ""), 1714564800.0, False),
+    ],
+)
+def test_dates_of_every_spelling_are_read_for_the_file_as_a_whole(
+    tmp_path: Path, dates: tuple[str, str], clock: float, says: bool
+) -> None:
+    log = read_log(written(tmp_path, "date,lat,lon\n" + "".join(f"{date},47.3,8.5\n" for date in dates)))
+    assert log.rows[0].entry.clock == clock
+    assert any("nothing in it rules that out" in note for note in log.notes) == says
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (
+            "utm.csv",
+            "name,easting,northing\na.jpg,465123.1,5242123.1\n",
+            "Eastings and northings of a map are not read",
+        ),
+        ("utm.csv", "name,lat,lon\na.jpg,465123.1,5242123.1\n", "Eastings and northings of a map are not read"),
+        ("grid.csv", "name,lat,lon\na.jpg,465123,5242123\n", "expected degrees, latitude from -90 to 90"),
+        (
+            "other.csv",
+            "number,north_value,east_value\n1,47.30123,8.50123\n",
+            "north_value and east_value look like degrees",
+        ),
+        ("commas.csv", "lat,lon,a,b,c\n47,301,8,501,1,2,3,4\n", "has 8 values below 5 names"),
+        ("letters.csv", "lat,lon\n47.3 E,8.5 N\n", "has the latitude '47.3 E'; expected a number of degrees"),
+        ("comma.csv", 'lat,lon,alt\n47.3,8.5,"12,5"\n', "has the altitude '12,5'; expected a number"),
+        ("record.txt", "\x00\x01\x02binary", "A flight record of DJI's app is encrypted"),
+    ],
+)
+def test_what_cannot_be_read_for_certain_is_refused_with_its_reason(
+    tmp_path: Path, name: str, text: str, message: str
+) -> None:
+    with pytest.raises(DataError) as error:
+        read_log(written(tmp_path, text, name))
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("positioned", "latitude", "used"),
+    [
+        (True, 47.3, "the row nearest to the photo's own position was used"),
+        (False, 47.4, "the first row was used, as the photo has no position of its own"),
+    ],
+)
+def test_a_picture_listed_twice_is_said_and_never_silently_the_last(
+    tmp_path: Path, positioned: bool, latitude: float, used: str
+) -> None:
+    write_photo(tmp_path / "a.jpg", exif(47.30001, 8.5) if positioned else None)
+    log = written(tmp_path, "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.3,8.5\na.jpg,47.4,8.6\n")
+    flight = make_flight([tmp_path / "a.jpg", log], tmp_path / "flight")
+    assert flight.frames[0].latitude == latitude
+    assert any(
+        "1 of 1 photos are listed more than once in log.csv with different values, such as a.jpg in lines 2 and 3 and 4, up to 11 km"
+        in note and note.endswith(f"{used}.")
+        for note in flight.notes
+    )  # fmt: skip
+    # The same values twice are no oddity.
+    log = written(tmp_path, "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.4,8.5\n")
+    assert not any(
+        "more than once" in note for note in make_flight([tmp_path / "a.jpg", log], tmp_path / "flight").notes
+    )
+
+
+def test_pictures_of_one_name_in_two_folders_have_their_own_rows(tmp_path: Path) -> None:
+    for folder in ("100MEDIA", "101MEDIA"):
+        write_photo(tmp_path / folder / "DJI_0001.JPG")
+    rows = "D:\\DCIM\\101MEDIA\\DJI_0001.JPG,47.2,8\nD:\\DCIM\\100MEDIA\\DJI_0001.JPG,47.1,8\n"
+    flight = make_flight([tmp_path, written(tmp_path, "file,lat,lon\n" + rows)], tmp_path / "flight")
+    assert {frame.name: frame.latitude for frame in flight.frames} == {
+        "100MEDIA/DJI_0001.JPG": 47.1, "101MEDIA/DJI_0001.JPG": 47.2,
+    }  # fmt: skip
+    assert not any("more than once" in note for note in flight.notes)
+
+
+def test_labels_without_an_ending_name_their_pictures(tmp_path: Path) -> None:
+    write_photo(tmp_path / "DJI_0001.JPG")
+    log = written(tmp_path, "#Label,X/Longitude,Y/Latitude\nDJI_0001,8.5,47.3\n")
+    assert make_flight([log], tmp_path / "flight").frames[0].latitude == 47.3
+
+
+def test_a_moment_listed_twice_is_said_and_fractions_of_seconds_come_from_the_elapsed_time(tmp_path: Path) -> None:
+    rows = ["2024-05-01 12:00:00,47.0,8", "2024-05-01 12:00:00,47.9,8", "2024-05-01 12:00:01,47.1,8"]
+    log = read_log(written(tmp_path, "datetime(utc),lat,lon\n" + "\n".join(rows)))
+    entries, note = moments(log)
+    assert [entry.latitude for entry in entries] == [47.0, 47.1]
+    assert note is not None
+    assert note.startswith(
+        "1 of 2 moments of log.csv are listed more than once with different positions; the first row"
+    )
+    entries, notes = for_video(log, 0)
+    assert [entry.latitude for entry in entries] == [47.0, 47.1]
+    assert any("1 of 2 moments" in note for note in notes)
+    # Airdata has ten rows a second, whole seconds of UTC, and milliseconds from the start, here 0.3 s past a second.
+    rows = [f"{100 * i},2024-05-01 12:00:0{(3 + i) // 10},{47 + i / 1000},8" for i in range(30)]
+    entries, note = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
+    assert note is None
+    assert [round(entry.time - 1714564800.0, 3) for entry in entries[:3]] == [0.3, 0.4, 0.5]
+
+
+def test_a_log_whose_columns_are_swapped_is_turned_where_the_photos_prove_it(tmp_path: Path) -> None:
+    write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
+    flight = make_flight(
+        [tmp_path / "a.jpg", written(tmp_path, "filename,lat,lon\na.jpg,8.5001,47.3001\n")], tmp_path / "flight"
+    )
+    assert (flight.frames[0].latitude, flight.frames[0].longitude) == (47.3001, 8.5001)
+    assert "Latitude and longitude of log.csv are swapped, as the photos' own positions say." in flight.notes
+
+
+def test_text_that_is_no_log_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
+    files = [
+        photo,
+        written(tmp_path, "hello\n", "readme.txt"),
+        written(tmp_path, "\x00\x01\x02", "DJIFlightRecord.txt"),
+    ]
+    notes = make_flight(files, tmp_path / "flight").notes
+    assert "Left out as of other kinds: readme.txt, DJIFlightRecord.txt." in notes
+    assert any(
+        note.startswith("DJIFlightRecord.txt is no text. A flight record of DJI's app is encrypted") for note in notes
+    )
