@@ -93,16 +93,14 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool) -> Cloc
             and fit.offset is not None
             and (off := _off(telemetry, times, places, fit.offset)) < math.inf
         ):
-            fit = replace(fit, sentence=f"{fit.sentence}, and {_warning(off)}")
+            fit = replace(fit, sentence=f"{fit.sentence}, {_warning(off)}")
         if fit is not None:
             return fit
     return ClockFit(None, plain, "at no offset of a time zone do the photos' times lie within it")
 
 
 def _warning(off: float) -> str:
-    return (
-        f"its positions are {off:.0f} m from the photos' own in the median, so one of the clocks or positions is wrong"
-    )
+    return f"but its positions are {off:.0f} m from the photos' own in the median, so one of the clocks or positions is wrong"
 
 
 def _place(photo: Photo) -> tuple[float, float]:

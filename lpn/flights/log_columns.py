@@ -70,7 +70,8 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
     },
     # MAVLink's messages and logs of ArduPilot, PX4, QGroundControl, and Mission Planner
     "https://mavlink.io/en/messages/common.html": {
-        "latitude": "gpslat", "longitude": "gpslon gpslng", "height_above_takeoff": "altituderelative relativealt", "altitude": "heightz",
+        "latitude": "gpslat", "longitude": "gpslon gpslng", "height_above_takeoff": "altituderelative relativealt",
+        "altitude": "heightz",
         "heading": "hdg", "time": "timeus timeboot", "date": "timeutcusec",
     },
     "https://github.com/h-elsner/Q500log2kml": {"date": "unnamedtime"},

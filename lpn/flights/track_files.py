@@ -9,6 +9,7 @@ a note says so.
 from __future__ import annotations
 
 import io
+import math
 import re
 import zipfile
 from dataclasses import dataclass, field
@@ -54,7 +55,7 @@ class _Points:
             self.untimed += 1
             return
         self.zoned |= zoned
-        entry = TelemetryEntry(float("nan"), clock, latitude, longitude, altitude=altitude)
+        entry = TelemetryEntry(math.nan, clock, latitude, longitude, altitude=altitude)
         self.rows.append(LogRow(entry, file))
 
 

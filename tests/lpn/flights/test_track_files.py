@@ -1,0 +1,204 @@
+"""Tracks as GPX, KML, and KMZ beside photos and videos, and files that are damaged or harmful."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import pytest
+from PIL import ExifTags
+
+from lpn.core.errors import DataError
+from lpn.flights import make_flight
+from lpn.flights.track_files import parse_track, read_track
+from tools.fixtures.photos import exif, write_photo
+from tools.fixtures.videos import write_video
+
+HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
+KML = (
+    HEAD
+    + '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>{}</Document></kml>'
+)
+
+
+def time(second: int, zone: str = "Z") -> str:
+    return f"2024-05-01T12:00:{second:02d}{zone}"
+
+
+def gpx(points: int = 20, zone: str = "Z", decimal: str = ".") -> str:
+    """A track of one point a second to the north."""
+    inside = "".join(
+        f'<trkpt lat="47{decimal}3{i:02d}" lon="8{decimal}5"><ele>{500 + i}</ele><time>{time(i, zone)}</time></trkpt>\n'
+        for i in range(points)
+    )
+    return (
+        HEAD
+        + '<gpx version="1.1" creator="a &amp; b" xmlns="http://www.topografix.com/GPX/1/1"><trk><name>x</name><trkseg>\n'
+        f"{inside}</trkseg></trk></gpx>"
+    )
+
+
+TRACK = (
+    "<Placemark><name>t</name><gx:Track>"
+    + "".join(f"<when>{time(i)}</when>" for i in range(3))
+    + "".join(f"<gx:coord>8.5 47.30{i} {500 + i}</gx:coord>" for i in range(3))
+    + "</gx:Track></Placemark>"
+)
+POINTS = "".join(
+    f"<Placemark><TimeStamp><when>{time(i)}</when></TimeStamp>"
+    f"<Point><coordinates>8.5,47.30{i},{500 + i}</coordinates></Point></Placemark>"
+    for i in range(3)
+)
+LINE = (
+    "<Placemark>"
+    + "".join(f"<when>{time(i)}</when>" for i in range(3))
+    + f"<LineString><coordinates>{' '.join(f'8.5,47.30{i},{500 + i}' for i in range(3))}</coordinates></LineString></Placemark>"
+)
+DATA = "".join(
+    f'<Placemark><ExtendedData><Data name="time"><value>{time(i)}</value></Data></ExtendedData>'
+    f"<Point><coordinates>8.5,47.30{i},{500 + i}</coordinates></Point></Placemark>"
+    for i in range(3)
+)
+
+
+def kmz(text: str) -> bytes:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        archive.writestr("doc.kml", text)
+    return data.getvalue()
+
+
+@pytest.mark.parametrize("zone", ["Z", "+00:00", ".000Z", ""])
+def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
+    log = parse_track(gpx(3, zone).encode(), "a.gpx")
+    assert [(r.entry.clock, r.entry.latitude, r.entry.longitude, r.entry.altitude) for r in log.rows] == [
+        (1714564800.0 + i, pytest.approx(47.3 + i / 1000), 8.5, 500.0 + i) for i in range(3)
+    ]
+    assert log.utc == (zone != "")
+    assert log.notes == ()
+
+
+@pytest.mark.parametrize(
+    "inside", [TRACK, POINTS, LINE, DATA], ids=["gx:Track", "TimeStamp", "LineString", "ExtendedData"]
+)
+@pytest.mark.parametrize("namespace", ["http://www.opengis.net/kml/2.2", "http://earth.google.com/kml/2.1", ""])
+def test_kml_of_every_form_is_read(inside: str, namespace: str) -> None:
+    text = KML.format(inside).replace("http://www.opengis.net/kml/2.2", namespace)
+    log = parse_track(text.encode(), "a.kml")
+    assert [(r.entry.clock, r.entry.latitude, r.entry.longitude, r.entry.altitude) for r in log.rows] == [
+        (1714564800.0 + i, pytest.approx(47.3 + i / 1000), 8.5, 500.0 + i) for i in range(3)
+    ]
+    assert log.utc
+    assert parse_track(kmz(text), "a.kmz").rows == log.rows
+
+
+@pytest.mark.parametrize("suffix", [".gpx", ".kml"])
+def test_waypoints_named_as_pictures_are_their_positions(tmp_path: Path, suffix: str) -> None:
+    place = (
+        '<wpt lat="47.3" lon="8.5"><ele>512</ele><name>DJI_0001.JPG</name></wpt>'
+        if suffix == ".gpx"
+        else "<Placemark><name>DJI_0001.JPG</name><Point><coordinates>8.5,47.3,512</coordinates></Point></Placemark>"
+    )
+    text = f'<gpx version="1.1">{place}</gpx>' if suffix == ".gpx" else KML.format(place)
+    (tmp_path / f"places{suffix}").write_text(text, "utf-8")
+    write_photo(tmp_path / "DJI_0001.JPG")
+    frame = make_flight([tmp_path / f"places{suffix}"], tmp_path / "flight").frames[0]
+    assert (frame.latitude, frame.longitude, frame.altitude) == (47.3, 8.5, 512.0)
+
+
+@pytest.mark.parametrize(("hour", "offset"), [(12, ""), (14, ", with a constant offset: the photos' clock is UTC+2")])
+def test_photos_take_their_positions_from_a_track(tmp_path: Path, hour: int, offset: str) -> None:
+    (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
+    for second in (3, 7, 12):
+        clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, float(second))}
+        taken = {ExifTags.Base.DateTimeOriginal: f"2024:05:01 {hour}:00:{second:02d}"}
+        write_photo(tmp_path / "photos" / f"{second:02d}.jpg", exif(camera=taken, gps=clock if hour == 12 else None))
+    flight = make_flight([tmp_path / "photos", tmp_path / "track.gpx"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == pytest.approx([47.303, 47.307, 47.312])
+    assert [frame.altitude for frame in flight.frames] == pytest.approx([503.0, 507.0, 512.0])
+    how = "UTC" if hour == 12 else "their clock"
+    said = f"track.gpx gives the values of 3 of 3 photos, by {how}{offset}; they replace those in the files."
+    assert said in flight.notes
+
+
+def test_a_video_takes_its_positions_from_a_track(tmp_path: Path) -> None:
+    (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
+    video = write_video(tmp_path / "a.mp4", 3)
+    flight = make_flight([video, tmp_path / "track.gpx"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == pytest.approx(
+        [47.3 + (frame.time or 0) / 1000 for frame in flight.frames]
+    )
+    assert any(
+        "track.gpx does not tell when the video began; its first row counts as the beginning" in n for n in flight.notes
+    )
+
+
+def test_a_video_that_says_when_it_began_starts_there_in_the_track(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
+    with (
+        av.open(str(write_video(tmp_path / "plain.mp4", 3))) as source,
+        av.open(str(tmp_path / "a.mp4"), "w") as target,
+    ):
+        target.metadata["creation_time"] = time(10)
+        pictures = target.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(source.streams.video[0]):
+            if packet.dts is not None:
+                packet.stream = pictures
+                target.mux(packet)
+    flight = make_flight([tmp_path / "a.mp4", tmp_path / "track.gpx"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == pytest.approx(
+        [47.31 + (frame.time or 0) / 1000 for frame in flight.frames]
+    )
+    assert any("The time in the video's file says where in track.gpx it began" in note for note in flight.notes)
+
+
+def test_a_track_that_is_cut_off_or_damaged_is_read_up_to_there() -> None:
+    whole = gpx(20)
+    cut = parse_track(whole[: whole.index("<time>2024-05-01T12:00:12")].encode(), "a.gpx")
+    assert (len(cut.rows), cut.rows[-1].entry.latitude) == (12, 47.311)
+    assert cut.notes == ("a.gpx is cut off or damaged; only its points before the damage were used.",)
+    places = KML.format(POINTS)
+    cut = parse_track(places[: places.index("8.5,47.302")].encode(), "a.kml")
+    assert len(cut.rows) == 2
+    assert "only its points before the damage were used" in cut.notes[0]
+    # A bare & is no damage, and commas within numbers are said.
+    assert len(parse_track(whole.replace("<name>x", "<name>a & b").encode(), "a.gpx").rows) == 20
+    commas = parse_track(gpx(3, decimal=",").encode(), "a.gpx")
+    assert commas.rows[1].entry.latitude == 47.301
+    assert "count as decimal commas" in commas.notes[0]
+    untimed = whole.replace(f"<time>{time(4)}</time>", "")
+    assert parse_track(untimed.encode(), "a.gpx").notes == ("1 points of a.gpx have no time, and were left out.",)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is neither GPX nor KML"),
+        (b"PK\x03\x04damaged", "is a damaged archive"),
+        (b"<gpx>", "is damaged, and no point of it can be read"),
+        (b'<gpx version="1.1"></gpx>', "has no point with a position"),
+        (gpx(3).replace("time>", "tame>").encode(), "has 3 points without a time, so it fits no picture"),
+        (b'<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
+        (KML.format("<!DOCTYPE x SYSTEM 'file:///etc/passwd'>").encode(), "has a DTD or entities"),
+        (
+            KML.format("<LineString><coordinates>8,47 8,48</coordinates></LineString>").encode(),
+            "has no point with a position",
+        ),
+    ],
+)
+def test_files_that_are_no_tracks_are_refused_in_one_sentence(data: bytes, message: str) -> None:
+    with pytest.raises(DataError) as error:
+        parse_track(data, "a.gpx")
+    assert message in str(error.value)
+
+
+def test_an_archive_without_a_track_and_a_missing_file_are_refused(tmp_path: Path) -> None:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        archive.writestr("a.txt", "x")
+    with pytest.raises(DataError, match=r"a\.kmz has no \.kml in it"):
+        parse_track(data.getvalue(), "a.kmz")
+    with pytest.raises(DataError, match=r"b\.gpx cannot be read"):
+        read_track(tmp_path / "b.gpx")
