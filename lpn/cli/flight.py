@@ -19,7 +19,8 @@ class FlightCommand:
     """Read the photos or videos of a flight with their positions, heights, and headings into a folder."""
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Photos with EXIF and XMP, or videos with .SRT files or subtitles inside; .csv logs; folders of photos or videos."""
+    """Photos with EXIF and XMP, or videos with subtitles (.SRT, .ASS, .VTT, or inside); logs (.csv, .tsv, .txt, .pos); tracks
+    (.gpx, .kml, .kmz); folders of photos or videos."""
     out: Path
     """Folder to write: flight.csv, flight.json, and the frames of videos in frames. Photos stay where they are."""
     every: float = 1.0
@@ -38,7 +39,7 @@ class FlightCommand:
         from lpn.flights import FlightOptions, make_flight
 
         if not self.files:
-            raise InputError("There are no files; give photos, videos, .csv logs, or folders of them.")
+            raise InputError("There are no files; give photos, videos, logs, tracks, or folders of them.")
         options = FlightOptions(self.every, self.every_metres, self.gps_order, self.fov, self.pitch)
         flight = make_flight(self.files, self.out, options)
         print(summary(flight))

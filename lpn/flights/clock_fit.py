@@ -75,6 +75,8 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool) -> Cloc
     known = {basis: times for basis, times in clocks.items() if np.isfinite(times).any()}
     if not known:
         return ClockFit(None, plain, "the photos have no time")
+    if not any(entry.latitude is not None for entry in telemetry.entries):
+        return ClockFit(None, plain, "none of its positions has a time")
     off, fits = math.inf, plain in known and bool(_inside(telemetry, known[plain], 0.0).any())
     if fits:
         off = _off(telemetry, known[plain], places, 0.0)
@@ -160,10 +162,10 @@ def _by_places(
         return None
     times, places = times[known], places[known]
     first, last = telemetry.entries[0].time, telemetry.entries[-1].time
-    offsets = np.arange(first - times.min() - 1, last - times.max() + 2, 1.0)
-    if not len(offsets):
+    least, most = first - times.min() - 1, last - times.max() + 1
+    if not 0 <= most - least <= _MOST_OFFSETS:
         return None
-    offsets = offsets[:: max(1, math.ceil(len(offsets) / _MOST_OFFSETS))]
+    offsets = np.arange(least, most + 1, 1.0)
     path = _path(telemetry)
     offs = np.array([np.median(_metres(path, times + offset, places)) for offset in offsets])
     best = int(offs.argmin())

@@ -75,6 +75,7 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
         "heading": "hdg", "time": "timeus timeboot", "date": "timeutcusec",
     },
     "https://github.com/h-elsner/Q500log2kml": {"date": "unnamedtime"},
+    "https://github.com/mikeemoo/dji-log-parser/issues/7": {"height_above_takeoff": "ascent"},  # Flytrex
     "https://github.com/sco1/pyflysight/blob/main/doc/data_format.md": {"altitude": "hmsl"},
     "https://github.com/tomojitakasu/RTKLIB": {"altitude": "ellipsoidalheight", "date": "gpst"},
     # The same words in other languages

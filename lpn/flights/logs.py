@@ -42,6 +42,7 @@ _PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGN
 _UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
 # A second line with units, as in FlySight's files.
 _UNIT_CELL = re.compile(r"[(\[]?(?:deg|degrees|°|rad|dd|decimal degrees)[)\]]?", re.IGNORECASE)
+_SIMPLE = re.compile(r"[-+]?\d{1,15}(?:\.\d{1,20})?", re.ASCII)
 _COMMA_DECIMAL = re.compile(r"[-+]?\d{1,3},\d+")
 _DATE = re.compile(
     r"(?:(?P<year>\d{4})[-:/.](?P<month>\d{1,2})[-:/.](?P<day>\d{1,2})|(?P<first>\d{1,2})(?P<sign>[-/.])(?P<second>\d{1,2})[-/.]"
@@ -272,7 +273,8 @@ class _Cells:
         text = self.text(what)
         if not text:
             return None
-        found = values.number(values.plain(text), self.table.commas)
+        simple = _SIMPLE.fullmatch(text)
+        found = float(text) if simple else values.number(values.plain(text), self.table.commas)
         if found is None or not math.isfinite(found):
             raise DataError(
                 f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
@@ -289,7 +291,7 @@ class _Cells:
         text = self.text(what)
         if not text:
             return None
-        found = values.angle(text, letters, self.table.commas)
+        found = float(text) if _SIMPLE.fullmatch(text) else values.angle(text, letters, self.table.commas)
         if found is None and "e" in text.casefold():
             found = values.number(text, self.table.commas)
         if found is None or not math.isfinite(found):

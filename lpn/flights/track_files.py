@@ -31,6 +31,8 @@ _MOST_BYTES = 100_000_000
 _DTD = re.compile(r"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 _DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
 _BARE_AMPERSAND = re.compile(r"&(?!#?\w{1,10};)")
+# Java writes the name of a zone behind its offset: 2022-03-27T15:32:37+02:00[Europe/Brussels].
+_ZONE_NAME = re.compile(r"((?:Z|[-+]\d\d:\d\d))\[[A-Za-z_/+-]{1,40}\](?=\s*<)")
 _COMMA_DEGREES = re.compile(r"""((?:lat|lon)=["'][-+]?\d{1,3}),(\d+["'])""")
 
 
@@ -86,7 +88,7 @@ def parse_track(data: bytes, name: str) -> Log:
         raise DataError(
             f"{name} has a DTD or entities, which no track needs, so it was not read; save it without them."
         )
-    text = _BARE_AMPERSAND.sub("&amp;", _DECLARATION.sub("", text))
+    text = _ZONE_NAME.sub(r"\1", _BARE_AMPERSAND.sub("&amp;", _DECLARATION.sub("", text)))
     if "<kml" in text:
         points = _kml_points(text, name)
     elif "<gpx" in text:
@@ -189,15 +191,26 @@ def _add_element(element: ElementTree.Element, points: _Points) -> None:
     """Add the points of a KML element that is complete, and forget what is in it."""
     tag = _tag(element)
     if tag == "Track":
-        times = [child.text or "" for child in element if _tag(child) == "when"]
-        places = [child.text or "" for child in element if _tag(child) == "coord"]
-        for time, place in zip(times, places, strict=False):
+        inside = [(child.text or "", _tag(child)) for child in element if _tag(child) in ("when", "coord")]
+        times, places = ([text for text, kind in inside if kind == wanted] for wanted in ("when", "coord"))
+        pairs = list(zip(times, places, strict=False))
+        if len(times) != len(places):
+            # A place belongs to the time right before it; no other pairs are certain.
+            steps = zip([("", ""), *inside], inside, strict=False)
+            pairs = [
+                (before if kind == "when" else "", text)
+                for (before, kind), (text, wanted) in steps
+                if wanted == "coord"
+            ]
+        for time, place in pairs:
             _add(points, place.split(), time, None)
         element.clear()
     elif tag == "Placemark":
         inside = list(element.iter())
         name = next((child.text for child in inside if _tag(child) == "name"), None)
-        places = [place for child in inside if _tag(child) == "coordinates" for place in (child.text or "").split()]
+        places = [
+            place for child in inside if _tag(child) == "coordinates" for place in _after_comma(child.text).split()
+        ]
         times = [child.text for child in inside if _tag(child) == "when"] or [
             next((child.text for child in inside if _tag(child) == "begin"), None) or _time_in_data(inside)
         ]
@@ -206,6 +219,11 @@ def _add_element(element: ElementTree.Element, points: _Points) -> None:
         for place, time in zip(places, times, strict=True):
             _add(points, place.split(","), time, name)
         element.clear()
+
+
+def _after_comma(text: str | None) -> str:
+    """Return coordinates without the spaces behind their commas, which some programs write."""
+    return re.sub(r",\s+", ",", text or "")
 
 
 def _time_in_data(inside: list[ElementTree.Element]) -> str | None:

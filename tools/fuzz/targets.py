@@ -501,16 +501,18 @@ def cities(folder: Path) -> list[FuzzCase]:
 
 
 def flights(folder: Path) -> list[FuzzCase]:
-    """Metadata of photos, subtitles, logs, and the folder of a flight."""
+    """Metadata of photos, subtitles, logs, tracks, and the folder of a flight."""
     from PIL import ExifTags
 
     from lpn.core.images import header_error
-    from lpn.flights import footprint, open_flight, write_flight
-    from lpn.flights.logs import for_photos, for_video, read_log
+    from lpn.flights import Frame, footprint, open_flight, write_flight
+    from lpn.flights.clock_fit import fit_clocks
+    from lpn.flights.logs import Log, for_video, moments, read_log, rows_by_name
     from lpn.flights.makers import XmpValues
-    from lpn.flights.photos import photo_of
+    from lpn.flights.photos import Photo, photo_of
     from lpn.flights.subtitles import blocks_of, parse_subtitles
     from lpn.flights.telemetry import Telemetry
+    from lpn.flights.track_files import parse_track
     from lpn.flights.xmp import read_xmp
     from tools.fixtures.field_photos import FIELD
     from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo, xmp_packet
@@ -565,6 +567,13 @@ def flights(folder: Path) -> list[FuzzCase]:
         "G.PRY (-24.4°, 0.0°, 110.4°)\n\n3\n00:00:02,000 --> 00:00:03,000\nGPS(36.6,-6.1,0.0M) BAROMETER:0.3M\n"
     )
 
+    autel = (
+        "1\n00:00:00,000 --> 00:00:01,000\nHOME(E: 8.5, N: 47.3) 2024-05-01 14:00:00\nGPS(E: 8.501, N: 47.301, 574.2m) ReH:1\n\n"
+        "2\n00:00:01,000 --> 00:00:02,000\nRTK (8,501, 47,301, 28), D 252,06m, H 76,19m\n\n3\n00:00:02,000 --> 00:00:03,000\n"
+        "N 47°18'04.44\" E 8°30'04.44\" lat=47.3 lon=8.5 47.30123, 8.50123\n"
+    )
+    ass = "[Script Info]\nDialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,GPS(W: 70.5, S: 33.4, 161)\\NISO:105\n"
+
     def subtitles(data: bytes) -> None:
         found = parse_subtitles(blocks_of(data), "a.SRT")
         telemetry = Telemetry(found.entries)
@@ -577,12 +586,43 @@ def flights(folder: Path) -> list[FuzzCase]:
         "filename,time(ms),datetime(utc),lat,lon,rel_alt(feet),gimbal_yaw,gimbal_pitch,isVideo\n"
         "a.jpg,0,2024-05-01 12:00:00,47,8,10,20,-90,1\nb.jpg,1000,2024-05-01T12:00:01+02:00,47.1,8,10,20,-90,1\n"
     )
+    logs = [
+        rows,
+        "#Label;X/Longitude;Y/Latitude;Z/Altitude;Yaw;Pitch;Roll\na.JPG;8,501;47,301;512,5;30;2;-1\n# Total error;1\n",
+        'SourceFile,GPSPosition,GPSDateTime\na.jpg,"47 deg 18\' 4.44"" N, 8 deg 30\' 4.44"" E",2024:05:01 12:00:00Z\n',
+        "filename,lat,lon\na.jpg,47,301,8,501\nb.jpg,47,302,8,502\n",
+        "EPSG:4326\na.jpg 8.5 47.3 512 30 0 0\n",
+        "Date,Time,lat,lon,alt\n5/1/2024,1:00:00.5 PM,473010000,85010000,512000\n",
+        "%  GPST  latitude(deg) longitude(deg) height(m)\n2024/05/01 12:00:18.0 47.3 8.5 512.5\n",
+    ]
+    photos = [
+        Photo(Frame(f"{i}.jpg", Path(f"{i}.jpg"), 4, 3, latitude=47.0 + i, longitude=8.0), 1714564800.0 + i)
+        for i in range(3)
+    ]
 
     def log(data: bytes) -> None:
         (folder / "log.csv").write_bytes(data)
-        found = read_log(folder / "log.csv")
-        for_photos(found)
+        fitted(read_log(folder / "log.csv"))
+
+    def fitted(found: Log) -> None:
+        rows_by_name(found)
+        telemetry = Telemetry(moments(found)[0])
+        assert all(entry.latitude is None or abs(entry.latitude) <= 90 for entry in telemetry.entries)
+        fit_clocks(photos, telemetry, found.utc)
         Telemetry(for_video(found, 0)[0]).at(0.5)
+
+    place = "<Placemark><name>a.jpg</name><TimeStamp><when>2024-05-01T12:00:00Z</when></TimeStamp>"
+    tracks = [
+        '<gpx version="1.1"><wpt lat="47.3" lon="8.5"><name>a.jpg</name></wpt><trk><trkseg><trkpt lat="47.3" lon="8.5">'
+        '<ele>5</ele><time>2024-05-01T12:00:00Z</time></trkpt><trkpt lat="47.4" lon="8.5">'
+        "<time>2024-05-01T12:00:09+02:00</time></trkpt>"
+        "</trkseg></trk></gpx>",
+        f"<kml>{place}<Point><coordinates>8.5,47.3,512</coordinates></Point></Placemark><Track><when>2024-05-01T12:00:00Z</when>"
+        "<coord>8.5 47.3 512</coord></Track></kml>",
+    ]
+
+    def track(data: bytes) -> None:
+        fitted(parse_track(data, "a.gpx"))
 
     write_photo(folder / "photos" / "a.jpg", exif(46.8, -91.9, {}, camera, clock), packets[0])
     write_flight(open_flight(folder / "photos"), folder / "flight")
@@ -605,8 +645,9 @@ def flights(folder: Path) -> list[FuzzCase]:
         FuzzCase(field, photo),
         FuzzCase([directories], packed),
         FuzzCase(packets, packet),
-        FuzzCase([lines.encode()], subtitles),
-        FuzzCase([rows.encode()], log),
+        FuzzCase([text.encode() for text in (lines, autel, ass)], subtitles),
+        FuzzCase([text.encode() for text in logs], log),
+        FuzzCase([text.encode() for text in tracks], track),
         written("flight.csv"),
         written("flight.json"),
     ]

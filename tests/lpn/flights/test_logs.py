@@ -399,8 +399,8 @@ def test_a_picture_listed_twice_is_said_and_never_silently_the_last(
     flight = make_flight([tmp_path / "a.jpg", log], tmp_path / "flight")
     assert flight.frames[0].latitude == latitude
     assert any(
-        "1 of 1 photos are listed more than once in log.csv with different values, such as a.jpg in lines 2 and 3 and 4, up to 11 "
-        "km apart"
+        "1 of 1 photos are listed more than once in log.csv with different values, such as a.jpg in lines 2 and 3 and 4, up to "
+        "11 km apart"
         in note and note.endswith(f"{used}.")
         for note in flight.notes
     )  # fmt: skip
