@@ -670,7 +670,10 @@ def _date(match: re.Match[str], day_first: bool) -> float | None:
 def _row(entry: TelemetryEntry, cells: _Cells, line: int) -> LogRow:
     entry = replace(
         entry,
-        **{what: cells.value(what) for what in ("height_above_ground", "height_above_takeoff", "altitude", "fov")},
+        height_above_ground=cells.value("height_above_ground"),
+        height_above_takeoff=cells.value("height_above_takeoff"),
+        altitude=cells.value("altitude"),
+        fov=cells.value("fov"),
     )
     entry = _with_angles(entry, cells.value, cells.table.columns.nadir_zero)
     return LogRow(entry, cells.text("file") or None, _flag(cells.text("is_video")), line)

@@ -303,9 +303,9 @@ def _place_of(text: str, commas: bool) -> _Place:
             return place
     if pair := _PAIR.search(text):
         # Letters tell which of the two is the latitude.
-        found = re.findall("|".join(f"({pattern})" for pattern in _LETTERED.values()), pair[0])
-        if len(found) == 2:
-            texts = ["".join(column) for column in zip(*found, strict=True)]
+        columns = re.findall("|".join(f"({pattern})" for pattern in _LETTERED.values()), pair[0])
+        if len(columns) == 2:
+            texts = ["".join(column) for column in zip(*columns, strict=True)]
             latitude, longitude = _place(values.angle(texts[0], "NS", True), values.angle(texts[1], "EW", True))
             return _Place(latitude, longitude, written=texts[0])
     return _Place()

@@ -12,9 +12,11 @@ import io
 import math
 import re
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import gpxpy
@@ -128,7 +130,7 @@ def _unzipped(data: bytes, name: str) -> bytes:
         RuntimeError,
         NotImplementedError,
         EOFError,
-        zipfile.zlib.error,
+        zlib.error,
     ) as error:
         raise DataError(f"{name} is a damaged archive; make it again.") from error
 
@@ -147,7 +149,8 @@ def _gpx_points(text: str, name: str) -> _Points:
         for segment in track.segments:
             for point in segment.points:
                 points.add(point.latitude, point.longitude, point.elevation, point.time, point.name)
-    for place in (*gpx.waypoints, *(point for route in gpx.routes for point in route.points)):
+    places: list[Any] = [*gpx.waypoints, *(point for route in gpx.routes for point in route.points)]
+    for place in places:
         points.add(place.latitude, place.longitude, place.elevation, place.time, place.name)
     return points
 
@@ -173,7 +176,7 @@ def _cut_note(name: str) -> str:
 
 def _kml_points(text: str, name: str) -> _Points:
     points = _Points()
-    parser = ElementTree.XMLPullParser(("end",))
+    parser: Any = ElementTree.XMLPullParser(("end",))
     try:
         parser.feed(text)
         parser.close()
@@ -191,12 +194,12 @@ def _add_element(element: ElementTree.Element, points: _Points) -> None:
     """Add the points of a KML element that is complete, and forget what is in it."""
     tag = _tag(element)
     if tag == "Track":
-        inside = [(child.text or "", _tag(child)) for child in element if _tag(child) in ("when", "coord")]
-        times, places = ([text for text, kind in inside if kind == wanted] for wanted in ("when", "coord"))
+        parts = [(child.text or "", _tag(child)) for child in element if _tag(child) in ("when", "coord")]
+        times, places = ([text for text, kind in parts if kind == wanted] for wanted in ("when", "coord"))
         pairs = list(zip(times, places, strict=False))
         if len(times) != len(places):
             # A place belongs to the time right before it; no other pairs are certain.
-            steps = zip([("", ""), *inside], inside, strict=False)
+            steps = zip([("", ""), *parts], parts, strict=False)
             pairs = [
                 (before if kind == "when" else "", text)
                 for (before, kind), (text, wanted) in steps
@@ -208,16 +211,16 @@ def _add_element(element: ElementTree.Element, points: _Points) -> None:
     elif tag == "Placemark":
         inside = list(element.iter())
         name = next((child.text for child in inside if _tag(child) == "name"), None)
-        places = [
+        located = [
             place for child in inside if _tag(child) == "coordinates" for place in _after_comma(child.text).split()
         ]
-        times = [child.text for child in inside if _tag(child) == "when"] or [
+        moments = [child.text for child in inside if _tag(child) == "when"] or [
             next((child.text for child in inside if _tag(child) == "begin"), None) or _time_in_data(inside)
         ]
         # One time is that of a point; a line has one for each of its points, or none that can be told.
-        times = times if len(times) == len(places) else [None] * len(places)
-        for place, time in zip(places, times, strict=True):
-            _add(points, place.split(","), time, name)
+        moments = moments if len(moments) == len(located) else [None] * len(located)
+        for place, moment in zip(located, moments, strict=True):
+            _add(points, place.split(","), moment, name)
         element.clear()
 
 
