@@ -21,8 +21,8 @@ from lpn.flights.photos import Photo
 from lpn.flights.telemetry import Telemetry
 
 _HOUR = 3600.0
-# A zone is so many hours from the sun's time at most.
-_MOST_OFF = 3.6
+# A zone's clock is so many hours ahead of the sun's time at most, as in the west of China, and so many behind.
+_MOST_AHEAD, _MOST_BEHIND = 3.6, 1.2
 # Zones that are no whole hours, in hours, and their longitudes from west to east.
 _ODD_ZONES = (
     (-9.5, -142, -138), (-3.5, -60, -52), (-2.5, -60, -52), (3.5, 44, 64), (4.5, 44, 75), (5.5, 68, 98), (5.75, 80, 89),
@@ -194,11 +194,10 @@ def _named(zone: float) -> str:
 
 
 def _zones(longitude: float) -> list[float]:
-    """Return the zones that exist at a longitude, in hours."""
+    """Return the zones that exist at a longitude, in hours, and UTC, which many clocks show."""
     sun = longitude / 15.0
-    whole = [
-        float(hours) for hours in range(-12, 15) if abs(hours - sun) <= _MOST_OFF or abs(hours - 24 - sun) <= _MOST_OFF
-    ]
+    around = [(float(hours), (hours - sun + 12) % 24 - 12) for hours in range(-12, 15)]
+    whole = [hours for hours, ahead in around if hours == 0 or -_MOST_BEHIND <= ahead <= _MOST_AHEAD]
     return whole + [hours for hours, west, east in _ODD_ZONES if west <= longitude <= east and hours not in whole]
 
 

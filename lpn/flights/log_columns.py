@@ -1,7 +1,7 @@
 """The columns of flight logs: their names by dialect, with a public source of each, and their units.
 
 A column's name counts without case and signs, so that "GPS.Lat [deg]" is gpslat in degrees. A part behind a colon, point, or
-slash counts alone where the whole name is unknown: "IMU_ATTI(0):Latitude" is a latitude.
+slash counts alone where the whole name is unknown, and so does a word: "IMU_ATTI(0):Latitude" and "GPS Lat Exif" are latitudes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from lpn.core.files import printable
 # The names of a column, in lower case without signs, by where they are documented; best first for each value.
 DIALECTS: Mapping[str, Mapping[str, str]] = {
     "common spellings": {
-        "file": "filename file imagename image photo picture path name",
+        "file": "filename file imagefilename imagename image photo picture path name",
         "latitude": "latitude lat",
         "longitude": "longitude lon lng long",
         "height_above_ground": "heightaboveground agl heightagl altitudeagl",
@@ -75,6 +75,7 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
         "heading": "hdg", "time": "timeus timeboot", "date": "timeutcusec",
     },
     "https://github.com/h-elsner/Q500log2kml": {"date": "unnamedtime"},
+    "https://github.com/aleiby/kml2g1000": {"date": "lcldate localdate", "clock": "lcltime localtime"},  # Garmin G1000
     "https://github.com/mikeemoo/dji-log-parser/issues/7": {"height_above_takeoff": "ascent"},  # Flytrex
     "https://github.com/sco1/pyflysight/blob/main/doc/data_format.md": {"altitude": "hmsl"},
     "https://github.com/tomojitakasu/RTKLIB": {"altitude": "ellipsoidalheight", "date": "gpst"},
@@ -100,6 +101,8 @@ UNITS = {
 # Names that hold their unit.
 _OWN_UNITS = {"timeus": 1e-6, "timeutcusec": 1e-6}
 _BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))\s*", re.DOTALL)
+# Values that one word of a column's name tells where no other column does, as in "GPS Lat Exif".
+_BY_WORD = ("file", "latitude", "longitude")
 # Positions of these are not the aircraft's.
 _OTHERS = (
     "home", "device", "phone", "mobile", "app", "rc", "remote", "operator", "pilot", "base", "target", "controller", "gcs", "poi",
@@ -137,11 +140,12 @@ class LogColumns:
 
 @dataclass(frozen=True)
 class _Cell:
-    """A name in the header: as it is written, without signs, its last part alone, and its unit in lower case."""
+    """A name in the header: as it is written, without signs, its last part alone, its words, and its unit in lower case."""
 
     text: str
     plain: str
     tail: str
+    words: tuple[str, ...]
     unit: str
 
 
@@ -200,7 +204,8 @@ def _cell(text: str, at: int) -> _Cell:
     # Yuneec's time has no name, and is the first column.
     plain = _plain(body) or ("unnamedtime" if at == 0 else "")
     tail = parts[-1] if parts != [body] and not _is_other(parts[:-1]) else ""
-    return _Cell(text, plain, _plain(tail), unit.casefold())
+    words = tuple(_plain(word) for word in re.split(r"[\s_-]+", body))
+    return _Cell(text, plain, _plain(tail), () if _is_other(words) else words, unit.casefold())
 
 
 def _plain(text: str) -> str:
@@ -215,7 +220,8 @@ def _best(cells: Sequence[_Cell], what: str, names: Sequence[str]) -> int | None
     """Return the place of the best column of a value: by whole names first; for dates, UTC before all else."""
     ranked = []
     for at, cell in enumerate(cells):
-        for by_part, name in enumerate((cell.plain, cell.tail)):
+        words = cell.words if what in _BY_WORD else ()
+        for by_part, name in enumerate((cell.plain, cell.tail, *words)):
             if name and name in names:
                 unit = 0 if cell.unit in UNITS else 1 if not cell.unit else 2
                 zone = {"utc": 0, "gmt": 0, "local": 2}.get(cell.unit, 0 if "utc" in name else 1)

@@ -305,6 +305,29 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
         "2024-05-01 12:00:00.5,0,0,30,47.301,8.501,45,512\n",
         (47.301, 8.501, 45.0, 512.0, 30.0, None, 1714564800.5), "",
     ),
+    "words.csv": (
+        "Image Filename,Date Exif,GPS Lat Exif,GPS Long Exif\na.jpg,2024:05:01 12:00:00,47.301,8.501\n",
+        (47.301, 8.501, None, None, None, None, None), "GPS Lat Exif and GPS Long Exif of words.csv count as the position",
+    ),
+    "xmp.csv": (
+        'SourceFile,XMP:GPSLatitude,XMP:GPSLongitude\na.jpg,"9,9,9S","70,30.6W"\n',
+        (-9.1525, -70.51, None, None, None, None, None), "count as the position",
+    ),
+    "garmin.csv": (
+        "#airframe_info, log_version=1\n#yyy-mm-dd, hh:mm:ss,   hh:mm,  degrees,      degrees\n"
+        "  Lcl Date, Lcl Time, UTCOfst,    Latitude,    Longitude\n2024-05-01, 14:00:00, +02:00,  47.3010,  8.5010\n",
+        (47.301, 8.501, None, None, None, None, 1714572000.0), "",
+    ),
+    "flytrex.csv": (
+        "latitude,longitude,altitude(feet),ascent(feet),time(millisecond),datetime(utc),max_altitude(feet),max_ascent(feet)\n"
+        "47.301,8.501,4800,100,334100.0,2024-05-01 12:00:00.288000,9000,9000\n",
+        (47.301, 8.501, 30.48, 1463.04, None, None, 1714564800.288), "",
+    ),
+    "flight_reader.csv": (
+        "CUSTOM.date [local];CUSTOM.updateTime [local];OSD.latitude;OSD.longitude;OSD.height [m]\n"
+        "15.05.2024;12:00:00,05;47,301;8,501;45,2\n",
+        (47.301, 8.501, 45.2, None, None, None, 1715774400.05), "count as decimal commas",
+    ),
     "chinese.csv": ("文件名,纬度,经度,高度\na.jpg,47.301,8.501,512\n", (47.301, 8.501, None, 512.0, None, None, None), ""),
 }  # fmt: skip
 
