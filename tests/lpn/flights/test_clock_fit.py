@@ -55,12 +55,16 @@ def is_at_its_seconds(flight: Flight) -> bool:
     )
 
 
-@pytest.mark.parametrize("hours", [2.0, -5.0, 5.75])
-def test_photos_in_local_time_fit_a_log_in_utc_at_the_zone_of_its_longitude(tmp_path: Path, hours: float) -> None:
+@pytest.mark.parametrize(
+    ("hours", "longitude", "named"),
+    [(2.0, 8.5, "UTC+2"), (-5.0, -84.0, "UTC-5"), (5.75, 85.3, "UTC+5:45"), (0.0, 139.7, "UTC+0")],
+)
+def test_photos_in_local_time_fit_a_log_in_utc_at_the_zone_of_its_longitude(
+    tmp_path: Path, hours: float, longitude: float, named: str
+) -> None:
     photos(tmp_path / "photos", [20, 130, 420, 560], hours * 3600)
-    log = a_log(tmp_path / "log.csv", path=[(a, b + 13 * hours) for a, b in PATH])
+    log = a_log(tmp_path / "log.csv", path=[(a, b - 8.5 + longitude) for a, b in PATH])
     flight = make_flight([tmp_path / "photos", log], tmp_path / "flight")
-    named = {2.0: "UTC+2", -5.0: "UTC-5", 5.75: "UTC+5:45"}[hours]
     assert note_of(flight) == (
         f"log.csv gives the values of 4 of 4 photos, by their clock, with a constant offset: the photos' clock is {named}; they "
         "replace those in the files."
