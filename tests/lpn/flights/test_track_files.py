@@ -55,6 +55,7 @@ LINE = (
     + "".join(f"<when>{time(i)}</when>" for i in range(3))
     + f"<LineString><coordinates>{' '.join(f'8.5,47.30{i},{500 + i}' for i in range(3))}</coordinates></LineString></Placemark>"
 )
+LONG_LINE = "<LineString><coordinates>8,47 8,48</coordinates></LineString>"
 DATA = "".join(
     f'<Placemark><ExtendedData><Data name="time"><value>{time(i)}</value></Data></ExtendedData>'
     f"<Point><coordinates>8.5,47.30{i},{500 + i}</coordinates></Point></Placemark>"
@@ -77,6 +78,51 @@ def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
     ]
     assert log.utc == (zone != "")
     assert log.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("spelling", "clock"),
+    [
+        ("2024-05-01T12:00:00.3700Z", 1714564800.37),
+        ("2024-05-01T14:00:00.504+02:00[Europe/Brussels]", 1714564800.504),
+        ("2024-05-01T11:00:00-01:00", 1714564800.0),
+    ],
+)
+def test_times_of_other_spellings_are_read(spelling: str, clock: float) -> None:
+    log = parse_track(gpx(1).replace(time(0), spelling).encode(), "a.gpx")
+    assert (log.rows[0].entry.clock, log.utc) == (clock, True)
+
+
+def test_a_track_whose_times_are_all_the_same_fits_nothing_and_says_so(tmp_path: Path) -> None:
+    text = gpx(20)
+    for i in range(20):
+        text = text.replace(time(i), "2024-05-01T00:00:00+02:00")
+    (tmp_path / "track.gpx").write_text(text, "utf-8")
+    clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 5.0)}
+    write_photo(tmp_path / "a.jpg", exif(gps=clock))
+    flight = make_flight([tmp_path / "a.jpg", tmp_path / "track.gpx"], tmp_path / "flight")
+    assert flight.frames[0].latitude is None
+    assert any(
+        "1 of 1 moments of track.gpx are listed more than once with different positions" in n for n in flight.notes
+    )
+    assert any(n.startswith("track.gpx fits none of the 1 photos by UTC, and was not used") for n in flight.notes)
+
+
+def test_places_and_times_of_a_track_that_differ_in_number_are_paired_only_where_that_is_certain() -> None:
+    # Times and places in turn, of which the second place has no time; then three places after two times.
+    turns = f"<when>{time(0)}</when><coord>8.5 47.3</coord><coord>8.5 47.4</coord><when>{time(2)}</when><coord>8.5 47.2</coord>"
+    log = parse_track(KML.format(f"<Track>{turns}</Track>").encode(), "a.kml")
+    assert [(r.entry.clock, r.entry.latitude) for r in log.rows] == [(1714564800.0, 47.3), (1714564802.0, 47.2)]
+    assert log.notes == ("1 points of a.kml have no time, and were left out.",)
+    places = KML.format(f"<Track>{''.join(f'<coord>8.5 47.{i}</coord>' for i in range(3))}</Track>")
+    with pytest.raises(DataError, match=r"a\.kml has 3 points without a time, so it fits no picture"):
+        parse_track(places.encode(), "a.kml")
+
+
+def test_spaces_behind_the_commas_of_a_place_are_read() -> None:
+    text = "<Placemark><name>DJI_0001.JPG</name><Point><coordinates> 8.5, 47.3, 512 </coordinates></Point></Placemark>"
+    row = parse_track(KML.format(text).encode(), "a.kml").rows[0]
+    assert (row.entry.latitude, row.entry.longitude, row.entry.altitude, row.file) == (47.3, 8.5, 512.0, "DJI_0001.JPG")
 
 
 @pytest.mark.parametrize(
@@ -183,8 +229,19 @@ def test_a_track_that_is_cut_off_or_damaged_is_read_up_to_there() -> None:
         (b'<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
         (KML.format("<!DOCTYPE x SYSTEM 'file:///etc/passwd'>").encode(), "has a DTD or entities"),
         (
-            KML.format("<LineString><coordinates>8,47 8,48</coordinates></LineString>").encode(),
+            KML.format(LONG_LINE).encode(),
             "has no point with a position",
+        ),
+        *(
+            (
+                KML.format(f"<Placemark>{name}{LONG_LINE}</Placemark>").encode(),
+                "has 2 points without a time, so it fits no picture",
+            )
+            for name in (
+                "",
+                "<name>2024-05-01 12:00 - 2024-05-01 12:30</name>",
+                f"<TimeSpan><begin>{time(0)}</begin><end>{time(9)}</end></TimeSpan>",
+            )
         ),
     ],
 )
