@@ -335,7 +335,10 @@ def _table(text: str, name: str) -> _Table:
     lines = lines[at + 1 :]
     columns = columns_of(header, name)
     lines = [(number, line) for number, line in lines if not line.startswith(("#", "%"))]
-    rows = list(_cells(lines, delimiter, name))
+    # Logs that were joined have the line of names again.
+    rows = [
+        (line, cells) for line, cells in _cells(lines, delimiter, name) if [cell.strip() for cell in cells] != header
+    ]
     if (
         rows
         and columns.places.keys() >= {"latitude"}

@@ -56,7 +56,10 @@ _COORDINATES = [
     re.compile(
         rf"\b(?:{names})\b\.? ?[:=]? ?((?:[{letters}] ?:? ?)?{_DEGREES}(?:\s*[{letters}]\b)?){_END}", re.IGNORECASE
     )
-    for names, letters in (("lat|latitude", "NS"), ("lon|lng|long|longitude|longtitude", "EW"))
+    for names, letters in (
+        ("lat|latitude|latitud|breite|纬度|緯度", "NS"),
+        ("lon|lng|long|longitude|longtitude|longitud|länge|经度|經度|経度", "EW"),
+    )
 ]
 # The position as a list, in brackets or not. RTK stands in place of GPS with an RTK fix.
 _LABEL = r"\b(?:GPS|RTK|POS|POSITION|COORDINATES?|LOCATION)\b"
@@ -163,9 +166,7 @@ def blocks_of(data: bytes) -> list[SubtitleBlock]:
         return []
     if text.lstrip().startswith("[Script Info]") or "\nDialogue:" in text:
         return [
-            SubtitleBlock(
-                found[9].replace("\\N", "\n") + "\n", _seconds(found.groups()[:4]), _seconds(found.groups()[4:8])
-            )
+            SubtitleBlock(found[9] + "\n", _seconds(found.groups()[:4]), _seconds(found.groups()[4:8]))
             for found in _DIALOGUE.finditer(text)
         ]
     parts = _INDEX_LINE.split(text)[1:]
@@ -193,7 +194,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     texts: list[tuple[str, float, float | None]] = []
     end, first_clock = 0.0, None
     for block in blocks:
-        text = values.plain(block.text)
+        text = values.plain(block.text.replace("\\N", "\n"))
         clock = _clock(text)
         first_clock = clock if first_clock is None else first_clock
         start = block.start

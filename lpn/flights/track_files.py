@@ -67,7 +67,7 @@ def read_track(file: Path) -> Log:
     """Read a track.
 
     Raises:
-        DataError: if it is no such file, has a DTD, or has no point with a position and a time.
+        DataError: if it is no such file, has a DTD, or has no point with a position.
     """
     name = printable(file.name)
     try:
@@ -97,14 +97,14 @@ def parse_track(data: bytes, name: str) -> Log:
         points = _gpx_points(text, name)
     else:
         raise DataError(f"{name} is neither GPX nor KML; expected a track with <gpx> or <kml> in it.")
-    if points.untimed and points.rows:
-        points.notes.append(f"{points.untimed} points of {name} have no time, and were left out.")
-    if not points.rows:
-        raise DataError(
-            f"{name} has {points.untimed} points without a time, so it fits no picture; export a track with times."
-            if points.untimed
-            else f"{name} has no point with a position; expected a track."
+    if points.untimed:
+        points.notes.append(
+            f"{points.untimed} points of {name} have no time, and were left out."
+            if points.rows
+            else f"{name} has {points.untimed} points without a time, so it fits no picture; export a track with times."
         )
+    elif not points.rows:
+        raise DataError(f"{name} has no point with a position; expected a track.")
     return Log(name, tuple(points.rows), points.zoned, tuple(points.notes))
 
 

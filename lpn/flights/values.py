@@ -77,7 +77,7 @@ def number(text: str, comma: bool = False) -> float | None:
 
     Args:
         text: such as "45.2 m", "148 ft", "1,234.5", or "512.3 m Below Sea Level".
-        comma: a comma is the decimal sign; otherwise it groups thousands.
+        comma: a comma is the decimal sign; otherwise one before three digits groups thousands.
     """
     found = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST else None
     if found is None:
@@ -90,7 +90,8 @@ def number(text: str, comma: bool = False) -> float | None:
         digits = digits.replace(".", "").replace(",", ".")
     elif _GROUPED.fullmatch(digits) and (not comma or "." in digits or digits.count(",") > 1):
         digits = digits.replace(",", "")
-    elif comma:
+    elif comma or re.fullmatch(r"[-+]?\d+,\d{1,2}|[-+]?\d+,\d{4,}", digits):
+        # A group of thousands has three digits, so that other commas are decimal ones in any case.
         digits = digits.replace(",", ".")
     try:
         value = float(digits) * _FACTORS.get(unit, 1.0)

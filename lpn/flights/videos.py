@@ -113,23 +113,26 @@ def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Subtit
     """Return the telemetry in the subtitles inside a video; None if it has none.
 
     Raises:
-        DataError: if the video cannot be read.
+        DataError: if the video cannot be read, or has subtitles and none of a known dialect.
         ModuleNotFoundError: if PyAV is not installed.
     """
     import av
 
+    unread: DataError | None = None
     try:
         with av.open(str(video), metadata_errors="replace") as container:
             for stream in container.streams.subtitles:
                 blocks = list(_blocks(container, stream))
                 try:
                     return parse_subtitles(blocks, f"the subtitles in {printable(video.name)}", gps_order)
-                except DataError:
-                    continue  # a stream of spoken words
+                except DataError as error:
+                    unread = unread or error  # perhaps a stream of spoken words
     except (av.FFmpegError, OSError, ValueError) as error:
         raise DataError(
             f"{printable(video.name)} is not a video that can be read; expected {', '.join(SUFFIXES)}."
         ) from error
+    if unread is not None:
+        raise unread
     return None
 
 
@@ -141,7 +144,7 @@ def _blocks(container: Any, stream: Any) -> Iterator[SubtitleBlock]:
         if data and packet.pts is not None and packet.time_base is not None:
             start = float(packet.pts * packet.time_base)
             yield SubtitleBlock(
-                data.decode("utf-8", "replace"), start, start + float((packet.duration or 0) * packet.time_base)
+                data.decode("utf-8", "replace") + "\n", start, start + float((packet.duration or 0) * packet.time_base)
             )
 
 

@@ -395,7 +395,7 @@ def test_dates_of_every_spelling_are_read_for_the_file_as_a_whole(
         ),
         ("commas.csv", "lat,lon,a,b,c\n47,301,8,501,1,2,3,4\n", "has 8 values below 5 names"),
         ("letters.csv", "lat,lon\n47.3 E,8.5 N\n", "has the latitude '47.3 E'; expected a number of degrees"),
-        ("comma.csv", 'lat,lon,alt\n47.3,8.5,"12,5"\n', "has the altitude '12,5'; expected a number"),
+        ("comma.csv", 'lat,lon,alt\n47.3,8.5,"12,5,1"\n', "has the altitude '12,5,1'; expected a number"),
         ("record.txt", "\x00\x01\x02binary", "A flight record of DJI's app is encrypted"),
     ],
 )

@@ -325,9 +325,9 @@ def test_commas_count_for_the_file_as_a_whole() -> None:
     found = parse_subtitles(blocks_of(srt("GPS(8,501, 47,301, 16)", "GPS(8,502,47,302,16)")), "a.SRT")
     assert [(entry.latitude, entry.longitude) for entry in found.entries] == [(47.301, 8.501), (47.302, 8.502)]
     assert any("count as decimal commas" in note for note in found.notes)
-    # Where positions have points, a comma in a height groups thousands, and 12,5 is not read at all.
+    # Where positions have points, a comma before three digits groups thousands.
     grouped = one("[latitude: 47.301] [longitude: 8.501] [rel_alt: 12,5 abs_alt: 1,234]")
-    assert (grouped.latitude, grouped.height_above_takeoff, grouped.altitude) == (47.301, None, 1234.0)
+    assert (grouped.latitude, grouped.height_above_takeoff, grouped.altitude) == (47.301, 12.5, 1234.0)
 
 
 @pytest.mark.parametrize(

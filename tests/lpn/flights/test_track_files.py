@@ -55,6 +55,7 @@ LINE = (
     + "".join(f"<when>{time(i)}</when>" for i in range(3))
     + f"<LineString><coordinates>{' '.join(f'8.5,47.30{i},{500 + i}' for i in range(3))}</coordinates></LineString></Placemark>"
 )
+WITHOUT_TIMES = "{1} has {0} points without a time, so it fits no picture; export a track with times."
 LONG_LINE = "<LineString><coordinates>8,47 8,48</coordinates></LineString>"
 DATA = "".join(
     f'<Placemark><ExtendedData><Data name="time"><value>{time(i)}</value></Data></ExtendedData>'
@@ -115,8 +116,7 @@ def test_places_and_times_of_a_track_that_differ_in_number_are_paired_only_where
     assert [(r.entry.clock, r.entry.latitude) for r in log.rows] == [(1714564800.0, 47.3), (1714564802.0, 47.2)]
     assert log.notes == ("1 points of a.kml have no time, and were left out.",)
     places = KML.format(f"<Track>{''.join(f'<coord>8.5 47.{i}</coord>' for i in range(3))}</Track>")
-    with pytest.raises(DataError, match=r"a\.kml has 3 points without a time, so it fits no picture"):
-        parse_track(places.encode(), "a.kml")
+    assert parse_track(places.encode(), "a.kml").notes == (WITHOUT_TIMES.format(3, "a.kml"),)
 
 
 def test_spaces_behind_the_commas_of_a_place_are_read() -> None:
@@ -225,23 +225,11 @@ def test_a_track_that_is_cut_off_or_damaged_is_read_up_to_there() -> None:
         (b"PK\x03\x04damaged", "is a damaged archive"),
         (b"<gpx>", "is damaged, and no point of it can be read"),
         (b'<gpx version="1.1"></gpx>', "has no point with a position"),
-        (gpx(3).replace("time>", "tame>").encode(), "has 3 points without a time, so it fits no picture"),
         (b'<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
         (KML.format("<!DOCTYPE x SYSTEM 'file:///etc/passwd'>").encode(), "has a DTD or entities"),
         (
             KML.format(LONG_LINE).encode(),
             "has no point with a position",
-        ),
-        *(
-            (
-                KML.format(f"<Placemark>{name}{LONG_LINE}</Placemark>").encode(),
-                "has 2 points without a time, so it fits no picture",
-            )
-            for name in (
-                "",
-                "<name>2024-05-01 12:00 - 2024-05-01 12:30</name>",
-                f"<TimeSpan><begin>{time(0)}</begin><end>{time(9)}</end></TimeSpan>",
-            )
         ),
     ],
 )
@@ -249,6 +237,27 @@ def test_files_that_are_no_tracks_are_refused_in_one_sentence(data: bytes, messa
     with pytest.raises(DataError) as error:
         parse_track(data, "a.gpx")
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        gpx(2).replace("time>", "tame>"),
+        KML.format(f"<Placemark>{LONG_LINE}</Placemark>"),
+        KML.format(f"<Placemark><name>2024-05-01 12:00 - 2024-05-01 12:30</name>{LONG_LINE}</Placemark>"),
+        KML.format(
+            f"<Placemark>{LONG_LINE}<TimeSpan><begin>{time(0)}</begin><end>{time(9)}</end></TimeSpan></Placemark>",
+        ),
+    ],
+    ids=["GPX", "LineString", "name", "TimeSpan"],
+)
+def test_a_track_without_times_fits_nothing_and_the_run_goes_on(tmp_path: Path, text: str) -> None:
+    (tmp_path / "track.gpx").write_text(text, "utf-8")
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
+    flight = make_flight([photo, tmp_path / "track.gpx"], tmp_path / "flight")
+    assert flight.frames[0].latitude == 47.3
+    assert WITHOUT_TIMES.format(2, "track.gpx") in flight.notes
+    assert any(note.startswith("track.gpx fits none of the 1 photos by") for note in flight.notes)
 
 
 def test_an_archive_without_a_track_and_a_missing_file_are_refused(tmp_path: Path) -> None:
