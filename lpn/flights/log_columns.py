@@ -21,7 +21,7 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
         "longitude": "longitude lon lng long",
         "height_above_ground": "heightaboveground agl heightagl altitudeagl",
         "height_above_takeoff": "heightabovetakeoff relativealtitude relativeheight relalt heightabovehome",
-        "altitude": "altitudeabovesealevel absolutealtitude absalt altitudeamsl altitude alt elevation",
+        "altitude": "altitudeabovesealevel absolutealtitude absalt altitudeamsl altitude alt",
         "gimbal_heading": "gimbalheading gimbalyaw cameraheading camerayaw",
         "gimbal_pitch": "gimbalpitch camerapitch",
         "gimbal_roll": "gimbalroll cameraroll",
@@ -173,6 +173,8 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
                 f"The columns {' and '.join(printable(cell.text) for cell in by_part)} of {name} count as the position."
             )
     plain = [cell.plain for cell in cells]
+    if "altitude" in places and plain[places["altitude"]] == "z" and "coordinate1" not in plain:
+        del places["altitude"]  # elsewhere z may be of a local grid
     if "gimballyaw" in plain and "altitude" in places and "height_above_takeoff" not in places:
         # wildnav copies its column Altitude from RelativeAltitude.
         places["height_above_takeoff"], factors["height_above_takeoff"] = places.pop("altitude"), factors["altitude"]

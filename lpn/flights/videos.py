@@ -124,7 +124,7 @@ def embedded_subtitles(video: Path, gps_order: GpsOrder | None = None) -> Subtit
             for stream in container.streams.subtitles:
                 blocks = list(_blocks(container, stream))
                 try:
-                    return parse_subtitles(blocks, f"the subtitles in {printable(video.name)}", gps_order)
+                    return parse_subtitles(blocks, f"the subtitle stream of {printable(video.name)}", gps_order)
                 except DataError as error:
                     unread = unread or error  # perhaps a stream of spoken words
     except (av.FFmpegError, OSError, ValueError) as error:

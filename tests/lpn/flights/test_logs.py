@@ -479,6 +479,11 @@ def test_a_log_whose_columns_are_swapped_is_turned_where_the_photos_prove_it(tmp
     assert "Latitude and longitude of log.csv are swapped, as the photos' own positions say." in flight.notes
 
 
+def test_logs_that_were_joined_have_the_line_of_names_again(tmp_path: Path) -> None:
+    log = read_log(written(tmp_path, "name,lat,lon\na.jpg,47.3,8.5\nname,lat,lon\nb.jpg,47.4,8.5\n"))
+    assert [(row.file, row.entry.latitude, row.line) for row in log.rows] == [("a.jpg", 47.3, 2), ("b.jpg", 47.4, 4)]
+
+
 def test_text_that_is_no_log_is_left_out_and_the_run_goes_on(tmp_path: Path) -> None:
     photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
     files = [

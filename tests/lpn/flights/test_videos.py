@@ -61,6 +61,23 @@ def test_subtitles_inside_the_video_are_read(tmp_path: Path) -> None:
     assert not any("recordings" in note for note in flight.notes)
 
 
+@pytest.mark.parametrize(
+    ("text", "latitude", "note"),
+    [
+        ("HOME(E: 8.5, N: 47.3)\\NGPS(E: 8.501, N: 47.301, 574.2m)", 47.301, None),
+        ("GPS(E: 8.501, N: 47.301, 574.2m)", 47.301, None),
+        ("Bat 15.1 V", None, "the subtitle stream of inside.mp4 holds no telemetry"),
+    ],
+)
+def test_subtitles_inside_are_read_in_every_dialect_or_named(
+    tmp_path: Path, text: str, latitude: float | None, note: str | None
+) -> None:
+    video = embed(write_video(tmp_path / "plain.mp4", 2), [text] * 2, tmp_path / "inside.mp4")
+    flight = make_flight([video], tmp_path / "flight")
+    assert flight.frames[0].latitude == latitude
+    assert note is None or any(one.startswith(note) and f"one of its lines is {text!r}" in one for one in flight.notes)
+
+
 def test_without_telemetry_frames_have_times_only(tmp_path: Path) -> None:
     flight = make_flight(
         [write_video(tmp_path / "a.mp4", 2)], tmp_path / "flight", FlightOptions(fov=70.0, pitch=-90.0)
