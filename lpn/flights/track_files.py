@@ -16,11 +16,8 @@ import zlib
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
-
-import gpxpy
-import gpxpy.gpx
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
@@ -28,8 +25,13 @@ from lpn.flights import values
 from lpn.flights.logs import Log, LogRow, picture_name, seconds_of
 from lpn.flights.telemetry import TelemetryEntry
 
+if TYPE_CHECKING:
+    from gpxpy.gpx import GPX
+
 SUFFIXES = (".gpx", ".kml", ".kmz")
 _MOST_BYTES = 100_000_000
+# A damaged track is tried again so often with less of it, point by point below so many letters.
+_MOST_TRIES, _SHORT = 20, 4000
 _DTD = re.compile(r"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 _DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
 _BARE_AMPERSAND = re.compile(r"&(?!#?\w{1,10};)")
@@ -140,9 +142,8 @@ def _gpx_points(text: str, name: str) -> _Points:
     if _COMMA_DEGREES.search(text):
         text = _COMMA_DEGREES.sub(r"\1.\2", text)
         points.notes.append(f"The commas within numbers of {name} count as decimal commas: 47,301 is 47.301.")
-    try:
-        gpx = gpxpy.parse(text)
-    except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+    gpx = _parsed(text)
+    if gpx is None:
         gpx = _without_rest(text, name)
         points.notes.append(_cut_note(name))
     for track in gpx.tracks:
@@ -155,18 +156,27 @@ def _gpx_points(text: str, name: str) -> _Points:
     return points
 
 
-def _without_rest(text: str, name: str) -> gpxpy.gpx.GPX:
+def _parsed(text: str) -> GPX | None:
+    """Return a GPX document, None if it is damaged."""
+    import gpxpy  # its import takes a tenth of a second
+
+    try:
+        return gpxpy.parse(text)
+    except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _without_rest(text: str, name: str) -> GPX:
     """Return the track before the damage of a file: up to its last whole point that leaves it readable."""
     closing = "</trkpt>"
     end = text.rfind(closing)
-    for _ in range(20):
+    for _ in range(_MOST_TRIES):
         if end < 0:
             break
-        try:
-            return gpxpy.parse(text[: end + len(closing)] + "</trkseg></trk></gpx>")
-        except (gpxpy.gpx.GPXException, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-            # Damage in the middle: half of what is before it is tried.
-            end = text.rfind(closing, 0, end // 2 if end > 4000 else end)
+        if (gpx := _parsed(text[: end + len(closing)] + "</trkseg></trk></gpx>")) is not None:
+            return gpx
+        # Damage in the middle: half of what is before it is tried.
+        end = text.rfind(closing, 0, end // 2 if end > _SHORT else end)
     raise DataError(f"{name} is damaged, and no point of it can be read; export the track again.")
 
 
