@@ -58,6 +58,8 @@ _EPOCHS = (1e9, 1e11)
 # Rows that are farther apart than so many seconds in the median count milliseconds, or microseconds.
 _MILLISECONDS, _MICROSECONDS = 1e3, 2e4
 _SCALED = 1e7
+# A log with a larger share of positions that are none on the Earth is refused.
+_MOST_BEYOND = 0.1
 # Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
 _LEAST_SCALED = 2e7
 # What the first line of a geo.txt in degrees says.
@@ -347,7 +349,9 @@ def _table(text: str, name: str) -> _Table:
         rows = rows[1:]
     if not rows:
         raise DataError(f"{name} has column names and no row; expected one row a picture or moment.")
-    rows = _rejoined(rows, header, columns, name, notes) if delimiter == "," else rows
+    if delimiter == ",":
+        rows = _with_whole_positions(rows, len(header), columns.places.get("position"))
+        rows = _rejoined(rows, header, columns, name, notes)
     commas = any(
         _COMMA_DECIMAL.fullmatch(_at(cells, columns.places[what]))
         for _, cells in rows for what in ("latitude", "longitude") if what in columns.places
@@ -452,6 +456,15 @@ def _cells(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -
         ) from error
 
 
+def _with_whole_positions(
+    rows: list[tuple[int, list[str]]], columns: int, at: int | None
+) -> list[tuple[int, list[str]]]:
+    """Join a latitude and a longitude in one column that the comma between them splits, as FrSky's Ethos writes them."""
+    if at is None or any(len(cells) != columns + 1 or values.angle(_at(cells, at + 1)) is None for _, cells in rows):
+        return rows
+    return [(line, [*cells[:at], f"{cells[at]}, {cells[at + 1]}", *cells[at + 2 :]]) for line, cells in rows]
+
+
 def _rejoined(
     rows: list[tuple[int, list[str]]], header: Sequence[str], columns: LogColumns, name: str, notes: list[str]
 ) -> list[tuple[int, list[str]]]:
@@ -526,14 +539,19 @@ def _positions(table: _Table, name: str) -> tuple[list[tuple[float | None, float
     elif values.seem_radians(latitudes, longitudes, texts):
         found = np.degrees(found)
         notes.append(f"The positions of {name} count as radians: as degrees they would be at sea, near 0, 0.")
-    for row, (latitude, longitude) in zip(rows, found.tolist(), strict=True):
-        if abs(latitude) > 90 or abs(longitude) > 180:
-            grid = (
-                " Eastings and northings of a map are not read; export degrees of WGS 84." if size.min() > 1000 else ""
-            )
-            raise DataError(
-                f"{row.where} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to 90.{grid}"
-            )
+    beyond = np.flatnonzero((np.abs(found) > (90, 180)).any(axis=1))
+    if len(beyond) > _MOST_BEYOND * known.sum():
+        row, (latitude, longitude) = rows[beyond[0]], found[beyond[0]]
+        grid = " Eastings and northings of a map are not read; export degrees of WGS 84." if size.min() > 1000 else ""
+        raise DataError(
+            f"{row.where} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to 90.{grid}"
+        )
+    if len(beyond):
+        found[beyond] = np.nan
+        first = table.rows[beyond[0]][0]
+        notes.append(
+            f"{len(beyond)} positions of {name} are none on the Earth and were not used, first in line {first}."
+        )
     places = [(None, None) if math.isnan(latitude) else (latitude, longitude) for latitude, longitude in found.tolist()]
     return places, notes, is_scaled
 

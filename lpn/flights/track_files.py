@@ -92,6 +92,7 @@ def parse_track(data: bytes, name: str) -> Log:
         raise DataError(
             f"{name} has a DTD or entities, which no track needs, so it was not read; save it without them."
         )
+    text = _without_prefix(text[max(text.find("<"), 0) :])
     text = _ZONE_NAME.sub(r"\1", _BARE_AMPERSAND.sub("&amp;", _DECLARATION.sub("", text)))
     if "<kml" in text:
         points = _kml_points(text, name)
@@ -108,6 +109,12 @@ def parse_track(data: bytes, name: str) -> Log:
     elif not points.rows:
         raise DataError(f"{name} has no point with a position; expected a track.")
     return Log(name, tuple(points.rows), points.zoned, tuple(points.notes))
+
+
+def _without_prefix(text: str) -> str:
+    """Return GPX whose elements have no prefix, which gpxpy does not find: <ns2:trkpt> is <trkpt>."""
+    root = re.search(r"<(\w{1,40}):gpx\b", text)
+    return text if root is None else re.sub(rf"(</?){root[1]}:(?=\w)", r"\1", text)
 
 
 def _unzipped(data: bytes, name: str) -> bytes:

@@ -265,6 +265,10 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
         "Date,Time,1RSS(dB),GPS,Hdg(°),Alt(m)\n2024-05-01,12:00:01.100,-50,47.301 8.501,30,45\n",
         (47.301, 8.501, None, 45.0, 30.0, None, 1714564801.1), "",
     ),
+    "ethos.csv": (
+        "Date,Time,GPS,RSSI(dB)\n2024-05-01,12:00:00.500,47.301,-8.501,75\n2024-05-01,12:00:01.500,47.302,-8.501,75\n",
+        (47.301, -8.501, None, None, None, None, 1714564800.5), "",
+    ),
     "opentx.csv": (
         "Date,Time,GPS\n2024-05-01,12:00:01.100,4718.0600 N 830.0600 E\n",
         (47.301, 8.501, None, None, None, None, 1714564801.1), "",
@@ -477,6 +481,18 @@ def test_a_log_whose_columns_are_swapped_is_turned_where_the_photos_prove_it(tmp
     )
     assert (flight.frames[0].latitude, flight.frames[0].longitude) == (47.3001, 8.5001)
     assert "Latitude and longitude of log.csv are swapped, as the photos' own positions say." in flight.notes
+
+
+def test_a_few_positions_that_are_none_are_left_out_and_many_refuse_the_log(tmp_path: Path) -> None:
+    rows = [f"{'-5.797e+148' if i == 7 else 47 + i / 1000},8.5\n" for i in range(30)]
+    log = read_log(written(tmp_path, "lat,lon\n" + "".join(rows)))
+    assert [row.line for row in log.rows if row.entry.latitude is None] == [9]
+    assert log.notes == (
+        "1 positions of log.csv are none on the Earth and were not used, first in line 9.",
+        "1 of 30 rows of log.csv have no position.",
+    )
+    with pytest.raises(DataError, match=r"Line 2 of log\.csv has the position 64\.0359, 407\.553; expected degrees"):
+        read_log(written(tmp_path, "Lat,Lng\n64.0359128,407.5528816\n64.0359138,407.5528816\n"))
 
 
 def test_logs_that_were_joined_have_the_line_of_names_again(tmp_path: Path) -> None:

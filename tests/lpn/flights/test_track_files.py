@@ -94,6 +94,29 @@ def test_times_of_other_spellings_are_read(spelling: str, clock: float) -> None:
     assert (log.rows[0].entry.clock, log.utc) == (clock, True)
 
 
+def test_gpx_of_other_writers_is_read(tmp_path: Path) -> None:
+    rows = parse_track(gpx(3).encode(), "a.gpx").rows
+    prefixed = (
+        gpx(3)
+        .replace('xmlns="http://www.topografix.com/GPX/1/1"', 'xmlns="http://www.garmin.com/x" xmlns:ns2="http://www.topografix.com/GPX/1/1"')
+        .replace("</", "</ns2:").replace("<trk", "<ns2:trk").replace("<gpx", "<ns2:gpx").replace("<ele", "<ns2:ele")
+        .replace("<time", "<ns2:time").replace("<name", "<ns2:name")
+    )  # fmt: skip
+    assert parse_track(prefixed.encode(), "a.gpx").rows == rows
+    # A mark of UTF-8 that was taken for letters, and extensions in the namespace of GPX.
+    assert parse_track(f"\u00ef\u00bb\u00bf{gpx(3)}".encode(), "a.gpx").rows == rows
+    extended = gpx(3).replace("</ele>", "</ele><extensions><speed>3</speed></extensions>")
+    assert parse_track(extended.encode(), "a.gpx").rows == rows
+    # Coordinates in the wrong order, which the photo's own position proves.
+    flipped = KML.format(TRACK.replace("8.5 47.30", "47.3 8.50"))
+    (tmp_path / "track.kml").write_text(flipped, "utf-8")
+    clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 1.0)}
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5, gps=clock))
+    flight = make_flight([photo, tmp_path / "track.kml"], tmp_path / "flight")
+    assert (flight.frames[0].latitude, flight.frames[0].longitude) == pytest.approx((47.3, 8.501))
+    assert "Latitude and longitude of track.kml are swapped, as the photos' own positions say." in flight.notes
+
+
 def test_a_track_whose_times_are_all_the_same_fits_nothing_and_says_so(tmp_path: Path) -> None:
     text = gpx(20)
     for i in range(20):
