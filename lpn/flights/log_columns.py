@@ -74,6 +74,9 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
         "altitude": "heightz",
         "heading": "hdg", "time": "timeus timeboot", "date": "timeutcusec",
     },
+    "https://github.com/koen-aerts/potdroneflightparser": {  # Potensic
+        "latitude": "dronelat", "longitude": "dronelon", "height_above_takeoff": "altitude2metric",
+    },
     "https://github.com/h-elsner/Q500log2kml": {"date": "unnamedtime"},
     "https://github.com/aleiby/kml2g1000": {"date": "lcldate localdate", "clock": "lcltime localtime"},  # Garmin G1000
     "https://github.com/mikeemoo/dji-log-parser/issues/7": {"height_above_takeoff": "ascent"},  # Flytrex

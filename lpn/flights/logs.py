@@ -58,6 +58,8 @@ _EPOCHS = (1e9, 1e11)
 # Rows that are farther apart than so many seconds in the median count milliseconds, or microseconds.
 _MILLISECONDS, _MICROSECONDS = 1e3, 2e4
 _SCALED = 1e7
+# A recording of fewer seconds marks the beginning of a video alone.
+_LEAST_RECORDING = 1.5
 # A log with a larger share of positions that are none on the Earth is refused.
 _MOST_BEYOND = 0.1
 # Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
@@ -217,26 +219,25 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     timed = [(row, time) for row, time in zip(log.rows, clocks, strict=True) if time is not None]
     if not timed:
         raise DataError(f"{log.name} tells no times, so it does not fit a video; expected a column time or datetime.")
-    runs: list[list[tuple[LogRow, float]]] = []
-    before = False
-    for row, time in timed:
-        if row.recording and not before:
-            runs.append([])
-        if row.recording:
-            runs[-1].append((row, time))
-        before = bool(row.recording)
-    notes = []
-    start = None
+    starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
+    ends = [next((j for j in range(i, len(timed)) if not timed[j][0].recording), len(timed)) for i in starts]
+    notes, start = [], None
     if not any(row.recording is not None for row, _ in timed):
-        runs, number = [timed], 0
+        starts, ends, number = [0], [len(timed)], 0
         start, note = _start(log, began, timed)
         notes.append(note)
-    if number >= len(runs):
+    if number >= len(starts):
         raise DataError(
-            f"{log.name} tells of {len(runs)} recordings, and this is video {number + 1}; give the log of this flight."
+            f"{log.name} tells of {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
         )
-    start = runs[number][0][1] if start is None else start
-    entries, note_of_twice = _distinct([replace(row.entry, time=time - start) for row, time in runs[number]], log.name)
+    first, end = starts[number], ends[number]
+    if start is None and timed[end - 1][1] - timed[first][1] < _LEAST_RECORDING:
+        end = starts[number + 1] if number + 1 < len(starts) else len(timed)
+        notes.append(f"{log.name} tells when the video began and not how long it is; all rows from there on were used.")
+    start = timed[first][1] if start is None else start
+    entries, note_of_twice = _distinct(
+        [replace(row.entry, time=time - start) for row, time in timed[first:end]], log.name
+    )
     return entries, notes + ([] if note_of_twice is None else [note_of_twice])
 
 
@@ -263,7 +264,8 @@ class _Cells:
     def text(self, what: str) -> str:
         """Return the text of a value, "" for one that is unknown."""
         at = self.table.columns.places.get(what)
-        text = "" if at is None or at >= len(self.cells) else self.cells[at].strip()
+        # Programs that fear formulas write an apostrophe before a minus sign.
+        text = "" if at is None or at >= len(self.cells) else self.cells[at].strip().removeprefix("'")
         return "" if text.casefold() in _UNKNOWN else text
 
     def value(self, what: str) -> float | None:

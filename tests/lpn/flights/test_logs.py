@@ -119,6 +119,19 @@ def test_airdata_s_feet_become_metres_and_its_recordings_begin_with_the_video(tm
     )
 
 
+def test_a_log_that_tells_only_when_the_recording_began_is_used_from_there_on(tmp_path: Path) -> None:
+    rows = [f"{1000 * i},{47 + i / 1000},8.5,{int(i in (3, 12))}\n" for i in range(20)]
+    log = read_log(written(tmp_path, "time(millisecond),latitude,longitude,isVideo\n" + "".join(rows)))
+    entries, notes = for_video(log, 0)
+    assert [(entry.time, entry.latitude) for entry in entries] == [
+        (float(i), pytest.approx(47.003 + i / 1000)) for i in range(9)
+    ]
+    assert notes == ["log.csv tells when the video began and not how long it is; all rows from there on were used."]
+    assert [entry.time for entry in for_video(log, 1)[0]] == [float(i) for i in range(8)]
+    with pytest.raises(DataError, match=r"log\.csv tells of 2 recordings, and this is video 3"):
+        for_video(log, 2)
+
+
 def test_a_log_of_moments_fits_photos_by_utc(tmp_path: Path) -> None:
     gps = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 4.0)}
     write_photo(tmp_path / "a.jpg", exif(1.0, 2.0, gps=gps))
@@ -264,6 +277,17 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
     "edgetx.csv": (
         "Date,Time,1RSS(dB),GPS,Hdg(°),Alt(m)\n2024-05-01,12:00:01.100,-50,47.301 8.501,30,45\n",
         (47.301, 8.501, None, 45.0, 30.0, None, 1714564801.1), "",
+    ),
+    "potensic.csv": (
+        "recnum,timestamp,tod,time,altitude2metric,ctrllat,ctrllon,homelat,homelon,dronelat,dronelon\n"
+        "1,2024-05-01 12:00:00.5,12:00:00,0:00:00,45.2,1,2,3,4,47.301,8.501\n",
+        (47.301, 8.501, 45.2, None, None, None, 1714564800.5), "",
+    ),
+    "apostrophes.csv": ("name,lat,long\na.jpg,'-33.4,'-70.5\n", (-33.4, -70.5, None, None, None, None, None), ""),
+    "suffixes.csv": ("name;lat;long\na.jpg;1.23456N;8.5W\n", (1.23456, -8.5, None, None, None, None, None), ""),
+    "semicolons_within.csv": (
+        '"lat","lon","name","foo; bar; baz; blah; boom"\n"47.301","8.501","a.jpg","a; b; c; d; e"\n',
+        (47.301, 8.501, None, None, None, None, None), "",
     ),
     "ethos.csv": (
         "Date,Time,GPS,RSSI(dB)\n2024-05-01,12:00:00.500,47.301,-8.501,75\n2024-05-01,12:00:01.500,47.302,-8.501,75\n",
