@@ -14,13 +14,11 @@ names a unit, metres, degrees, and seconds are meant. GPX and KML are read by `l
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -30,33 +28,13 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flights import cameras, values
 from lpn.flights.base import HeadingSource
-from lpn.flights.log_columns import LogColumns, columns_of
+from lpn.flights.log_tables import LogTable, cell_at, table_of
+from lpn.flights.log_times import clocks_of, elapsed_of, number_or_nan
 from lpn.flights.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
-# The line of names is looked for among so many lines. DroneDeploy's has some thirty lines before it.
-_MOST_HEAD = 200
-_DELIMITERS = (",", ";", "\t", "|", None)
-_PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
-_UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
-# A second line with units, as in FlySight's files.
-_UNIT_CELL = re.compile(r"[(\[]?(?:deg|degrees|°|rad|dd|decimal degrees)[)\]]?", re.IGNORECASE)
 _SIMPLE = re.compile(r"[-+]?\d{1,15}(?:\.\d{1,20})?", re.ASCII)
-_COMMA_DECIMAL = re.compile(r"[-+]?\d{1,3},\d+")
-_DATE = re.compile(
-    r"(?:(?P<year>\d{4})[-:/.](?P<month>\d{1,2})[-:/.](?P<day>\d{1,2})|(?P<first>\d{1,2})(?P<sign>[-/.])(?P<second>\d{1,2})[-/.]"
-    r"(?P<late>\d{4}|\d{2})|(?P<packed>\d{8}))?"
-    r"(?:(?:^|[T ,]+)(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<seconds>\d{2})(?:[.,:](?P<fraction>\d{1,9}))?)?)?"
-    r"\s*(?P<half>[AP]\.?M\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d{2}(?::?\d{2})?)?",
-    re.IGNORECASE | re.ASCII,
-)
-# GPS time is ahead of UTC by so many seconds since 2017.
-_GPS_AHEAD = 18.0
-# Epochs in seconds; larger ones are in milli-, micro-, or nanoseconds. Smaller numbers count from a start.
-_EPOCHS = (1e9, 1e11)
-# Rows that are farther apart than so many seconds in the median count milliseconds, or microseconds.
-_MILLISECONDS, _MICROSECONDS = 1e3, 2e4
 _SCALED = 1e7
 # A recording of fewer seconds marks the beginning of a video alone.
 _LEAST_RECORDING = 1.5
@@ -64,8 +42,6 @@ _LEAST_RECORDING = 1.5
 _MOST_BEYOND = 0.1
 # Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
 _LEAST_SCALED = 2e7
-# What the first line of a geo.txt in degrees says.
-_GEOGRAPHIC = re.compile(r"EPSG:4326|longlat|WGS ?84", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -100,17 +76,6 @@ class Log:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Table:
-    """The lines of a log below its names: the columns, rows of cells with their line numbers, and whether commas are decimal."""
-
-    columns: LogColumns
-    header: tuple[str, ...]
-    rows: list[tuple[int, list[str]]]
-    commas: bool
-    notes: list[str]
-
-
 def read_log(file: Path) -> Log:
     """Read a log that is a table.
 
@@ -129,11 +94,11 @@ def read_log(file: Path) -> Log:
         raise DataError(
             f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."
         )
-    table = _table(values.decoded(data, name), name)
+    table = table_of(values.decoded(data, name), name)
     places, notes, is_scaled = _positions(table, name)
     table = _with_mavlink_units(table) if is_scaled else table
-    clocks, zoned, clock_notes = _clocks(table, name)
-    times = _seconds(table)
+    clocks, zoned, clock_notes = clocks_of(table, name)
+    times = elapsed_of(table)
     rows = []
     for i, (line, cells) in enumerate(table.rows):
         entry = TelemetryEntry(times[i], clocks[i], *places[i])
@@ -156,19 +121,6 @@ def rows_by_name(log: Log) -> dict[str, list[LogRow]]:
 def path_parts(path: str) -> tuple[str, ...]:
     """Return the folders and the name of a path of any system in lower case."""
     return tuple(part.strip().casefold() for part in path.replace("\\", "/").split("/") if part.strip()) or ("",)
-
-
-def picture_name(text: str) -> str | None:
-    """Return a text without spaces about it if it is the name of a picture, else None."""
-    text = text.strip()
-    return text if len(text) < 1000 and _PICTURE.fullmatch(text) else None
-
-
-def seconds_of(text: str) -> tuple[float | None, bool]:
-    """Return a date's seconds since 1970-01-01, None if it is none; and whether it has a zone, without which it counts as UTC."""
-    match = _DATE.fullmatch(text.strip()) if len(text) < 100 else None
-    clock = None if match is None else _date(match, False)
-    return clock, clock is not None and match is not None and match["zone"] is not None
 
 
 def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
@@ -257,16 +209,13 @@ def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]])
 class _Cells:
     """The cells of one row, with the place of the row for messages."""
 
-    table: _Table
+    table: LogTable
     cells: Sequence[str]
     where: str
 
     def text(self, what: str) -> str:
         """Return the text of a value, "" for one that is unknown."""
-        at = self.table.columns.places.get(what)
-        # Programs that fear formulas write an apostrophe before a minus sign.
-        text = "" if at is None or at >= len(self.cells) else self.cells[at].strip().removeprefix("'")
-        return "" if text.casefold() in _UNKNOWN else text
+        return self.table.text(self.cells, what)
 
     def value(self, what: str) -> float | None:
         """Return a value in metres or degrees; None if it is unknown.
@@ -326,195 +275,7 @@ class _Cells:
         return found[0], found[1]
 
 
-def _table(text: str, name: str) -> _Table:
-    """Find the line of names, and split the lines below it into cells."""
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.splitlines(), 1)
-        if line.strip() and not line.startswith("sep=")
-    ]
-    if not lines:
-        raise DataError(f"{name} is empty; expected a log with a line of column names.")
-    at, delimiter, header, notes = _header(lines, name)
-    lines = lines[at + 1 :]
-    columns = columns_of(header, name)
-    lines = [(number, line) for number, line in lines if not line.startswith(("#", "%"))]
-    # Logs that were joined have the line of names again.
-    rows = [
-        (line, cells) for line, cells in _cells(lines, delimiter, name) if [cell.strip() for cell in cells] != header
-    ]
-    if (
-        rows
-        and columns.places.keys() >= {"latitude"}
-        and _UNIT_CELL.fullmatch(_at(rows[0][1], columns.places["latitude"]))
-    ):
-        rows = rows[1:]
-    if not rows:
-        raise DataError(f"{name} has column names and no row; expected one row a picture or moment.")
-    if delimiter == ",":
-        rows = _with_whole_positions(rows, len(header), columns.places.get("position"))
-        rows = _rejoined(rows, header, columns, name, notes)
-    commas = any(
-        _COMMA_DECIMAL.fullmatch(_at(cells, columns.places[what]))
-        for _, cells in rows for what in ("latitude", "longitude") if what in columns.places
-    )  # fmt: skip
-    if commas:
-        notes.append(f"The commas within numbers of {name} count as decimal commas: 47,301 is 47.301.")
-    return _Table(columns, tuple(header), rows, commas, notes)
-
-
-def _at(cells: Sequence[str], at: int) -> str:
-    return cells[at].strip() if at < len(cells) else ""
-
-
-def _split(line: str, delimiter: str | None) -> list[str]:
-    if delimiter is None:
-        return line.split()
-    try:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [""])]
-    except csv.Error:
-        return [line]
-
-
-def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | None, list[str], list[str]]:
-    """Return the index of the line of names, the delimiter, the names, and notes.
-
-    Files of Pix4D and OpenDroneMap's geo.txt have none: the names are known, and the index is that of the line before the rows.
-    """
-    for at, (_, line) in enumerate(lines[:_MOST_HEAD]):
-        for delimiter in _DELIMITERS:
-            header = _split(line, delimiter)
-            if len(header) < 2 or any(values.angle(cell) is not None for cell in header):
-                continue
-            header = header[1:] if header[0] in ("#", "%") else header
-            if not columns_of(header, name).has_position:
-                continue
-            # RTKLIB writes a date and a time below one name.
-            if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):
-                header = [re.sub(r"^height\b", "ellipsoidal height", cell) for cell in header[1:]]
-                header = ["GPST" if "GPST" in line else "UTC", "time of day", *header]
-            return at, delimiter, header, []
-    first = next((i for i, (_, line) in enumerate(lines[:_MOST_HEAD]) if not line.startswith("#")), 0)
-    for delimiter in _DELIMITERS:
-        if _is_picture_row(lines[first][1], delimiter):
-            note = "latitude before longitude was taken, as in Pix4D's files"
-            return first - 1, delimiter, ["file", "lat", "lon", "alt"], [_without_names(name, note)]
-        if (
-            len(lines) > first + 1
-            and _is_picture_row(lines[first + 1][1], delimiter)
-            and _GEOGRAPHIC.search(lines[first][1])
-        ):
-            note = "longitude before latitude was taken, as in geo.txt of OpenDroneMap"
-            return first, delimiter, ["file", "lon", "lat", "alt"], [_without_names(name, note)]
-    raise DataError(_no_position(lines, name))
-
-
-def _without_names(name: str, note: str) -> str:
-    return f"{name} has no line of column names; {note}. Angles in it were not read."
-
-
-def _is_picture_row(line: str, delimiter: str | None) -> bool:
-    """Return whether a line has a picture's name and two numbers."""
-    cells = _split(line, delimiter)
-    return (
-        len(cells) > 2
-        and bool(_PICTURE.fullmatch(cells[0]))
-        and all(values.angle(cell) is not None for cell in cells[1:3])
-    )
-
-
-def _no_position(lines: Sequence[tuple[int, str]], name: str) -> str:
-    """Return the message about a file without a position; columns that may be one are named."""
-    delimiter = max(",;\t", key=lines[0][1].count)
-    header = _split(lines[0][1].lstrip("#% "), delimiter)
-    message = (
-        f"{name} has the columns {printable(', '.join(header))[:300]}; expected latitude and longitude among them."
-    )
-    if any(word in lines[0][1].casefold() for word in ("easting", "northing", "utm", "epsg")):
-        return message + " Eastings and northings of a map are not read; export degrees of WGS 84."
-    second = _split(lines[1][1], delimiter) if len(lines) > 1 else []
-    likely = [
-        header[i]
-        for i, cell in enumerate(second[: len(header)])
-        if re.fullmatch(r"-?\d{1,3}\.\d{4,}", cell) and abs(float(cell)) <= 180
-    ]
-    if len(likely) < 2:
-        return message
-    return message + f" {printable(likely[0])} and {printable(likely[1])} look like degrees; if they are, name them so."
-
-
-def _cells(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the cells of each row with the number of its last line."""
-    if delimiter is None:
-        yield from ((number, line.split()) for number, line in lines)
-        return
-    reader = csv.reader((line for _, line in lines), delimiter=delimiter)
-    try:
-        for cells in reader:
-            yield lines[reader.line_num - 1][0], cells
-    except csv.Error as error:
-        raise DataError(
-            f"Line {lines[min(reader.line_num, len(lines)) - 1][0]} of {name} is not comma-separated values; correct it."
-        ) from error
-
-
-def _with_whole_positions(
-    rows: list[tuple[int, list[str]]], columns: int, at: int | None
-) -> list[tuple[int, list[str]]]:
-    """Join a latitude and a longitude in one column that the comma between them splits, as FrSky's Ethos writes them."""
-    if at is None or any(len(cells) != columns + 1 or values.angle(_at(cells, at + 1)) is None for _, cells in rows):
-        return rows
-    return [(line, [*cells[:at], f"{cells[at]}, {cells[at + 1]}", *cells[at + 2 :]]) for line, cells in rows]
-
-
-def _rejoined(
-    rows: list[tuple[int, list[str]]], header: Sequence[str], columns: LogColumns, name: str, notes: list[str]
-) -> list[tuple[int, list[str]]]:
-    """Join numbers whose decimal commas also separate the cells: 47,301,8,501 under lat,lon.
-
-    Raises:
-        DataError: if such numbers can be joined in more than one way.
-    """
-    places = [columns.places[what] for what in ("latitude", "longitude") if what in columns.places]
-    longer = [
-        (line, cells)
-        for line, cells in rows
-        if len(cells) > len(header)
-        and any(cells[len(header) :])
-        and all(re.fullmatch(r"[-+]?\d{1,3}", _at(cells, at)) for at in places[:1])
-    ]
-    if len(longer) * 2 <= len(rows) or not places:
-        return rows
-    joined = []
-    for line, cells in rows:
-        ways = _ways([cell.strip() for cell in cells], len(header))
-        if len(ways) != 1:
-            raise DataError(
-                f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas "
-                "give; save it with decimal points, or with semicolons between the values."
-            )
-        joined.append((line, ways[0]))
-    notes.append(f"{name} has commas both within and between numbers; they were joined to one number a column.")
-    return joined
-
-
-def _ways(cells: Sequence[str], columns: int) -> list[list[str]]:
-    """Return the ways to join neighbouring whole numbers to decimals so that a row has a number of columns; two at most."""
-    ways: list[list[str]] = []
-    todo: list[tuple[int, list[str]]] = [(0, [])] if len(cells) <= 2 * columns else []
-    while todo and len(ways) < 2:
-        at, row = todo.pop()
-        left, wanted = len(cells) - at, columns - len(row)
-        if not left and not wanted:
-            ways.append(row)
-        elif left and wanted and wanted <= left <= 2 * wanted:
-            todo.append((at + 1, [*row, cells[at]]))
-            if left > 1 and re.fullmatch(r"[-+]?\d+", cells[at]) and cells[at + 1].isdecimal():
-                todo.append((at + 2, [*row, f"{cells[at]}.{cells[at + 1]}"]))
-    return ways
-
-
-def _positions(table: _Table, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
+def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
     """Return the positions of the rows in degrees, both None where unknown; notes about what the values are; if they are scaled.
 
     Raises:
@@ -558,7 +319,7 @@ def _positions(table: _Table, name: str) -> tuple[list[tuple[float | None, float
     return places, notes, is_scaled
 
 
-def _with_mavlink_units(table: _Table) -> _Table:
+def _with_mavlink_units(table: LogTable) -> LogTable:
     """Return a table whose whole numbers of heights are millimetres, and those of headings beyond 360 hundredths of degrees."""
     factors = dict(table.columns.factors)
     for what, most, factor in (
@@ -567,7 +328,7 @@ def _with_mavlink_units(table: _Table) -> _Table:
         ("heading", 360, 0.01),
     ):
         if what in table.columns.places:
-            cells = [_number_or_nan(_at(row, table.columns.places[what])) for _, row in table.rows]
+            cells = [number_or_nan(cell_at(row, table.columns.places[what])) for _, row in table.rows]
             known = np.array([cell for cell in cells if not math.isnan(cell)])
             if len(known) and (known == np.floor(known)).all() and np.abs(known).max() > most:
                 factors[what] *= factor
@@ -578,116 +339,6 @@ def _are_minutes(found: Float64Array, most: int) -> bool:
     """Return whether angles are degrees and minutes as ddmm.mmmm: beyond the degrees of the Earth, with minutes below 60."""
     size = np.abs(found)
     return bool(len(size) and size.max() > 180 and size.max() < 100 * most + 60 and (size % 100 < 60).all())
-
-
-def _clocks(table: _Table, name: str) -> tuple[list[float | None], bool, list[str]]:
-    """Return seconds since 1970-01-01 of the rows' dates, whether they have a zone, and notes."""
-    texts = []
-    for _, cells in table.rows:
-        row = _Cells(table, cells, "")
-        date, clock = row.text("date"), row.text("clock")
-        if date and clock and clock != date and ":" not in date:
-            date = f"{date} {clock}"
-        texts.append(date or clock)
-    numbers = [_number_or_nan(text) for text in texts]
-    if all(math.isnan(number) for number in numbers):
-        parsed = [_DATE.fullmatch(text) for text in texts]
-        day_first, note = _day_first(parsed, name)
-        found = [None if match is None else _date(match, day_first) for match in parsed]
-        late = (
-            _GPS_AHEAD
-            if "date" in table.columns.places and "gpst" in table.header[table.columns.places["date"]].casefold()
-            else 0.0
-        )
-        zoned = any(match is not None and match["zone"] for match in parsed)
-        notes = [note] if note else []
-        if late:
-            notes.append(f"The times of {name} are GPS time; {late:g} s were taken off for UTC.")
-        return [None if clock is None else clock - late for clock in found], zoned, notes
-    least, most = _EPOCHS
-    scale = 1.0
-    largest = np.nanmax(numbers)
-    while largest * scale > most:
-        scale /= 1000.0
-    clocks = [number * scale if least < number * scale < most else None for number in numbers]
-    if _step(numbers) >= _MILLISECONDS and scale == 1.0:
-        return [None] * len(numbers), False, []
-    return clocks, any(clock is not None for clock in clocks), []
-
-
-def _number_or_nan(text: str) -> float:
-    try:
-        found = float(text)
-    except ValueError:
-        return math.nan
-    return found if math.isfinite(found) else math.nan
-
-
-def _step(numbers: Sequence[float]) -> float:
-    """Return the median difference of neighbouring numbers that differ, 0 if there is none."""
-    known = np.array(numbers, np.float64)
-    steps = np.diff(known[~np.isnan(known)])
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-
-
-def _seconds(table: _Table) -> list[float]:
-    """Return the seconds of the column of time, NaN where unknown."""
-    if "time" not in table.columns.places:
-        return [math.nan] * len(table.rows)
-    at, factor = table.columns.places["time"], table.columns.factors["time"]
-    found = [
-        _number_or_nan(_at(cells, at).replace(",", ".") if table.commas else _at(cells, at)) * factor
-        for _, cells in table.rows
-    ]
-    step = _step(found)
-    if factor == 1.0 and step >= _MILLISECONDS:
-        scale = 1e-6 if step >= _MICROSECONDS else 1e-3
-        found = [time * scale for time in found]
-    return found
-
-
-def _day_first(parsed: Sequence[re.Match[str] | None], name: str) -> tuple[bool, str]:
-    """Return whether dates such as 5/1/2024 have the day first, and a note if that is a guess."""
-    short = [match for match in parsed if match is not None and match["first"]]
-    if not short:
-        return False, ""
-    if any(int(match["first"]) > 12 for match in short):
-        return True, ""
-    if any(int(match["second"]) > 12 for match in short):
-        return False, ""
-    day_first = short[0]["sign"] == "."
-    first = "day" if day_first else "month"
-    return (
-        day_first,
-        f"The dates of {name}, such as {short[0][0].split()[0]}, count as {first} first; nothing in it rules that out.",
-    )
-
-
-def _date(match: re.Match[str], day_first: bool) -> float | None:
-    """Return seconds since 1970-01-01 of a date, None if it is none."""
-    if match["packed"]:
-        year, month, day = match["packed"][:4], match["packed"][4:6], match["packed"][6:]
-    elif match["first"]:
-        month, day = (match["second"], match["first"]) if day_first else (match["first"], match["second"])
-        year = match["late"] if len(match["late"]) == 4 else f"20{match['late']}"
-    else:
-        year, month, day = match["year"], match["month"], match["day"]
-    if year is None:
-        return None
-    hour = int(match["hour"] or 0)
-    if half := (match["half"] or "").upper()[:1]:
-        hour = hour % 12 + (12 if half == "P" else 0)
-    try:
-        found = datetime(
-            int(year), int(month), int(day), hour, int(match["minute"] or 0), int(match["seconds"] or 0), tzinfo=UTC
-        )
-        clock = found.timestamp() + float(f"0.{match['fraction'] or 0}")
-    except (ValueError, OverflowError):
-        return None
-    zone = (match["zone"] or "").replace(":", "")
-    if zone[:1] in ("+", "-") and zone[1:]:
-        clock -= (int(zone[1:3]) * 3600 + int(zone[3:5] or 0) * 60) * (1 if zone[0] == "+" else -1)
-    return clock
 
 
 def _row(entry: TelemetryEntry, cells: _Cells, line: int) -> LogRow:

@@ -22,7 +22,9 @@ from xml.etree import ElementTree
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flights import values
-from lpn.flights.logs import Log, LogRow, picture_name, seconds_of
+from lpn.flights.log_tables import picture_name
+from lpn.flights.log_times import seconds_of
+from lpn.flights.logs import Log, LogRow
 from lpn.flights.telemetry import TelemetryEntry
 
 if TYPE_CHECKING:
