@@ -34,7 +34,6 @@ from lpn.flights.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
-_SIMPLE = re.compile(r"[-+]?\d{1,15}(?:\.\d{1,20})?", re.ASCII)
 _SCALED = 1e7
 # A recording of fewer seconds marks the beginning of a video alone.
 _LEAST_RECORDING = 1.5
@@ -226,8 +225,7 @@ class _Cells:
         text = self.text(what)
         if not text:
             return None
-        simple = _SIMPLE.fullmatch(text)
-        found = float(text) if simple else values.number(values.plain(text), self.table.commas)
+        found = values.number(text if text.isascii() else values.plain(text), self.table.commas)
         if found is None or not math.isfinite(found):
             raise DataError(
                 f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
@@ -244,7 +242,7 @@ class _Cells:
         text = self.text(what)
         if not text:
             return None
-        found = float(text) if _SIMPLE.fullmatch(text) else values.angle(text, letters, self.table.commas)
+        found = values.angle(text, letters, self.table.commas)
         if found is None and "e" in text.casefold():
             found = values.number(text, self.table.commas)
         if found is None or not math.isfinite(found):

@@ -204,9 +204,14 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
             continue
         end = max(end, start if block.end is None else block.end)
         texts.append((_OPEN.sub("", text), start, clock))
-    verdicts = [_has_decimal_commas(raw) for text, _, _ in texts if (raw := _listed(text)) is not None]
+    named = [_named(text) for text, _, _ in texts]
+    lists = [None if all(pair) else _listed(text) for pair, (text, _, _) in zip(named, texts, strict=True)]
+    verdicts = [_has_decimal_commas(raw) for raw in lists if raw is not None]
     commas = verdicts.count(True) > verdicts.count(False)
-    places = [_place_of(text, commas) for text, _, _ in texts]
+    places = [
+        _of_names(*pair) if all(pair) else _place_of(text, raw, commas)
+        for pair, (text, _, _), raw in zip(named, texts, lists, strict=True)
+    ]
     if not any(place.latitude is not None or place.triple is not None for place in places):
         places = [_unnamed(text) for text, _, _ in texts]
     has_points = any("." in place.written for place in places)
@@ -292,13 +297,20 @@ def _items(raw: str, commas: bool) -> list[str]:
     return [".".join(whole[i : i + 2]) for i in range(0, len(whole), 2)]
 
 
-def _place_of(text: str, commas: bool) -> _Place:
-    """Return the position of a subtitle: by names, by GPS or RTK and a list, or by letters of hemispheres alone."""
-    named = [found[1] if (found := pattern.search(text)) else "" for pattern in _COORDINATES]
-    if all(named):
-        latitude, longitude = _place(values.angle(named[0], "NS", True), values.angle(named[1], "EW", True))
-        return _Place(latitude, longitude, written=named[0])
-    if (raw := _listed(text)) is not None:
+def _named(text: str) -> tuple[str, str]:
+    """Return the latitude and longitude that names tell, as they are written; "" without one."""
+    latitude, longitude = (pattern.search(text) for pattern in _COORDINATES)
+    return "" if latitude is None else latitude[1], "" if longitude is None else longitude[1]
+
+
+def _of_names(latitude: str, longitude: str) -> _Place:
+    """Return the position of a written latitude and longitude."""
+    return _Place(*_place(values.angle(latitude, "NS", True), values.angle(longitude, "EW", True)), written=latitude)
+
+
+def _place_of(text: str, raw: str | None, commas: bool) -> _Place:
+    """Return the position of a subtitle: by GPS or RTK and a list, or by letters of hemispheres alone."""
+    if raw is not None:
         place = _of_list(_items(raw, commas), text, commas)
         if place is not None:
             return place
@@ -307,8 +319,7 @@ def _place_of(text: str, commas: bool) -> _Place:
         columns = re.findall("|".join(f"({pattern})" for pattern in _LETTERED.values()), pair[0])
         if len(columns) == 2:
             texts = ["".join(column) for column in zip(*columns, strict=True)]
-            latitude, longitude = _place(values.angle(texts[0], "NS", True), values.angle(texts[1], "EW", True))
-            return _Place(latitude, longitude, written=texts[0])
+            return _of_names(*texts)
     return _Place()
 
 
@@ -354,7 +365,7 @@ def _metres_of(pattern: re.Pattern[str], text: str, commas: bool) -> float | Non
 
 def _entry(text: str, start: float, clock: float | None, place: _Place, commas: bool) -> TelemetryEntry:
     """Parse one subtitle with its position."""
-    written = {re.sub("[^a-z]", "", name.casefold()): (number, unit) for name, number, unit in _NAMED.findall(text)}
+    written = {name.casefold().replace("_", ""): (number, unit) for name, number, unit in _NAMED.findall(text)}
 
     def value(what: str) -> float | None:
         return next((values.number("".join(written[name]), commas) for name in _NAMES[what] if name in written), None)

@@ -22,6 +22,8 @@ _SIGNS = str.maketrans(
 _TAG = re.compile(r"<[^<>\n]{0,200}>")
 # Some firmware writes a second sign behind the point: -117.-9605.
 _SECOND_SIGN = re.compile(r"(\d\.)-(?=\d)")
+# Most numbers are so, and are read at once.
+_SIMPLE = re.compile(r"[-+]?\d{1,15}(?:\.\d{1,20})?", re.ASCII)
 _PART = r"\d+(?:\.\d+)?"
 _ANGLE = re.compile(
     rf"(?P<before>[NSEW]|north|south|east|west)?\s*:?\s*(?P<sign>[-+])?\s*(?P<degrees>{_PART})\s*"
@@ -79,6 +81,8 @@ def number(text: str, comma: bool = False) -> float | None:
         text: such as "45.2 m", "148 ft", "1,234.5", or "512.3 m Below Sea Level".
         comma: a comma is the decimal sign; otherwise one before three digits groups thousands.
     """
+    if _SIMPLE.fullmatch(text):
+        return float(text)
     found = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST else None
     if found is None:
         return None
@@ -108,6 +112,8 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
         letters: of the hemispheres that fit.
         comma: a comma is the decimal sign.
     """
+    if _SIMPLE.fullmatch(text):
+        return float(text)
     if len(text) > _LONGEST:
         return None
     text = plain(text).strip()
@@ -137,7 +143,7 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
 
 def letter_of(text: str) -> str:
     """Return the letter N, S, E, or W of an angle, "" without one."""
-    found = _ANGLE.fullmatch(plain(text).strip()) if len(text) <= _LONGEST else None
+    found = _ANGLE.fullmatch(plain(text).strip()) if len(text) <= _LONGEST and not _SIMPLE.fullmatch(text) else None
     return "" if found is None else (found["before"] or found["after"] or "")[:1].upper()
 
 
