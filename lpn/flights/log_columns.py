@@ -98,8 +98,8 @@ UNITS = {
     "feet": 0.3048, "foot": 0.3048, "ft": 0.3048, "meters": 1.0, "metres": 1.0, "meter": 1.0, "metre": 1.0, "m": 1.0, "cm": 0.01,
     "mm": 0.001, "km": 1000.0, "degrees": 1.0, "degree": 1.0, "deg": 1.0, "°": 1.0, "rad": math.degrees(1),
     "radians": math.degrees(1), "millisecond": 0.001, "milliseconds": 0.001, "ms": 0.001, "us": 1e-6, "µs": 1e-6, "s": 1.0,
-    "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "wgs84": 1.0, "amsl": 1.0, "msl": 1.0, "utc": 1.0, "gmt": 1.0,
-    "local": 1.0,
+    "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "wgs84": 1.0, "dd": 1.0, "dms": 1.0, "amsl": 1.0, "msl": 1.0,
+    "utc": 1.0, "gmt": 1.0, "local": 1.0,
 }  # fmt: skip
 # Names that hold their unit.
 _OWN_UNITS = {"timeus": 1e-6, "timeutcusec": 1e-6}

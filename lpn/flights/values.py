@@ -120,7 +120,8 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
     if packed := _XMP_ANGLE.fullmatch(text):
         parts, letter, sign = list(packed.groups()[:3]), packed[4].upper(), ""
     else:
-        found = _ANGLE.fullmatch(text.replace(",", ".") if comma else text)
+        # Within degrees, minutes, and seconds a comma is a decimal one in any case.
+        found = _ANGLE.fullmatch(text.replace(",", ".") if comma or re.search(r"[°'\"]", text) else text)
         if found is None or (found["before"] and found["after"]):
             return None
         parts, sign = [found["degrees"], found["minutes"], found["seconds"]], found["sign"] or ""

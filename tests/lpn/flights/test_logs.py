@@ -289,6 +289,14 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
         '"lat","lon","name","foo; bar; baz; blah; boom"\n"47.301","8.501","a.jpg","a; b; c; d; e"\n',
         (47.301, 8.501, None, None, None, None, None), "",
     ),
+    "commas_with_letters.csv": (
+        "name;Lat (DD);Lon (DD)\na.jpg;47,301 N;8,501° W\n",
+        (47.301, -8.501, None, None, None, None, None), "count as decimal commas",
+    ),
+    "commas_in_seconds.csv": (
+        "name;lat;lon\na.jpg;47°18'4,44\"N;8°30'4,44\"E\n".replace('"', "''"),
+        (47.301233333, 8.501233333, None, None, None, None, None), "",
+    ),
     "ethos.csv": (
         "Date,Time,GPS,RSSI(dB)\n2024-05-01,12:00:00.500,47.301,-8.501,75\n2024-05-01,12:00:01.500,47.302,-8.501,75\n",
         (47.301, -8.501, None, None, None, None, 1714564800.5), "",
