@@ -49,6 +49,7 @@ _CLOCK = re.compile(
     r"(?:[.,]([0-9]{3}))?(?:,([0-9]{3}))?(?=[,\sZ]|$)"
 )
 _ONLY_CLOCK = re.compile(r"^[-0-9:., /T]+$")
+_QUOTED_NAME = re.compile(r'"([A-Za-z_]{1,30})" ?:')
 # A bracket that the file's end cuts off.
 _OPEN = re.compile(r"\[[^\]\n]*$", re.MULTILINE)
 _NAMED = re.compile(rf"([A-Za-z_]+) ?[:=(] ?{_NUMBER}\s*(ft\b|feet\b)?{_END}")
@@ -81,8 +82,8 @@ _DISTANCE, _HEIGHT = (re.compile(rf"(?<![A-Za-z.]){letter} ?[:=]? ?{_NUMBER} ?(m
 _ANGLES = re.compile(r"\b([FG])\.PRY ?\(([^()\n]{5,100})\)")
 # The names of a value in lower case without signs, best first.
 _NAMES: Mapping[str, tuple[str, ...]] = {
-    "takeoff": ("relalt", "barometer", "hb", "reh", "relativealtitude", "relaltitude", "relheight", "height"),
-    "altitude": ("absalt", "altitude", "absolutealtitude", "gpsaltitude", "amsl", "alt"),
+    "takeoff": ("relalt", "barometer", "hb", "reh", "relativealtitude", "relaltitude", "relheight", "altrel", "height"),
+    "altitude": ("absalt", "altitude", "absolutealtitude", "gpsaltitude", "altamsl", "amsl", "alt"),
     "gimbal_yaw": ("gbyaw", "gimbalyaw", "gimbalheading", "camerayaw"),
     "gimbal_pitch": ("gbpitch", "gimbalpitch", "camerapitch"),
     "gimbal_roll": ("gbroll", "gimbalroll", "cameraroll"),
@@ -194,7 +195,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     texts: list[tuple[str, float, float | None]] = []
     end, first_clock = 0.0, None
     for block in blocks:
-        text = values.plain(block.text.replace("\\N", "\n"))
+        text = _QUOTED_NAME.sub(r"\1:", values.plain(block.text.replace("\\N", "\n")))
         clock = _clock(text)
         first_clock = clock if first_clock is None else first_clock
         start = block.start
@@ -212,12 +213,12 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
         _of_names(*pair) if all(pair) else _place_of(text, raw, commas)
         for pair, (text, _, _), raw in zip(named, texts, lists, strict=True)
     ]
-    if not any(place.latitude is not None or place.triple is not None for place in places):
+    if not any(place.written for place in places):
         places = [_unnamed(text) for text, _, _ in texts]
     has_points = any("." in place.written for place in places)
     entries = [_entry(*known, place, commas or not has_points) for known, place in zip(texts, places, strict=True)]
     triples = {i: place.triple for i, place in enumerate(places) if place.triple is not None}
-    if not any(_tells(entry) for entry in entries) and not triples:
+    if not any(_tells(entry) for entry in entries) and not any(place.written for place in places):
         raise DataError(
             f"{name} holds no telemetry of DJI or Autel in a known dialect; expected subtitles such as [latitude: 59.30], "
             f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
@@ -332,8 +333,8 @@ def _of_list(items: Sequence[str], text: str, commas: bool) -> _Place | None:
     if any(letters):
         north_first = letters[0] in ("N", "S") or letters[1] in ("E", "W")
         north, east = items[:2] if north_first else items[1::-1]
-        latitude, longitude = _place(values.angle(north, "NS"), values.angle(east, "EW"))
-        return _Place(latitude, longitude, values.number(third), written=north)
+        degrees = values.angle(north, "NS"), values.angle(east, "EW")
+        return None if None in degrees else _Place(*_place(*degrees), values.number(third), written=north)
     a, b = values.angle(items[0]), values.angle(items[1])
     if a is None or b is None:
         return None

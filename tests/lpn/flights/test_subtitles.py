@@ -189,6 +189,13 @@ def test_positions_before_the_fix_or_without_numbers_are_unknown() -> None:
     assert one("[latitude: 95.0] [longitude: 10.0] [rel_alt: 3.0 abs_alt: 4.0]").latitude is None
 
 
+@pytest.mark.parametrize("text", ["GPS(W: 0.0, N: 0.0, 0m)", "GPS (0, 0, 0)", "[latitude: 0.0] [longitude: 0.0]"])
+def test_a_video_without_any_fix_is_of_a_known_dialect(text: str) -> None:
+    found = parse_subtitles(blocks_of(srt(text)), "a.SRT")
+    assert found.entries[0].latitude is None
+    assert found.notes[-1] == "1 of 1 entries of a.SRT have no position."
+
+
 @pytest.mark.parametrize("length", range(20, len(BRACKETS)))
 def test_a_number_that_the_end_cuts_off_is_not_used(length: int) -> None:
     whole = one(BRACKETS)
@@ -287,6 +294,7 @@ FIELD = {
     "decimal commas with letters": ("GPS (W: 70,5, S: 33,4, 812,5m)", (-33.4, -70.5, None, 812.5, None, None)),
     "semicolons": ("GPS(8,501; 47,301; 16)", (47.301, 8.501, None, None, None, None)),
     "radians": ("[latitude: 0.825562] [longtitude: 0.148374] [altitude: 27.3]", (47.301218, 8.501204, None, 27.3, None, None)),
+    "JSON": ('{"lat": 47.301, "lng": 8.501, "alt_rel": 45.2, "alt_amsl": 512.0}', (47.301, 8.501, 45.2, 512.0, None, None)),
     "goggles": ("D: 12m H: 45m 47.301234, 8.501234 15.1 V", (47.301234, 8.501234, 45.0, None, None, None)),
 }  # fmt: skip
 
