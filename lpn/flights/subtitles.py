@@ -306,7 +306,8 @@ def _named(text: str) -> tuple[str, str]:
 
 def _of_names(latitude: str, longitude: str) -> _Place:
     """Return the position of a written latitude and longitude."""
-    return _Place(*_place(values.angle(latitude, "NS", True), values.angle(longitude, "EW", True)), written=latitude)
+    degrees = values.angle(latitude, "NS", True), values.angle(longitude, "EW", True)
+    return _Place() if None in degrees else _Place(*_place(*degrees), written=latitude)
 
 
 def _place_of(text: str, raw: str | None, commas: bool) -> _Place:
