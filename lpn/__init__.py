@@ -123,7 +123,7 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
         from lpn.models.adapters.load import load_file
         from lpn.models.checkpoints import device_of
     except ModuleNotFoundError as error:
-        from lpn.core.formats import check_trained_file
+        from lpn.models.file_contents import check_trained_file
 
         check_trained_file(Path(path))
         raise MissingPackageError(

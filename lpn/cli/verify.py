@@ -11,7 +11,7 @@ import tyro
 
 @dataclass
 class VerifyCommand:
-    """Compare stores, indexes, shards, models, and trainings with their checksums; ends with status 1 if one is damaged."""
+    """Compare stores, indexes, shards, models, and trainings with their checksums; status 1: one is damaged or empty."""
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Files and folders, searched recursively; by default the cache of descriptors."""
@@ -25,5 +25,10 @@ class VerifyCommand:
             for verdict in verify(path):
                 damaged += not verdict.whole
                 name = printable(str(verdict.path))
-                print(f"{name} {verdict.message}." if verdict.whole else f"DAMAGED: {name}: {verdict.message}")
+                if verdict.whole:
+                    print(f"{name} {verdict.message}.")
+                else:
+                    print(
+                        f"EMPTY: {name} {verdict.message}" if verdict.empty else f"DAMAGED: {name}: {verdict.message}"
+                    )
         return 1 if damaged else 0

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 
-from lpn.core.errors import LPNError, ModelFileError
+from lpn.core.errors import LPNError
 
 _Record = TypeVar("_Record")
 
@@ -17,34 +16,8 @@ WORLD = "lpn-world/1"
 UPGRADE = "install the newer version of lpn-explorer"
 
 
-# The first bytes of PyTorch's files: those of a ZIP archive, and of a pickle in its older format.
-_PYTORCH = (b"PK\x03\x04", b"\x80")
-
-
 class _Header(msgspec.Struct):
     format: Any = None
-
-
-def check_trained_file(path: Path) -> None:
-    """Check by its first bytes that a file may hold a `.safetensors` or, by any other name, a PyTorch file; this needs neither.
-
-    Raises:
-        ModelFileError: if it does not, or is missing or unreadable.
-    """
-    if not path.is_file():
-        raise ModelFileError(f"There is no model file at {path}; check the path.")
-    try:
-        with path.open("rb") as file:
-            start = file.read(9)
-    except OSError as error:
-        raise ModelFileError(
-            f"{path} cannot be read ({error.strerror or error}); check that it is readable."
-        ) from error
-    if path.suffix == ".safetensors":
-        if start[8:] != b"{" or int.from_bytes(start[:8], "little") > path.stat().st_size - 8:
-            raise ModelFileError(f"{path.name} is not a .safetensors file or is truncated; copy it again.")
-    elif not start.startswith(_PYTORCH):
-        raise ModelFileError(f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict.")
 
 
 def format_of(data: bytes) -> Any:

@@ -12,6 +12,7 @@ from lpn.core.checksums import check_entries, check_seal
 from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.core.files import printable
 from lpn.descriptors import Store, open_store
+from lpn.index.folder import MANIFEST as INDEX_MANIFEST
 from lpn.index.folder import verify as verify_index
 
 _CHUNK = 4096
@@ -26,12 +27,14 @@ class Verdict:
     Attributes:
         path: the file or folder.
         message: the end of a sentence about it.
-        whole: False if it is damaged.
+        whole: False if it is damaged, or empty.
+        empty: True if nothing is damaged, but it holds nothing.
     """
 
     path: Path
     message: str
     whole: bool
+    empty: bool = False
 
 
 def verify(path: Path) -> Iterator[Verdict]:
@@ -49,25 +52,38 @@ def verify(path: Path) -> Iterator[Verdict]:
         )
     for file in found:
         try:
-            yield Verdict(file, _verify(file), True)
+            yield _verify_index(file) if _is_index(file) else Verdict(file, _verify(file), True)
         except (LPNError, OSError) as error:
             yield Verdict(file, printable(str(error)), False)
 
 
+def _is_index(path: Path) -> bool:
+    return any(path.glob(f"{INDEX_MANIFEST}*"))
+
+
+def _verify_index(folder: Path) -> Verdict:
+    contents = verify_index(folder)
+    left = "an add was interrupted, and its tiles are missing"
+    if not contents.tiles:
+        why = left if contents.unfinished else "no tile was added"
+        again = "see that the disk has space, and add them again with lpn index"
+        return Verdict(folder, f"is empty: {why}; {again}.", False, True)
+    more = f"; {left}, so add them again with lpn index" if contents.unfinished else ""
+    return Verdict(folder, f"is what was written{more}", True)
+
+
 def _find(folder: Path) -> Iterator[Path]:
     for file in folder.rglob("*"):
-        if file.name in ("manifest.json", "index.json") or (
-            file.name == "plan.json" and any(file.parent.glob("*.parquet"))
-        ):
+        name = file.name
+        shards = name == "plan.json" and any(file.parent.glob("*.parquet"))
+        # "planned.json" and "index.json.*" are of a store and an index whose making was interrupted.
+        if shards or name in ("manifest.json", "planned.json") or name.split(".")[:2] == INDEX_MANIFEST.split("."):
             yield file.parent
         elif file.suffix in _MODELS and file.is_file():
             yield file
 
 
 def _verify(path: Path) -> str:
-    if (path / "index.json").exists():
-        verify_index(path)
-        return "is what was written"
     if path.is_dir():
         return _verify_shards(path) if (path / "plan.json").exists() else _verify_store(open_store(path), path)
     if path.suffix in (".onnx", ".safetensors") and check_seal(path, _AGAIN):

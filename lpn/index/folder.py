@@ -142,18 +142,36 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
         return crc_of_values(values)
 
 
-def verify(folder: Path) -> None:
+@dataclass(frozen=True)
+class IndexContents:
+    """The verified contents of an index.
+
+    Attributes:
+        tiles: number of tiles.
+        unfinished: segments that an interrupted add left, whose tiles are not in the index.
+    """
+
+    tiles: int
+    unfinished: int
+
+
+def verify(folder: Path) -> IndexContents:
     """Read an index in full and compare it with its checksums.
 
     Raises:
         StoreError: when the folder is not an index, or a file of it is damaged.
     """
+    if not (folder / MANIFEST).exists() and any(_UNFINISHED.fullmatch(path.name) for path in folder.iterdir()):
+        raise StoreError(
+            f"{folder} is an index whose making was interrupted, and holds nothing; make it again with lpn index."
+        )
     manifest = IndexManifest.read(folder)
+    tiles = 0
     for entry in manifest.segments:
         segment = folder / entry.name
         changed = changed_files(segment)
         try:
-            Segment(segment, manifest.kind, manifest.precision, entry.rows, entry.dead)
+            tiles += Segment(segment, manifest.kind, manifest.precision, entry.rows, entry.dead).size
             if entry.dead is not None and zlib.crc32((segment / entry.dead).read_bytes()) != entry.dead_crc:
                 changed.append(entry.dead)
         except FileNotFoundError as error:
@@ -162,6 +180,11 @@ def verify(folder: Path) -> None:
             raise unreadable_error(Path(error.filename or segment), error) from error
         if changed:
             raise StoreError(f"{changed[0]} in {segment} does not match its checksums; {_REMEDY}.")
+    known = {entry.name for entry in manifest.segments}
+    unfinished = sum(
+        bool(_SEGMENT.fullmatch(path.name)) and path.is_dir() and path.name not in known for path in folder.iterdir()
+    )
+    return IndexContents(tiles, unfinished)
 
 
 def create(folder: Path, manifest: IndexManifest) -> IndexManifest:

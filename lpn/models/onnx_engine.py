@@ -25,6 +25,7 @@ from lpn.models import contract_metadata, providers
 from lpn.models.base import Model
 from lpn.models.contract import MAX_SIDE, ForwardPass, Heads
 from lpn.models.contract_metadata import from_metadata
+from lpn.models.file_contents import check_contents
 from lpn.models.onnx_check import check_self_contained
 from lpn.models.spec import ModelSpec
 
@@ -234,6 +235,7 @@ def check_opens(path: Path) -> None:
 def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
     if not path.is_file():
         raise ModelFileError(f"There is no model file at {path}; check the path.")
+    check_contents(path, "onnx")
     try:
         check_self_contained(path, _AGAIN)
         sealed = check_seal(path, _AGAIN)

@@ -25,6 +25,16 @@ State = dict[str, Tensor]
 # The largest opts.yaml in bytes (usual ones have some forty lines), and characters of a value that are kept.
 _OPTIONS_BYTES, _SHOWN = 100_000, 1000
 
+# An option at the begin of a line, numbers, and the words of YAML for true, false, and nothing.
+_OPTION = re.compile(r"(?m)^(?=[\w-]+[ \t]*:)")
+_WHOLE = re.compile(r"[+-]?[0-9]+")
+_DECIMAL = re.compile(r"[+-]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+)([eE][+-]?[0-9]+)?")
+_WORDS: dict[str, bool | None] = {
+    **dict.fromkeys(("true", "yes", "on"), True),
+    **dict.fromkeys(("false", "no", "off"), False),
+    **dict.fromkeys(("", "~", "null", "none"), None),
+}
+
 # The last convolution of each block of an EfficientNet-Lite.
 _PROJECTION = re.compile(r"_blocks\.(\d{1,3})\._project_conv\.weight")
 
@@ -156,40 +166,82 @@ def _branches_equal(state: State, views: tuple[View, ...]) -> bool:
 def read_options(path: Path) -> dict[str, Any]:
     """Read the `opts.yaml` of a published checkpoint; empty if there is none.
 
+    Tags such as `!!python/tuple` are passed over, so nothing in the file runs. Quotes do not matter: `'256'` is the number 256.
+
     Raises:
-        ModelFileError: if it cannot be read, or a number in it is invalid.
+        ModelFileError: if it cannot be read, or an option that is used has an invalid value.
     """
     if not path.is_file():
         return {}
     try:
         if path.stat().st_size > _OPTIONS_BYTES:
             raise ValueError("it is no list of options")
-        options: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except Exception as error:  # the reader may raise anything on invalid dates and deep nesting
+        options = _as_mapping(_parsed(path.read_bytes()))
+    except Exception as error:  # the reader may raise anything on deep nesting
         raise ModelFileError("The opts.yaml beside the model cannot be read; correct or remove it.") from error
     if options is None:
         return {}
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
-    found = {key: _value(value) for key, value in options.items() if isinstance(key, str) and value is not None}
+    typed = {key: _value(value) for key, value in options.items() if isinstance(key, str)}
+    found = {key: value for key, value in typed.items() if value is not None}
     for key in ("h", "w", "stride", "block", "views"):
         value = found.get(key, 1)
+        if isinstance(value, float) and value.is_integer() and value < 1e9:
+            value = found[key] = int(value)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
-            raise ModelFileError(
-                f"The opts.yaml beside the model says {key}: {value}; expected a whole number, so correct it."
-            )
+            raise _invalid(key, value, "a whole number")
     rate = found.get("droprate", 0.5)
     if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 <= rate < 1:
-        raise ModelFileError(
-            f"The opts.yaml beside the model says droprate: {rate}; expected a number from 0 up to 1, so correct it."
-        )
+        raise _invalid("droprate", rate, "a number from 0 up to 1")
+    for key in ("LPN", "use_vgg16"):
+        if not isinstance(found.get(key, True), bool):
+            if found[key] not in (0, 1):
+                raise _invalid(key, found[key], "true or false")
+            found[key] = bool(found[key])
     return found
 
 
+def _invalid(key: str, value: Any, expected: str) -> ModelFileError:
+    return ModelFileError(f"The opts.yaml beside the model says {key}: {value}; expected {expected}, so correct it.")
+
+
+def _parsed(data: bytes) -> Any:
+    """Return the values of YAML as texts, lists, and mappings, without its tags and types."""
+    # Windows writes UTF-16 with a mark; paths in other encodings do not matter.
+    text = data.decode("utf-16") if data[:2] in (b"\xff\xfe", b"\xfe\xff") else data.decode("utf-8-sig", "replace")
+    try:
+        return yaml.load(text, yaml.BaseLoader)
+    except yaml.YAMLError:
+        # One invalid option must not hide the others.
+        options: dict[str, Any] = {}
+        for option in filter(_OPTION.match, _OPTION.split(text)):
+            try:
+                options |= yaml.load(option, yaml.BaseLoader)
+            except yaml.YAMLError:
+                options[option.partition(":")[0].strip()] = "an unreadable value"
+        if not options:
+            raise
+        return options
+
+
+def _as_mapping(options: Any) -> Any:
+    """Return the options of a file whose tag made them a dictionary of another class: its items, or pairs in lists."""
+    while isinstance(options, list) and len(options) == 1 and isinstance(options[0], list):
+        options = options[0]
+    if isinstance(options, list) and all(isinstance(pair, list) and len(pair) == 2 for pair in options):
+        return {key: value for key, value in options if isinstance(key, str)}
+    inner = options.get("dictitems") if isinstance(options, dict) else None
+    return inner if isinstance(inner, dict) else options
+
+
 def _value(value: Any) -> Any:
-    """Shorten an option's value for comparison and messages; a list or mapping becomes its type's name."""
-    if isinstance(value, int) and value.bit_length() > 64:
-        return "a huge number"
-    if isinstance(value, str):
-        return printable(value[:_SHOWN])
-    return value if value is None or isinstance(value, int | float) else f"a {type(value).__name__}"
+    """Return an option's text as a number, a truth value, None, or a text; a list or mapping becomes its type's name."""
+    if not isinstance(value, str):
+        return f"a {type(value).__name__}"
+    text = value.strip()
+    if _WHOLE.fullmatch(text):
+        return int(text) if len(text) < 20 else "a huge number"
+    if _DECIMAL.fullmatch(text):
+        return float(text)
+    return _WORDS.get(text.lower(), printable(value[:_SHOWN]))

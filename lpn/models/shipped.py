@@ -15,6 +15,7 @@ from lpn.core.demo import ASSETS
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.files import printable
 from lpn.core.formats import decode_json
+from lpn.models.model_folders import file_in
 
 CARDS = ASSETS / "models"
 FORMAT = "lpn-model-card/1"
@@ -104,18 +105,26 @@ def model_card(name: str) -> ModelCard:
 def model_file(model: str | Path, trained: bool = False) -> Path:
     """Return the file that a path, or the name of a model that ships, stands for; a file of that name comes first.
 
+    A folder stands for the model in it, see `file_in`; the name of a model that ships comes before a folder of that name.
+
     Args:
         trained: the `.safetensors` of a model that ships, which training and export begin with, in place of the `.onnx`.
 
     Raises:
-        ModelFileError: if a name, which has neither a folder nor an ending, is that of no file and of no model.
+        ModelFileError: if a name, which has neither a folder nor an ending, is that of no file and of no model, or a folder holds
+            no model or several.
     """
     path = Path(model)
-    if len(path.parts) != 1 or path.suffix or path.is_file():
+    if path.is_file():
         return path
-    for card in model_cards():
+    named = len(path.parts) == 1 and not path.suffix
+    for card in model_cards() if named else ():
         if card.name == str(model):
             return card.file(trained)
+    if path.is_dir():
+        return file_in(path)
+    if not named:
+        return path
     raise ModelFileError(
         f"There is no model file at {printable(str(path))[:80]}, and no model of that name ships; {_nearest(str(path))}."
     )

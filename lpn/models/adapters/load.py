@@ -13,7 +13,7 @@ from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.model import PublishedModel
 from lpn.models.adapters.recognise import Kind, check_kind, title_of_other, unwrapped, unwrapped_as
 from lpn.models.base import Model
-from lpn.models.checkpoints import from_state, is_own, load_torch, read_state
+from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
 from lpn.models.published_checkpoints import State, read_options
 
 
@@ -31,7 +31,7 @@ def load_file(
         InputError: as for `load_published`, and if a kind is given for a file of ours.
     """
     path = Path(path)
-    if path.suffix != ".safetensors" or not is_own(path):
+    if not holds_safetensors(path) or not is_own(path):
         return load_published(path, device, compiled, kind)
     if kind is not None:
         raise InputError(f"{path.name} tells its kind itself; leave --kind out.")

@@ -81,7 +81,9 @@ def test_a_file_of_that_name_in_the_working_folder_comes_first(tmp_path: Path, m
     monkeypatch.chdir(tmp_path)
     shutil.copy(DEMO_MODEL, tmp_path / "city-lpn")
     assert model_file("city-lpn") == Path("city-lpn")
-    with pytest.raises(ModelFileError, match="city-lpn is not a PyTorch file"):
+    with pytest.raises(
+        ModelFileError, match=r"city-lpn is an ONNX graph under another ending; rename it to city-lpn\.onnx"
+    ):
         lpn.load("city-lpn")
 
 
