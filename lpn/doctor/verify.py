@@ -12,7 +12,7 @@ from lpn.core.checksums import check_entries, check_seal
 from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.core.files import printable
 from lpn.descriptors import Store, open_store
-from lpn.index.folder import MANIFEST as INDEX_MANIFEST
+from lpn.index.folder import is_manifest
 from lpn.index.folder import verify as verify_index
 
 _CHUNK = 4096
@@ -58,12 +58,12 @@ def verify(path: Path) -> Iterator[Verdict]:
 
 
 def _is_index(path: Path) -> bool:
-    return any(path.glob(f"{INDEX_MANIFEST}*"))
+    return path.is_dir() and any(is_manifest(file.name) for file in path.iterdir())
 
 
 def _verify_index(folder: Path) -> Verdict:
     contents = verify_index(folder)
-    left = "an add was interrupted, and its tiles are missing"
+    left = "an add was interrupted or is still running, and its tiles are missing"
     if not contents.tiles:
         why = left if contents.unfinished else "no tile was added"
         again = "see that the disk has space, and add them again with lpn index"
@@ -76,8 +76,8 @@ def _find(folder: Path) -> Iterator[Path]:
     for file in folder.rglob("*"):
         name = file.name
         shards = name == "plan.json" and any(file.parent.glob("*.parquet"))
-        # "planned.json" and "index.json.*" are of a store and an index whose making was interrupted.
-        if shards or name in ("manifest.json", "planned.json") or name.split(".")[:2] == INDEX_MANIFEST.split("."):
+        # "planned.json" is of a store whose making was interrupted.
+        if shards or name in ("manifest.json", "planned.json") or is_manifest(name):
             yield file.parent
         elif file.suffix in _MODELS and file.is_file():
             yield file

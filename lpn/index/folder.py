@@ -142,13 +142,18 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
         return crc_of_values(values)
 
 
+def is_manifest(name: str) -> bool:
+    """Return whether a file of this name is an index's manifest, or one whose writing was interrupted."""
+    return name == MANIFEST or _UNFINISHED.fullmatch(name) is not None
+
+
 @dataclass(frozen=True)
 class IndexContents:
     """The verified contents of an index.
 
     Attributes:
         tiles: number of tiles.
-        unfinished: segments that an interrupted add left, whose tiles are not in the index.
+        unfinished: segments of an add that was interrupted or is still running, whose tiles are not in the index.
     """
 
     tiles: int
@@ -161,7 +166,7 @@ def verify(folder: Path) -> IndexContents:
     Raises:
         StoreError: when the folder is not an index, or a file of it is damaged.
     """
-    if not (folder / MANIFEST).exists() and any(_UNFINISHED.fullmatch(path.name) for path in folder.iterdir()):
+    if not (folder / MANIFEST).exists() and any(is_manifest(path.name) for path in folder.iterdir()):
         raise StoreError(
             f"{folder} is an index whose making was interrupted, and holds nothing; make it again with lpn index."
         )

@@ -63,7 +63,7 @@ _MAX_DEPTH = 4
 # What a pickle names to run programs, or code of its own.
 _ATTACK = re.compile(
     r"(os|posix|nt|sys|subprocess|shutil|socket|runpy|importlib|pty|ctypes|webbrowser|pickle|_pickle|timeit|code)\..*|"
-    r"(builtins|__builtin__)\.(eval|exec|execfile|compile|__import__|open|breakpoint)"
+    r"builtins\.(eval|exec|execfile|compile|__import__|open|breakpoint)"
 )
 # The names that a file may use belong to the whole process in torch.
 _ALLOWING = threading.Lock()

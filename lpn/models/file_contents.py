@@ -119,10 +119,12 @@ _READ = 1 << 16
 _MAX_PICKLE = 1 << 24
 # The number that torch.save writes first in PyTorch's format of before 2020.
 _LEGACY = 0x1950A86A20F9469CFC6C
+# Modules by the names that pickles of Python 2, and of protocol 2, give them.
+_RENAMED = {"__builtin__": "builtins", "copy_reg": "copyreg"}
 # Names in a pickle of tensors that run no code.
 _HARMLESS = re.compile(
     r"torch\.\w+|torch\.(storage\.\w+|nn\.parameter\.\w+|_utils\._rebuild_\w+|_tensor\._rebuild_\w+|serialization\._get_layout)|"
-    r"collections\.(OrderedDict|Counter)|_codecs\.encode|(builtins|__builtin__)\.(bytearray|set|complex)|"
+    r"collections\.(OrderedDict|Counter)|_codecs\.encode|builtins\.(bytearray|set|complex)|"
     r"numpy\.(dtype|ndarray|dtypes\.\w+|_?core\.multiarray\.(scalar|_reconstruct))"
 )
 
@@ -336,7 +338,8 @@ def _names(stream: BinaryIO) -> Iterator[str]:
         for operation, argument, _ in pickletools.genops(stream):
             name = operation.name
             if name == "GLOBAL":
-                yield ".".join(str(argument).split(" ", 1))
+                module, _, function = str(argument).partition(" ")
+                yield f"{_RENAMED.get(module, module)}.{function}"
             elif name == "STACK_GLOBAL":
                 yield ".".join(strings[-2:])
             elif isinstance(argument, str) and "UNICODE" in name:

@@ -80,7 +80,9 @@ def _chosen(folder: Path, files: list[str]) -> Path:
 def _without_groups(files: list[str]) -> list[str]:
     """Return the files but those of further views of an exported model, `lpn.street.onnx` beside `lpn.onnx`."""
     stems = {name.removesuffix(".onnx") for name in files if name.endswith(".onnx")}
-    return [name for name in files if not (name.endswith(".onnx") and name.rsplit(".", 2)[0] in stems)]
+    return [
+        name for name in files if name not in {f"{stem}.onnx" for stem in stems if stem.rpartition(".")[0] in stems}
+    ]
 
 
 def _epoch(name: str) -> tuple[int, str]:

@@ -105,7 +105,8 @@ def model_card(name: str) -> ModelCard:
 def model_file(model: str | Path, trained: bool = False) -> Path:
     """Return the file that a path, or the name of a model that ships, stands for; a file of that name comes first.
 
-    A folder stands for the model in it, see `file_in`; the name of a model that ships comes before a folder of that name.
+    A folder stands for the model in it, see `file_in`. The name of a model that ships comes before a folder of that name,
+    which is `./NAME`.
 
     Args:
         trained: the `.safetensors` of a model that ships, which training and export begin with, in place of the `.onnx`.

@@ -1,6 +1,11 @@
 from __future__ import annotations
 
+import argparse
+import collections
+import os
+import pathlib
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -292,3 +297,232 @@ def test_compiling_without_a_compiler_is_one_sentence(monkeypatch: pytest.Monkey
     with pytest.raises(InputError, match=r"No working C\+\+ compiler found\); install a C\+\+ compiler") as caught:
         TorchModel(small_worlds.make_network(), compiled=True)
     assert "\n" not in str(caught.value)
+
+
+def _same(path: Path, state: dict[str, Tensor], tmp_path: Path) -> None:
+    """Check that a file opens with the descriptors of a state dict that was saved alone."""
+    torch.save(state, tmp_path / "alone.pth")
+    batch = seeded.pictures(1, 1, 64, 64)
+    found, expected = (lpn.load(file).descriptors(batch, "drone") for file in (path, tmp_path / "alone.pth"))
+    np.testing.assert_array_equal(found, expected)
+
+
+# What trainings save beside or around the weights.
+WRAPS: dict[str, Any] = {
+    "a number of NumPy": lambda state: {"epoch": 119, "state_dict": state, "best_acc": np.float64(0.75)},
+    "other numbers of NumPy": lambda state: {
+        "model": state,
+        "best": {np.int64(3): np.float32(0.5), "text": np.str_("a"), "truth": np.bool_(True), "half": np.float16(1)},
+        "type": np.dtype("f4"),
+        "kind": np.float32,
+        "random": ("MT19937", np.arange(624, dtype=np.uint32), 624, 0, 0.0),
+        "objects": np.array([None, "a"], object),
+    },
+    "types of torch": lambda state: {
+        "model_state_dict": state,
+        "size": torch.Size([2]),
+        "device": torch.device("cuda:0"),
+        "dtype": torch.bfloat16,
+    },
+    "DataParallel": lambda state: {"model": {f"module.{key}": value for key, value in state.items()}},
+    "Lightning": lambda state: {
+        "pytorch-lightning_version": "2.1.0",
+        "state_dict": {f"model.{key}": value for key, value in state.items()},
+        "optimizer_states": [{"state": {0: {"exp_avg": torch.zeros(3)}}, "param_groups": []}],
+        "hyper_parameters": {"lr": 0.1},
+    },
+    "an optimizer": lambda state: {
+        "net": state,
+        "optimizer": {"state": {0: {"momentum_buffer": torch.zeros(3)}}, "param_groups": [{"lr": 0.1}]},
+    },
+    "its average": lambda state: {"ema": {key: value + 1 for key, value in state.items()}, "params": state},
+    "an average alone": lambda state: {"state_dict_ema": state},
+    "model_state": lambda state: {"model_state": state},
+    "nested": lambda state: {"checkpoint": 3, "model": {"state_dict": state, "name": "lpn"}},
+    "numbers between the tensors": lambda state: {**state, "epoch": 119, "best": np.float64(0.5)},
+    "half precision": lambda state: {key: value.half().float() for key, value in state.items()},
+}
+
+
+@pytest.mark.parametrize("how", WRAPS)
+@pytest.mark.parametrize("legacy", [False, True])
+def test_what_a_training_saves_opens_by_its_weights(how: str, legacy: bool, tmp_path: Path) -> None:
+    network = small_worlds.make_network()
+    state = {
+        key: value.half().float() if how == "half precision" else value for key, value in network.state_dict().items()
+    }
+    torch.save(WRAPS[how](state), tmp_path / "net.pth", _use_new_zipfile_serialization=not legacy)
+    _same(tmp_path / "net.pth", state, tmp_path)
+
+
+@pytest.mark.parametrize("module", ["numpy.core.multiarray", "numpy._core.multiarray"])
+def test_a_number_of_either_numpy_is_passed_over(module: str, tmp_path: Path) -> None:
+    """NumPy 2 renamed the module that pickles of numbers name."""
+    state = small_worlds.make_network().state_dict()
+    torch.save(
+        {"state_dict": state, "best": np.float64(0.5)}, tmp_path / "net.pth", _use_new_zipfile_serialization=False
+    )
+    data = (tmp_path / "net.pth").read_bytes()
+    own = np.float64(0.5).__reduce__()[0].__module__
+    assert f"c{own}\n".encode() in data
+    (tmp_path / "net.pth").write_bytes(data.replace(f"c{own}\n".encode(), f"c{module}\n".encode()))
+    _same(tmp_path / "net.pth", state, tmp_path)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
+def test_weights_of_another_precision_open(dtype: torch.dtype, tmp_path: Path) -> None:
+    state = {
+        key: value.to(dtype) if value.is_floating_point() else value
+        for key, value in small_worlds.make_network().state_dict().items()
+    }
+    torch.save(state, tmp_path / "net.pth")
+    _same(tmp_path / "net.pth", {key: value.to(torch.get_default_dtype()) for key, value in state.items()}, tmp_path)
+
+
+@pytest.mark.parametrize("how", ["no folder", "a folder more", "macOS", "compressed"])
+def test_an_unpacked_file_that_was_packed_again_opens(how: str, tmp_path: Path) -> None:
+    state = small_worlds.make_network().state_dict()
+    torch.save({"state_dict": state, "best": np.float64(0.5)}, tmp_path / "net.pth")
+    kind = zipfile.ZIP_DEFLATED if how == "compressed" else zipfile.ZIP_STORED
+    with zipfile.ZipFile(tmp_path / "net.pth") as source, zipfile.ZipFile(tmp_path / "again.pth", "w", kind) as target:
+        if how == "macOS":
+            target.writestr("net/", b"")
+            target.writestr("__MACOSX/._net", b"x")
+        for name in source.namelist():
+            renamed = (
+                name.partition("/")[2] if how == "no folder" else f"download/{name}" if how == "a folder more" else name
+            )
+            target.writestr(renamed, source.read(name))
+    _same(tmp_path / "again.pth", state, tmp_path)
+
+
+def test_weights_of_several_names_are_read_by_the_first_and_the_log_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state = small_worlds.make_network().state_dict()
+    torch.save({"ema": state, "model": state, "epoch": 3}, tmp_path / "net.pth")
+    lpn.load(tmp_path / "net.pth")
+    assert [record.getMessage() for record in caplog.records] == [
+        "net.pth holds weights as model, ema; those of model are read."
+    ]
+
+
+class _Net(torch.nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = torch.nn.Linear(2, 2)
+
+
+class _Config:
+    """A class of a package of somebody else."""
+
+
+SAVED_AGAIN: dict[str, tuple[Any, str, str]] = {
+    "namespace": (
+        lambda state: {"epoch": 119, "model": state, "args": argparse.Namespace(lr=0.01)},
+        "holds other things than tensors: it names argparse.Namespace, which may run code, so it was not opened; if you trust "
+        "it, save its weights alone: ",
+        "['model']",
+    ),
+    "defaultdict": (
+        lambda state: {"net": {"state_dict": state}, "log": collections.defaultdict(list)},
+        "holds other things than tensors: it names collections.defaultdict, ",
+        "['net']['state_dict']",
+    ),
+    "a path": (
+        lambda state: {"weights of the run": state, "out": pathlib.PosixPath("runs")},
+        f"holds other things than tensors: it names {pathlib.PosixPath.__module__}.PosixPath, which may run code",
+        "['weights of the run']",
+    ),
+    "a class": (
+        lambda state: {"state_dict": state, "config": _Config()},
+        "holds other things than tensors: it names tests.lpn.models.test_checkpoints._Config, which may run code",
+        "['state_dict']",
+    ),
+    "a network": (
+        lambda _: _Net(),
+        "holds a whole network, saved with torch.save(model): it names tests.lpn.models.test_checkpoints._Net, ",
+        ".state_dict()",
+    ),
+    "a network among others": (
+        lambda _: {"epoch": 3, "model": _Net(), "best": np.float64(0.5)},
+        "holds a whole network, saved with torch.save(model): it names tests.lpn.models.test_checkpoints._Net, ",
+        "['model'].state_dict()",
+    ),
+    "numpy arrays": (
+        lambda _: {"a": np.ones((2, 2), np.float32)},
+        "holds arrays of NumPy in place of tensors; if you trust it, save its weights alone: ",
+        ".items()}",
+    ),
+    "several networks": (
+        lambda state: {"generator": state, "critic": state},
+        "holds several state dicts (generator, critic), and no name tells which is the model; save its weights alone: ",
+        "['generator']",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SAVED_AGAIN)
+def test_a_refused_file_comes_with_the_line_that_saves_its_weights(case: str, tmp_path: Path) -> None:
+    """The line is run, and gives a file that opens as weights."""
+    value, sentence, place = SAVED_AGAIN[case]
+    torch.save(value({"a.weight": torch.ones(2)}), tmp_path / "net.pth")
+    message = _refused(tmp_path / "net.pth")
+    assert message.startswith(f"net.pth {sentence}")
+    line = message.partition('python -c "')[2].removesuffix('".')
+    assert f"{place}, '{tmp_path}/net-weights.pth')" in line
+    exec(line, {})
+    assert set(checkpoints.read_state(tmp_path / "net-weights.pth")) <= {"a", "a.weight", "layer.weight", "layer.bias"}
+
+
+def test_a_pickle_of_another_protocol_is_named(tmp_path: Path) -> None:
+    torch.save({"state_dict": {"a": torch.ones(2)}}, tmp_path / "net.pth", pickle_protocol=4)
+    assert _refused(tmp_path / "net.pth").startswith(
+        "net.pth was saved with pickle protocol 4; torch reads tensors alone with protocol 2, so save its weights alone: python"
+    )
+
+
+def test_a_file_that_would_run_a_program_is_not_to_be_opened_anywhere(tmp_path: Path) -> None:
+    class Runs:
+        def __reduce__(self) -> Any:
+            return os.system, (f"touch {tmp_path}/ran",)
+
+    torch.save({"state_dict": {"a": torch.ones(2)}, "args": Runs()}, tmp_path / "net.pth")
+    assert _refused(tmp_path / "net.pth") == (
+        f"net.pth would run code by {os.name}.system, which no training saves, so it was not opened; do not open it with another "
+        "program either."
+    )
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit")
+def test_what_holds_no_weights_says_what_it_holds(tmp_path: Path) -> None:
+    file = tmp_path / "net.pth"
+    for value, sentence in (
+        (
+            {"state": {}, "param_groups": [{"lr": 0.1}]},
+            "net.pth holds the state of an optimizer; give the file of the network's",
+        ),
+        (
+            {"epoch": 3, "loss": 0.5},
+            "net.pth holds no named tensors, but epoch, loss; expected a state_dict of named tensors.",
+        ),
+        ({}, "net.pth holds no named tensors, but nothing; expected"),
+        (torch.zeros(3), "net.pth holds a Tensor; expected a state_dict of named tensors."),
+        ({3: torch.zeros(3)}, "net.pth holds no named tensors, but 3; expected"),
+        (
+            {"a": torch.zeros(3).to_sparse()},
+            "In net.pth, a is no plain tensor but quantised, sparse, or without values; give",
+        ),
+    ):
+        torch.save(value, file)
+        assert _refused(file).startswith(sentence)
+    looped: dict[str, Any] = {}
+    looped["model"] = looped
+    torch.save(looped, file)
+    assert "holds no named tensors, but model" in _refused(file)
+    torch.jit.save(torch.jit.script(torch.nn.Linear(2, 2)), str(file))
+    message = _refused(file)
+    assert message.startswith("net.pth is a TorchScript archive, which holds code; save its weights alone: python -c ")
+    exec(message.partition('python -c "')[2].removesuffix('".'), {})
+    assert set(checkpoints.read_state(tmp_path / "net-weights.pth")) == {"weight", "bias"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import lpn
 from lpn.core.errors import ModelFileError
 from lpn.models.export import export
 from lpn.models.network import LPN
-from lpn.models.published_checkpoints import infer_spec
+from lpn.models.published_checkpoints import infer_spec, read_options
 from lpn.models.spec import ModelSpec
 from tools.fixtures import published_network, seeded, small_worlds
 from tools.fixtures.parity import (
@@ -204,3 +205,90 @@ def test_weights_that_are_not_numbers_are_found(tmp_path: Path) -> None:
     state["classifier1.add_block.0.weight"][:] = 3e38
     torch.save(state, tmp_path / "net_last.pth")
     assert lpn.load(tmp_path / "net_last.pth").n_parts == 4
+
+
+# Lines that an opts.yaml of released code, or of people who copied it, holds beside what is used.
+UNUSED_OPTIONS = {
+    "a tuple": "gpu_ids: !!python/tuple [0, 1]",
+    "an object": "opt: !!python/object:argparse.Namespace {lr: 0.1}",
+    "a call": "out: !!python/object/apply:os.system ['touch ran']",
+    "a new object": "out: !!python/object/new:os.system ['touch ran']",
+    "a name": "act: !!python/name:torch.nn.ReLU ''",
+    "text of Python 2": "name: !!python/unicode 'lpn'",
+    "an unknown tag": "out: !Path runs",
+    "a date that is none": "date: 2021-13-45",
+    "a path of Windows": 'data_dir: "C:\\Users\\train"',
+    "an open quote": "note: 'isn't closed",
+    "an alias": "a: &1 [0]\nb: *1",
+    "an alias of nothing": "b: *nothing",
+    "a tab": "a:\n\tb: 1",
+    "a control character": "note: a\x07b",
+    "a huge number": "seed: " + "9" * 5000,
+}
+
+
+@pytest.mark.parametrize("case", UNUSED_OPTIONS)
+def test_an_option_that_is_not_used_may_be_anything(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = f"h: 64\n{UNUSED_OPTIONS[case]}\nw: '64'\nstride: 1\n"
+    (tmp_path / "opts.yaml").write_text(text)
+    options = read_options(tmp_path / "opts.yaml")
+    assert (options["h"], options["w"], options["stride"]) == (64, 64, 1)
+    assert not (tmp_path / "ran").exists()
+
+
+# Options as text in YAML, and as they are read.
+OPTIONS: dict[str, tuple[str, Any]] = {
+    "h": ("'256'", 256),
+    "w": ('"256"', 256),
+    "LPN": ("'True'", True),
+    "use_vgg16": ("off", False),
+    "block": ("'4'", 4),
+    "stride": ("1.0", 1),
+    "droprate": ("75e-2", 0.75),
+    "pool": ("avg", "avg"),
+}
+LINES = [f"{key}: {text}" for key, (text, _) in OPTIONS.items()]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\n".join(LINES),
+        "\n".join(["!!python/object:argparse.Namespace", *LINES]),
+        "\n  ".join(["!!python/object/new:easydict.EasyDict\ndictitems:", *LINES]),
+        "!!python/object/apply:collections.OrderedDict\n- "
+        + "\n  ".join(f"- - {key}\n    - {text}" for key, (text, _) in OPTIONS.items()),
+    ],
+    ids=["quotes", "Namespace", "EasyDict", "OrderedDict"],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_options_are_numbers_and_truth_values_whatever_wrote_them(text: str, encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "opts.yaml").write_text(text.replace("\n", "\r\n"), encoding, newline="")
+    assert read_options(tmp_path / "opts.yaml") == {key: value for key, (_, value) in OPTIONS.items()}
+
+
+def test_a_path_in_another_encoding_does_not_hide_the_options(tmp_path: Path) -> None:
+    (tmp_path / "opts.yaml").write_bytes("data_dir: D:/数据/train\nh: 384\n".encode("gbk"))
+    assert read_options(tmp_path / "opts.yaml")["h"] == 384
+
+
+@pytest.mark.parametrize(
+    ("option", "sentence"),
+    [
+        ("h: '256px'", "says h: 256px; expected a whole number, so correct it."),
+        ("h: [256, 256]", "says h: a list; expected a whole number, so correct it."),
+        ("w: !!python/tuple [256]", "says w: a list; expected a whole number, so correct it."),
+        ("h: 256.5", "says h: 256.5; expected a whole number, so correct it."),
+        ("block: 'False'", "says block: False; expected a whole number, so correct it."),
+        ("h: '256", "says h: an unreadable value; expected a whole number, so correct it."),
+        ("droprate: '75%'", "says droprate: 75%; expected a number from 0 up to 1, so correct it."),
+        ("use_vgg16: maybe", "says use_vgg16: maybe; expected true or false, so correct it."),
+        ("LPN: 4", "says LPN: 4; expected true or false, so correct it."),
+    ],
+)
+def test_an_option_that_is_used_and_wrong_is_one_sentence(option: str, sentence: str, tmp_path: Path) -> None:
+    (tmp_path / "opts.yaml").write_text(f"name: lpn\n{option}\n")
+    with pytest.raises(ModelFileError) as caught:
+        read_options(tmp_path / "opts.yaml")
+    assert str(caught.value) == f"The opts.yaml beside the model {sentence}"
