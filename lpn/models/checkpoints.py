@@ -2,45 +2,32 @@
 
 from __future__ import annotations
 
-import io
 import json
 import logging
-import pickle
 import re
-import threading
-import warnings
-import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import cache
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, cast
+from typing import Any, cast
 
-import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save as save_tensors
 from torch import Tensor
 
 from lpn.core.arrays import Float32Array
-from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_entries, check_seal, with_seal
+from lpn.core.checksums import SEAL, UNSEALED, check_claimed_size, check_seal, with_seal
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import fingerprint, first_few, printable, write_atomic
+from lpn.core.files import fingerprint, printable, write_atomic
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
 from lpn.models.efficientnet_lite import STAGES
-from lpn.models.file_contents import (
-    check_contents,
-    contents_of,
-    names_in_pickle,
-    pickle_entry,
-    pickle_protocol,
-    save_again,
-)
+from lpn.models.file_contents import check_contents, contents_of
 from lpn.models.network import LPN, map_size
+from lpn.models.pickled_states import find_state, unpickle
 from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
 from lpn.models.spec import ModelSpec, is_timm
 from lpn.models.timm_networks import TimmMap
@@ -52,21 +39,6 @@ FORMAT = "lpn-explorer/1"
 # Behind the name of kernels of 8 bits, the name of their scales.
 _SCALE = ".scale"
 _AGAIN = "copy it again from where it came, or make it again"
-# Entries of a training's file that hold its weights, in the order in which one is chosen. Averages come last, as the released
-# test code of the known methods takes the network itself.
-_WEIGHTS = (
-    *("state_dict", "model_state_dict", "model", "model_state", "net", "network", "params", "weights"),
-    *("state_dict_ema", "model_ema", "ema_state_dict", "ema", "params_ema"),
-)
-# Dictionaries within each other that are searched for the weights.
-_MAX_DEPTH = 4
-# What a pickle names to run programs, or code of its own.
-_ATTACK = re.compile(
-    r"(os|posix|nt|sys|subprocess|shutil|socket|runpy|importlib|pty|ctypes|webbrowser|pickle|_pickle|timeit|code)\..*|"
-    r"builtins\.(eval|exec|execfile|compile|__import__|open|breakpoint)"
-)
-# The names that a file may use belong to the whole process in torch.
-_ALLOWING = threading.Lock()
 
 
 class TorchModel(Model):
@@ -447,119 +419,7 @@ def check_opens(path: Path) -> None:
     if holds_safetensors(path):
         _read_tensors(path)
     else:
-        _unpickle(path)
-
-
-class _StandIn:
-    """Stands for a class or function that a pickle names, and for what that would make; it keeps nothing and runs nothing.
-
-    Values of NumPy beside the weights are not needed, so NumPy reads no bytes of the file either.
-    """
-
-    named: ClassVar[str] = ""
-
-    def __init__(self, *_: object, **__: object) -> None:
-        pass
-
-    def __setstate__(self, _: object) -> None:
-        pass
-
-
-@cache
-def _of_numpy() -> tuple[str, ...]:
-    """Return the names of NumPy's types of scalars and numbers, and of the functions that pickles make scalars and arrays by."""
-    makers = ("scalar", "_reconstruct")
-    scalars = [name for name in dir(np) if isinstance(kind := getattr(np, name), type) and issubclass(kind, np.generic)]
-    return (
-        *(f"numpy.{name}" for name in ("dtype", "ndarray", *scalars)),
-        *(f"numpy.dtypes.{name}" for name in dir(np.dtypes) if name.endswith("DType")),
-        *(f"numpy.{core}.multiarray.{name}" for core in ("core", "_core") for name in makers),
-    )
-
-
-def _unpickle(path: Path) -> Any:
-    """Return the contents of a PyTorch file; only tensors are unpickled, and values of NumPy are passed over."""
-    check_entries(
-        path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
-    )
-    try:
-        return _load(path, _of_numpy())
-    except pickle.UnpicklingError as error:
-        raise _refusal(path) from error
-    except Exception as error:  # the unpickler may raise anything
-        raise ModelFileError(
-            f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict."
-        ) from error
-
-
-def _load(path: Path, stood_for: Iterable[str]) -> Any:
-    """Return the contents of a PyTorch file, with a stand-in for all that has one of these names."""
-    stand_ins: Any = [(type("StandIn", (_StandIn,), {"named": name}), name) for name in stood_for]
-    with warnings.catch_warnings(), _ALLOWING, torch.serialization.safe_globals(stand_ins):
-        warnings.simplefilter("ignore")
-        return torch.load(_as_torch_packs(path), map_location="cpu", weights_only=True)
-
-
-def _as_torch_packs(path: Path) -> Path | BinaryIO:
-    """Return a file, or, where a person unpacked and packed it again with other folders, its entries as torch packs them."""
-    if not zipfile.is_zipfile(path):
-        return path
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
-        folder = (pickle_entry(names) or "").removesuffix("data.pkl")
-        if folder.count("/") == 1 and all(name.startswith(folder) for name in names):
-            return path
-        packed = io.BytesIO()
-        with zipfile.ZipFile(packed, "w") as target:
-            for name in names:
-                if name.startswith(folder) and not name.endswith("/"):
-                    target.writestr(f"archive/{name[len(folder) :]}", archive.read(name))
-    packed.seek(0)
-    return packed
-
-
-def _refusal(path: Path) -> ModelFileError:
-    """Return the error for a pickle that names more than tensors, with the line of Python that saves its weights alone."""
-    names = names_in_pickle(path)
-    few = first_few([printable(name)[:80] for name in names], 3)
-    if attack := [name for name in names if _ATTACK.fullmatch(name)]:
-        return ModelFileError(
-            f"{path.name} would run code by {printable(attack[0])[:80]}, which no training saves, so it was not opened; do not "
-            "open it with another program either."
-        )
-    if any(name.startswith("torch.nn.modules.") for name in names):
-        own = [printable(name)[:80] for name in names if not name.startswith("torch.")] or [few]
-        what = f"holds a whole network, saved with torch.save(model): it names {first_few(own, 3)}"
-    elif names:
-        what = f"holds other things than tensors: it names {few}"
-    elif (protocol := pickle_protocol(path)) > 2:
-        what = f"was saved with pickle protocol {protocol}; torch reads tensors alone with protocol 2"
-        return ModelFileError(f"{path.name} {what}, so {save_again(path, _weights_in(path, ()))}.")
-    else:
-        return ModelFileError(
-            f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
-            "expected a saved state_dict()."
-        )
-    return ModelFileError(
-        f"{path.name} {what}, which may run code, so it was not opened; if you trust it, "
-        f"{save_again(path, _weights_in(path, names))}."
-    )
-
-
-def _weights_in(path: Path, names: Iterable[str]) -> str:
-    """Return the expression of Python for the weights in a pickle that names more than tensors, see `save_again`."""
-    load, place = "torch.load({}, 'cpu', weights_only=False)", "['state_dict']"
-    with suppress(Exception):  # the unpickler may raise anything
-        loaded = _load(path, [*_of_numpy(), *names])
-        if isinstance(loaded, _StandIn):
-            return f"{load}.state_dict()"
-        keys, state = _inner(loaded)
-        place = "".join(f"[{key!r}]" for key in keys)
-        if not any(isinstance(value, Tensor) for value in state.values()):
-            objects = [key for key, value in state.items() if isinstance(value, _StandIn)]
-            key = next((key for key in _WEIGHTS if key in objects), objects[0])
-            place = f"[{key!r}].state_dict()"
-    return load + place.replace("{", "{{").replace("}", "}}")
+        unpickle(path)
 
 
 def is_own(path: Path) -> bool:
@@ -584,11 +444,7 @@ def read_state(path: Path) -> State:
     Raises:
         ModelFileError: if the file is missing, truncated, or holds no named tensors.
     """
-    loaded = _read_tensors(path)[0] if holds_safetensors(path) else _unpickle(path)
-    state = _inner(loaded)[1] if isinstance(loaded, dict) else {}
-    items = {key: value for key, value in state.items() if isinstance(value, Tensor)}
-    if not items or not all(isinstance(key, str) for key in items):
-        raise _no_state(loaded, path)
+    items = _read_tensors(path)[0] if holds_safetensors(path) else find_state(unpickle(path), path)
     for key, tensor in items.items():
         if tensor.device.type != "cpu" or tensor.layout != torch.strided or tensor.is_quantized:
             raise ModelFileError(
@@ -598,65 +454,7 @@ def read_state(path: Path) -> State:
     _check_real(items, path.name)
     # A tensor of stride 0 can claim any size.
     check_claimed_size(path, sum(tensor.numel() * tensor.element_size() for tensor in items.values()), _AGAIN)
-    if len(others := _states(loaded)) > 1 and state is not loaded:
-        keys = ", ".join(printable(str(key))[:40] for key in others)
-        log.warning("%s holds weights as %s; those of %s are read.", printable(path.name), keys, next(iter(others)))
     return {key.removeprefix("module."): value for key, value in items.items()}
-
-
-def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> tuple[list[str], dict[Any, Any]]:
-    """Return the state dict in what a training saved, with its keys there; or what was saved as it is, without keys."""
-    states = _states(loaded, depth)
-    named = next(iter(states), None)
-    if named in _WEIGHTS or (len(states) == 1 and not _has_tensors(loaded)):
-        keys, state = states[named]
-        return [named, *keys], state
-    return [], loaded
-
-
-def _states(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> dict[Any, tuple[list[str], dict[Any, Any]]]:
-    """Return the state dicts among the values of a dictionary, those of the usual names first."""
-    if not depth:
-        return {}
-    states = {}
-    for key in (*_WEIGHTS, *(key for key in loaded if key not in _WEIGHTS)):
-        value = loaded.get(key)
-        if not isinstance(value, dict) or "param_groups" in value:
-            continue
-        if key in _WEIGHTS:
-            inner = _inner(value, depth - 1)
-            if _has_tensors(inner[1]):
-                states[key] = inner
-        elif value and all(isinstance(tensor, Tensor) for tensor in value.values()):
-            states[key] = [], value
-    return states
-
-
-def _has_tensors(values: dict[Any, Any]) -> bool:
-    return any(isinstance(value, Tensor) for value in values.values())
-
-
-def _no_state(loaded: object, path: Path) -> ModelFileError:
-    """Return the error for a file without a state dict, or with several of no usual name."""
-    expected = "expected a state_dict of named tensors"
-    if not isinstance(loaded, dict):
-        return ModelFileError(f"{path.name} holds a {type(loaded).__name__}; {expected}.")
-    if states := _states(loaded):
-        named = first_few([printable(str(key))[:40] for key in states], 4)
-        expression = f"torch.load({{}}, 'cpu')[{next(iter(states))!r}]"
-        return ModelFileError(
-            f"{path.name} holds several state dicts ({named}), and no name tells which is the model; "
-            f"{save_again(path, expression)}."
-        )
-    if "param_groups" in loaded:
-        return ModelFileError(f"{path.name} holds the state of an optimizer; give the file of the network's weights.")
-    if any(isinstance(value, _StandIn) and value.named.endswith("_reconstruct") for value in loaded.values()):
-        expression = "{{k: torch.from_numpy(v) for k, v in torch.load({}, 'cpu', weights_only=False).items()}}"
-        return ModelFileError(
-            f"{path.name} holds arrays of NumPy in place of tensors; if you trust it, {save_again(path, expression)}."
-        )
-    named = first_few([printable(str(key))[:40] for key in loaded], 4) or "nothing"
-    return ModelFileError(f"{path.name} holds no named tensors, but {named}; {expected}.")
 
 
 def _check_real(state: State, name: str) -> None:

@@ -46,6 +46,7 @@ class _Mark:
 _AGAIN = "download or copy the file again"
 _UNPACK = "unpack it, and give the model file inside"
 _OTHER = "give the weights as PyTorch's state_dict, a .safetensors, or an exported .onnx"
+UNPACKED = "give the file itself, or pack its folder again (zip -0 -r ../net.pth . in it)"
 _PAGE = "download the file itself, not its page, and log in where the site asks for it"
 # In this order: the first that fits names the file.
 _MARKS = (
@@ -69,7 +70,7 @@ _MARKS = (
     _Mark(
         rb"(?is)\s*<.*?(<title>\s*Google Drive|virus scan warning|scan this file for viruses|//drive\.google\.com)",
         "a web page of Google Drive in place of the file",
-        "open the link in a browser and choose 'Download anyway', or download it with gdown",
+        "open the link in a browser and choose 'Download anyway', or use gdown; where its quota is exceeded, wait a day",
         rb"(?is)<title[^>]*>\s*(.*?)\s*</title>",
     ),
     _Mark(
@@ -107,12 +108,15 @@ _MARKS = (
     _Mark(rb"MATLAB 5\.0 MAT-file", "a MATLAB file", f"{_OTHER}; lpn compare reads saved descriptors"),
     _Mark(rb"\x93NUMPY", "an array of NumPy", _OTHER),
     _Mark(rb"....TFL3", "a model of TensorFlow Lite", _OTHER),
+    _Mark(rb"\x04\x00{3}\x01\x00{3}\x03\x00{3}V 1|4\r?\n1\r?\n3\r?\nV 1", "a model of Torch7 (Lua)", _OTHER),
     _Mark(rb"GGUF", "a GGUF file of a language model", _OTHER),
     _Mark(rb"\x08\x01\x12.[\s\S]*(serve|saved_model|tensorflow|__saved_model)", "a model of TensorFlow", _OTHER),
     _Mark(rb"(?s)[\x81-\x8f\xde].{0,2}[\xa1-\xbf][a-z_]{2}", "a msgpack file, as Flax and JAX write", _OTHER),
     _Mark(rb"\x7fELF|MZ.{64}|\xcf\xfa\xed\xfe", "a program", "give the file of weights"),
     _Mark(rb"\x4c\x00\x00\x00\x01\x14\x02\x00", "a shortcut of Windows", "give the file that it leads to"),
 )
+# The parts of a checkpoint of TensorFlow, which have no mark of their own.
+_TENSORFLOW = re.compile(r".*\.(data-\d{5}-of-\d{5}|ckpt(-\d+)?\.(index|meta))|checkpoint")
 # Bytes at the begin of a file that are looked at.
 _READ = 1 << 16
 # Bytes of a pickle, without its tensors, that are looked at.
@@ -159,7 +163,8 @@ def contents_of(path: Path) -> Contents | None:
     if start.startswith(b"PK\x03\x04"):
         entries = _entries(path)
         # Without a list of entries, at the end, the archive is truncated.
-        return "pytorch" if entries is not None and pickle_entry(entries) and not _script(entries) else None
+        others = _script(entries or ()) or _models(entries or ())
+        return "pytorch" if entries is not None and pickle_entry(entries) and not others else None
     if start[8:9] == b"{" and int.from_bytes(start[:8], "little") < 1 << 40:
         return "safetensors"
     if re.match(rb"\x80[\x02-\x05]", start):
@@ -189,26 +194,36 @@ def pickle_entry(entries: Sequence[str]) -> str | None:
     return pickles[0] if len(pickles) == 1 else None
 
 
-def save_again(path: Path, expression: str) -> str:
+def save_again(path: Path, expression: str, prelude: str = "", where: str = "") -> str:
     """Return what to do, as the end of a sentence: the line of Python that saves weights alone.
 
     Args:
         expression: the weights, with `{}` for the file's name.
+        prelude: statements before it.
+        where: the place to do it, as " where PACKAGE can be imported".
     """
-    line = f"torch.save({expression.format(repr(str(path)))}, {str(path.with_name(f'{path.stem}-weights.pth'))!r})"
-    return printable(f'save its weights alone: python -c "import torch; {line}"')
+    # The line stands in double quotes of a shell, so Python's are single ones.
+    source, target = (
+        "'" + str(file).replace("\\", "\\\\").replace("'", "\\'") + "'"
+        for file in (path, path.with_name(f"{path.stem}-weights.pth"))
+    )
+    line = f"{prelude}import torch; torch.save({expression.format(source)}, {target})"
+    return printable(f'save its weights alone{where}: python -c "{line}"')
 
 
-def names_in_pickle(path: Path) -> list[str]:
+def names_in_pickle(path: Path, every: bool = False) -> list[str]:
     """Return the classes and functions, such as "argparse.Namespace", that a PyTorch file or pickle names and that may run code.
 
     Nothing is unpickled. The list is empty if there are none, or the file cannot be read.
+
+    Args:
+        every: also those of tensors and NumPy's numbers, which run none.
     """
     names: dict[str, None] = {}
     with suppress(OSError, ValueError, IndexError, KeyError, zipfile.BadZipFile, RuntimeError, NotImplementedError):
         for name in _names(_pickle_bytes(path)):
             names[name] = None
-    return [name for name in names if not _HARMLESS.fullmatch(name)]
+    return [name for name in names if every or not _HARMLESS.fullmatch(name)]
 
 
 def pickle_protocol(path: Path) -> int:
@@ -217,6 +232,17 @@ def pickle_protocol(path: Path) -> int:
         start = _pickle_bytes(path).read(2)
         return start[1] if start[:1] == b"\x80" else 0
     return 0
+
+
+def pickled_by(path: Path) -> Literal["torch", "unpacked", "python"]:
+    """Return what wrote a pickle: torch.save; torch.save, in an archive from which it was unpacked; or Python's own pickle."""
+    start = _start(path)
+    if start.startswith(b"PK") or _LEGACY.to_bytes(10, "little") in start[:40]:
+        return "torch"
+    with suppress(ValueError, IndexError):
+        if any(operation.name == "BINPERSID" for operation, _, _ in pickletools.genops(start)):
+            return "unpacked"
+    return "python"
 
 
 def _start(path: Path) -> bytes:
@@ -243,6 +269,11 @@ def _script(entries: Sequence[str]) -> bool:
     return any(PurePosixPath(entry).name == "constants.pkl" for entry in entries)
 
 
+def _models(entries: Sequence[str]) -> list[str]:
+    paths = [PurePosixPath(entry) for entry in entries if not entry.endswith("/")]
+    return [str(path) for path in paths if is_model_name(path.name) and "__MACOSX" not in path.parts]
+
+
 def _described(path: Path) -> tuple[str, str]:
     """Return what a file is that holds no model, "" if that is unknown, and what to do."""
     start = _start(path)
@@ -252,14 +283,16 @@ def _described(path: Path) -> tuple[str, str]:
         return _described_archive(path)
     if start[257:262] == b"ustar":
         return "a tar archive", f"{_UNPACK} (tar -xf)"
+    if _TENSORFLOW.fullmatch(path.name):
+        return "a part of a checkpoint of TensorFlow", _OTHER
     text = start.removeprefix(b"\xef\xbb\xbf")
     if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = start.decode("utf-16", "replace").encode()
     for mark in _MARKS:
         if re.match(mark.pattern, text):
-            return f"{mark.what}{_detail(mark, text)}, not a model", mark.remedy
+            return mark.what + _detail(mark, text), mark.remedy
     if line := _text_line(text):
-        return f"a text that begins '{line}', not a model", f"{_AGAIN}, or give the file of weights"
+        return f"a text that begins '{line}'", f"{_AGAIN}, or give the file of weights"
     return "", f"{_AGAIN}, or save the model again"
 
 
@@ -279,11 +312,10 @@ def _described_archive(path: Path) -> tuple[str, str]:
         return f"truncated: it has {path.stat().st_size:,} bytes, and its end is missing", _AGAIN
     if _script(entries):
         return "a TorchScript archive, which holds code", save_again(path, "torch.jit.load({}, 'cpu').state_dict()")
-    names = [PurePosixPath(entry) for entry in entries if not entry.endswith("/")]
-    models = [str(name) for name in names if is_model_name(name.name) and "__MACOSX" not in name.parts]
-    if models:
-        few = first_few([printable(name)[:80] for name in models], 3)
+    if models := _models(entries):
+        few = first_few([printable(model)[:80] for model in models], 3)
         return f"a ZIP archive that holds {few}", f"unpack it, and give that {'file' if len(models) == 1 else 'folder'}"
+    names = [PurePosixPath(entry) for entry in entries if not entry.endswith("/")]
     for known, what in (
         ("[Content_Types].xml", "an Office document"),
         ("META-INF/MANIFEST.MF", "a Java archive"),
@@ -292,9 +324,9 @@ def _described_archive(path: Path) -> tuple[str, str]:
         ("archive_format", "a graph of torch.export (.pt2)"),
     ):
         if any(entry == known or entry.endswith(f"/{known}") for entry in entries):
-            return f"{what}, not a file of weights", _OTHER
+            return what, _OTHER
     if names and all(name.suffix == ".npy" for name in names):
-        return "an archive of NumPy arrays (.npz), not a model", _OTHER
+        return "an archive of NumPy arrays (.npz)", _OTHER
     few = first_few([printable(str(name))[:80] for name in names], 3) or "nothing"
     return f"a ZIP archive that holds {few}", "give the file of weights"
 

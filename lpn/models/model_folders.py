@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import first_few, printable
-from lpn.models.file_contents import is_model_name
+from lpn.models.file_contents import UNPACKED, is_model_name
 
 log = logging.getLogger(__name__)
 
@@ -24,10 +24,7 @@ _OTHER = {
         "a model of TensorFlow",
         "give weights as PyTorch's state_dict, a .safetensors, or an exported .onnx",
     ),
-    "data.pkl": (
-        "the unpacked entries of a PyTorch file",
-        "give the file itself, or pack them again: zip -0 -r ../net.pth . in this folder",
-    ),
+    "data.pkl": ("the unpacked entries of a PyTorch file", UNPACKED),
 }
 # Folders below one that are searched, such as model/NAME in the folder of the released code.
 _MAX_DEPTH = 2

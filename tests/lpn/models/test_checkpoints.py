@@ -452,7 +452,12 @@ SAVED_AGAIN: dict[str, tuple[Any, str, str]] = {
     "numpy arrays": (
         lambda _: {"a": np.ones((2, 2), np.float32)},
         "holds arrays of NumPy in place of tensors; if you trust it, save its weights alone: ",
-        ".items()}",
+        ".items() if hasattr(v, 'shape')}",
+    ),
+    "numpy arrays within": (
+        lambda _: {"model": {"a": np.ones((2, 2), np.float32)}, "author": "a person"},
+        "holds arrays of NumPy in place of tensors; if you trust it, save its weights alone: ",
+        "['model'].items() if hasattr(v, 'shape')}",
     ),
     "several networks": (
         lambda state: {"generator": state, "critic": state},
@@ -476,10 +481,13 @@ def test_a_refused_file_comes_with_the_line_that_saves_its_weights(case: str, tm
 
 
 def test_a_pickle_of_another_protocol_is_named(tmp_path: Path) -> None:
-    torch.save({"state_dict": {"a": torch.ones(2)}}, tmp_path / "net.pth", pickle_protocol=4)
-    assert _refused(tmp_path / "net.pth").startswith(
-        "net.pth was saved with pickle protocol 4; torch reads tensors alone with protocol 2, so save its weights alone: python"
+    torch.save({"state_dict": {"a": torch.ones(2)}}, tmp_path / "it's.pth", pickle_protocol=4)
+    message = _refused(tmp_path / "it's.pth")
+    assert message.startswith(
+        "it's.pth was saved with pickle protocol 4, which may run code, so it was not opened; tensors alone"
     )
+    exec(message.partition('python -c "')[2].removesuffix('".'), {})
+    assert set(checkpoints.read_state(tmp_path / "it's-weights.pth")) == {"a"}
 
 
 def test_a_file_that_would_run_a_program_is_not_to_be_opened_anywhere(tmp_path: Path) -> None:

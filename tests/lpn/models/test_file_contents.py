@@ -53,7 +53,7 @@ def saved(value: object, **how: Any) -> bytes:
 FOREIGN: dict[str, tuple[bytes, str]] = {
     "Git LFS": (
         b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"0" * 64 + b"\nsize 198600000\n",
-        "is a Git LFS pointer, the text that Git leaves in place of a large file (of 198,600,000 bytes), not a model; fetch the "
+        "is a Git LFS pointer, the text that Git leaves in place of a large file (of 198,600,000 bytes); fetch the "
         "file itself with git lfs pull, or download it from the repository's page.",
     ),
     "git-annex": (b"/annex/objects/SHA256E-s98--0f.pth\n", "is a git-annex pointer, "),
@@ -63,8 +63,8 @@ FOREIGN: dict[str, tuple[bytes, str]] = {
     ),
     "virus scan": (
         PAGE % b"Google Drive - Virus scan warning",
-        "is a web page of Google Drive in place of the file ('Google Drive - Virus scan warning'), not a model; open the link in "
-        "a browser and choose 'Download anyway', or download it with gdown.",
+        "is a web page of Google Drive in place of the file ('Google Drive - Virus scan warning'); open the link in "
+        "a browser and choose 'Download anyway', or use gdown; where its quota is exceeded, wait a day.",
     ),
     "quota": (
         PAGE % b"Google Drive - Quota exceeded",
@@ -72,64 +72,64 @@ FOREIGN: dict[str, tuple[bytes, str]] = {
     ),
     "page": (
         b"\xef\xbb\xbf  \n" + PAGE % b"Log in\n  to OneDrive",
-        "is a web page ('Log in to OneDrive'), not a model; download the file itself, not its page, and log in where the site "
+        "is a web page ('Log in to OneDrive'); download the file itself, not its page, and log in where the site "
         "asks for it.",
     ),
     "page without a title": (
         b"<html><body>302 Found</body></html>",
-        "is a web page, not a model; download the file itself",
+        "is a web page; download the file itself",
     ),
-    "XHTML": (b'<?xml version="1.0"?><html xmlns="x"><title>a</title></html>', "is a web page ('a'), not a model"),
+    "XHTML": (b'<?xml version="1.0"?><html xmlns="x"><title>a</title></html>', "is a web page ('a')"),
     "server": (
         XML,
-        "is the error message of a server ('AccessDenied'), not a model; the download was refused, so ask for a new",
+        "is the error message of a server ('AccessDenied'); the download was refused, so ask for a new",
     ),
     "JSON": (
         b'{"error":"Invalid username or password."}',
-        "is a JSON text ('Invalid username or password.'), not a model; if it",
+        "is a JSON text ('Invalid username or password.'); if it",
     ),
-    "JSON list": (b'[{"a": 1}]', "is a JSON text, not a model; "),
-    "shards": (b'{"metadata": {}, "weight_map": {"a": "b"}}', "is the list of a model's files, not a model; "),
+    "JSON list": (b'[{"a": 1}]', "is a JSON text; "),
+    "shards": (b'{"metadata": {}, "weight_map": {"a": "b"}}', "is the list of a model's files; "),
     "text": (
         b"Entry not found\n",
-        "is a text that begins 'Entry not found', not a model; download or copy the file again, or",
+        "is a text that begins 'Entry not found'; download or copy the file again, or",
     ),
-    "UTF-16": ("Access denied".encode("utf-16"), "is a text that begins 'Access denied', not a model; "),
-    "options": (b"DA: false\nLPN: true\n", "is a text that begins 'DA: false', not a model; "),
+    "UTF-16": ("Access denied".encode("utf-16"), "is a text that begins 'Access denied'; "),
+    "options": (b"DA: false\nLPN: true\n", "is a text that begins 'DA: false'; "),
     "empty": (b"", "is empty; its download or copy broke off, so download or copy the file again."),
     "zeros": (b"\0" * 70_000, "is full of zeros; its download or copy broke off"),
     "AppleDouble": (
         b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X",
-        "is a companion that macOS writes beside a file, not a model; give the file of that name without '._'.",
+        "is a companion that macOS writes beside a file; give the file of that name without '._'.",
     ),
     "gzip": (
         b"\x1f\x8b\x08\x08" + b"\x01" * 9,
-        "is packed by gzip, not a model; unpack it, and give the model file inside",
+        "is packed by gzip; unpack it, and give the model file inside",
     ),
-    "xz": (b"\xfd7zXZ\x00" + b"\x01" * 9, "is packed by xz, "),
-    "7z": (b"7z\xbc\xaf\x27\x1c" + b"\x01" * 9, "is a 7-Zip archive, not a model; unpack it"),
-    "RAR": (b"Rar!\x1a\x07\x01\x00", "is a RAR archive, "),
+    "xz": (b"\xfd7zXZ\x00" + b"\x01" * 9, "is packed by xz; "),
+    "7z": (b"7z\xbc\xaf\x27\x1c" + b"\x01" * 9, "is a 7-Zip archive; unpack it"),
+    "RAR": (b"Rar!\x1a\x07\x01\x00", "is a RAR archive; "),
     "tar": (tar("net_119.pth"), "is a tar archive; unpack it, and give the model file inside (tar -xf)."),
-    "PDF": (b"%PDF-1.7\n%\xe2\xe3", "is a PDF document, not a model; give the file of weights."),
-    "picture": (b"\xff\xd8\xff\xe0\x00\x10JFIF", "is a picture, "),
+    "PDF": (b"%PDF-1.7\n%\xe2\xe3", "is a PDF document; give the file of weights."),
+    "picture": (b"\xff\xd8\xff\xe0\x00\x10JFIF", "is a picture; "),
     "HDF5": (
         b"\x89HDF\r\n\x1a\n\x00\x00",
-        "is an HDF5 file, as Keras and MATLAB write, not a model; give the weights as PyTorch's state_dict, a .safetensors, or "
+        "is an HDF5 file, as Keras and MATLAB write; give the weights as PyTorch's state_dict, a .safetensors, or "
         "an exported .onnx.",
     ),
-    "MATLAB": (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "is a MATLAB file, not a model; "),
-    "npy": (b"\x93NUMPY\x01\x00v\x00{'descr'", "is an array of NumPy, "),
-    "msgpack": (b"\x81\xa6params\x83\xa7encoder", "is a msgpack file, as Flax and JAX write, not a model; "),
-    "TFLite": (b"\x1c\x00\x00\x00TFL3\x14\x00", "is a model of TensorFlow Lite, "),
+    "MATLAB": (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "is a MATLAB file; "),
+    "npy": (b"\x93NUMPY\x01\x00v\x00{'descr'", "is an array of NumPy; "),
+    "msgpack": (b"\x81\xa6params\x83\xa7encoder", "is a msgpack file, as Flax and JAX write; "),
+    "TFLite": (b"\x1c\x00\x00\x00TFL3\x14\x00", "is a model of TensorFlow Lite; "),
     "Word": (
         archive({"[Content_Types].xml": b"<x/>", "word/document.xml": b""}),
-        "is an Office document, not a file of weights; ",
+        "is an Office document; ",
     ),
     "Keras": (
         archive({"config.json": b"{}", "model.weights.h5": b""}),
-        "is a model of Keras, not a file of weights; give the",
+        "is a model of Keras; give the",
     ),
-    "npz": (archive({"a.npy": b"", "b.npy": b""}), "is an archive of NumPy arrays (.npz), "),
+    "npz": (archive({"a.npy": b"", "b.npy": b""}), "is an archive of NumPy arrays (.npz); "),
     "run": (
         archive({"run/": b"", "run/net_119.pth": b"x", "run/opts.yaml": b"", "__MACOSX/run/._net_119.pth": b""}),
         "is a ZIP archive that holds run/net_119.pth; unpack it, and give that file.",

@@ -1,0 +1,345 @@
+"""Files of public reports, rebuilt small: each opens with the descriptors of its weights, or is named with what to do.
+
+docs/field.md names the report of each.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import pathlib
+import pickle
+import sys
+import tarfile
+import types
+import zipfile
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+import lpn
+from lpn.core.errors import ModelFileError
+from lpn.models.checkpoints import TorchModel
+from tools.fixtures import seeded, small_worlds
+
+State = dict[str, Tensor]
+
+
+@dataclass(frozen=True)
+class FieldFile:
+    """A file of a public report.
+
+    Attributes:
+        make: writes it into a folder, given weights, and returns what a person gives as the model.
+        sentence: a part of the sentence that refuses it; None if it opens.
+    """
+
+    make: Callable[[Path, State], Path]
+    sentence: str | None = None
+
+
+class _Calls:
+    """Pickles as a call that its own process need not be able to make."""
+
+    def __init__(self, function: object, *arguments: object) -> None:
+        self.call = function, arguments
+
+    def __reduce__(self) -> Any:
+        return self.call
+
+
+class _Net(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.layer = nn.Linear(2, 2)
+        self.act = getattr  # as a network that keeps a function
+
+
+def saved(values: Callable[[State], object], name: str = "net_119.pth", **how: Any) -> Callable[[Path, State], Path]:
+    """Write what torch.save makes of some values around the weights."""
+
+    def make(folder: Path, state: State) -> Path:
+        torch.save(values(state), folder / name, **how)
+        return folder / name
+
+    return make
+
+
+def written(data: bytes, name: str = "net_119.pth") -> Callable[[Path, State], Path]:
+    def make(folder: Path, _: State) -> Path:
+        (folder / name).write_bytes(data)
+        return folder / name
+
+    return make
+
+
+def foreign(module: str, name: str) -> type:
+    """A class of a package that is not installed here; it can be pickled until the test ends."""
+    package = module.partition(".")[0]
+    sys.modules.setdefault(package, types.ModuleType(package))
+    home = sys.modules.setdefault(module, types.ModuleType(module))
+    found: type = type(name, (), {"__module__": module, "__qualname__": name})
+    setattr(home, name, found)
+    return found
+
+
+def of_foreign(module: str, name: str, values: Callable[[State, Any], object]) -> Callable[[Path, State], Path]:
+    def make(folder: Path, state: State) -> Path:
+        before = set(sys.modules)
+        try:
+            torch.save(values(state, foreign(module, name)()), folder / "net_119.pth")
+        finally:
+            for added in set(sys.modules) - before:
+                del sys.modules[added]
+        return folder / "net_119.pth"
+
+    return make
+
+
+def data_of(state: State) -> bytes:
+    data = io.BytesIO()
+    torch.save(state, data)
+    return data.getvalue()
+
+
+def truncated(folder: Path, state: State) -> Path:
+    data = data_of(state)
+    (folder / "net_119.pth").write_bytes(data[: len(data) // 2])
+    return folder / "net_119.pth"
+
+
+def unpacked(folder: Path, state: State) -> Path:
+    with zipfile.ZipFile(io.BytesIO(data_of(state))) as archive:
+        archive.extractall(folder)
+    return folder / "archive"
+
+
+def entry_alone(folder: Path, state: State) -> Path:
+    return unpacked(folder, state) / "data.pkl"
+
+
+def of_arrays(folder: Path, state: State) -> Path:
+    values = {"model": {key: value.numpy() for key, value in state.items()}, "__author__": "a person"}
+    (folder / "model_final.pkl").write_bytes(pickle.dumps(values))
+    return folder / "model_final.pkl"
+
+
+def beside_its_companion(folder: Path, state: State) -> Path:
+    """A folder of a volume on which macOS keeps a file's attributes in another file."""
+    (folder / "._net_119.pth").write_bytes(b"\x00\x05\x16\x07\x00\x02\x00\x00Mac OS X")
+    saved(lambda state: state)(folder, state)
+    return folder
+
+
+def zipped(folder: Path, state: State) -> Path:
+    with zipfile.ZipFile(folder / "net_119.pth.zip", "w") as archive:
+        archive.writestr("net_119.pth", data_of(state))
+    return folder / "net_119.pth.zip"
+
+
+def mixed(folder: Path, state: State) -> Path:
+    """Entries of one checkpoint, and another checkpoint, in one archive."""
+    with (
+        zipfile.ZipFile(folder / "net_119.pth", "w") as archive,
+        zipfile.ZipFile(io.BytesIO(data_of(state))) as source,
+    ):
+        for name in source.namelist():
+            archive.writestr(name, source.read(name))
+        archive.writestr("latest_net_D.pth", data_of({"a": torch.zeros(1)}))
+    return folder / "net_119.pth"
+
+
+def tar_gz(folder: Path, state: State) -> Path:
+    data = io.BytesIO()
+    with tarfile.open(fileobj=data, mode="w") as archive:
+        entry, content = tarfile.TarInfo("run/net_119.pth"), data_of(state)
+        entry.size = len(content)
+        archive.addfile(entry, io.BytesIO(content))
+    (folder / "checkpoint.tar.gz").write_bytes(gzip.compress(data.getvalue(), 0))
+    return folder / "checkpoint.tar.gz"
+
+
+def script(folder: Path, _: State) -> Path:
+    torch.jit.save(torch.jit.script(nn.Linear(2, 2)), str(folder / "net_119.pth"))
+    return folder / "net_119.pth"
+
+
+def options(text: str) -> Callable[[Path, State], Path]:
+    """Weights alone, with an opts.yaml beside them."""
+
+    def make(folder: Path, state: State) -> Path:
+        (folder / "opts.yaml").write_text(text)
+        return saved(lambda state: state)(folder, state)
+
+    return make
+
+
+def extra_state(state: State) -> object:
+    return {
+        "model": {**state, "_extra_state": {"train_infos": {"lr": np.float64(1e-3)}}},
+        "optimizer": {"param_groups": []},
+    }
+
+
+def deepspeed(state: State) -> object:
+    shapes = OrderedDict((key, value.shape) for key, value in state.items())
+    return {"module": state, "buffer_names": [], "optimizer": None, "param_shapes": [shapes], "ds_version": "0.14.0"}
+
+
+def of_device(_: State) -> object:
+    rebuild = torch._utils._rebuild_device_tensor_from_numpy
+    return {"a": _Calls(rebuild, np.zeros(2, np.float32), torch.float32, "cpu", False)}
+
+
+def named(state: State, config: object) -> object:
+    return {"state_dict": state, "config": config}
+
+
+LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:" + b"5" * 64 + b"\nsize 1160000000\n"
+QUOTA = (
+    b"<!DOCTYPE html><html><head><title>Google Drive - Quota exceeded</title></head><body>Sorry, you can't view or download "
+    b"this file at this time.</body></html>"
+)
+BLOB = b"\n\n\n\n\n<!DOCTYPE html>\n<html lang=en>\n<head>\n<title>net/net_119.pth at master</title></head></html>"
+FIELD: dict[str, FieldFile] = {
+    "numpy 1 scalar": FieldFile(
+        saved(
+            lambda state: {"epoch": 3, "state_dict": state, "best": np.float64(0.5)},
+            _use_new_zipfile_serialization=False,
+        )
+    ),
+    "numpy 2 scalar": FieldFile(saved(lambda state: {"step": np.int64(3), "pipeline": state, "loss": np.float32(0.5)})),
+    "extra state": FieldFile(saved(extra_state)),
+    "LFS pointer": FieldFile(written(LFS), "is a Git LFS pointer"),
+    "LFS pointer as safetensors": FieldFile(written(LFS, "model.safetensors"), "is a Git LFS pointer"),
+    "quota page": FieldFile(
+        written(QUOTA), "is a web page of Google Drive in place of the file ('Google Drive - Quota exceeded')"
+    ),
+    "blob page": FieldFile(written(BLOB), "is a web page ('net/net_119.pth at master')"),
+    "truncated": FieldFile(truncated, "is truncated: it has "),
+    "unpacked": FieldFile(unpacked, "holds the unpacked entries of a PyTorch file"),
+    "zipped": FieldFile(zipped, "is a ZIP archive that holds net_119.pth; unpack it, and give that file"),
+    "pth.tar": FieldFile(saved(lambda state: {"epoch": 3, "state_dict": state}, "checkpoint.pth.tar")),
+    "tuple option": FieldFile(options("h: 64\noptimizer_betas: !!python/tuple\n- 0.9\n- 0.999\nw: 64\n")),
+    "options of a class": FieldFile(
+        options("!!python/object/new:detectron.utils.collections.AttrDict\ndictitems:\n  h: 64\n  w: 64\nstate: {}\n")
+    ),
+    "options of Namespace": FieldFile(options("!!python/object:argparse.Namespace\nh: 64\nlr: 0.01\nw: 64\n")),
+    "path of Windows": FieldFile(
+        saved(lambda state: {"model": state, "out": _Calls(pathlib.WindowsPath, "runs")}),
+        "import pathlib; pathlib.WindowsPath = pathlib.PosixPath; import torch; torch.save(torch.load(",
+    ),
+    "loss among settings": FieldFile(
+        saved(lambda state: {"state_dict": state, "hyper_parameters": {"loss": nn.MSELoss()}}),
+        "holds other things than tensors: it names torch.nn.modules.loss.MSELoss, which may run code",
+    ),
+    "OmegaConf": FieldFile(
+        of_foreign("omegaconf.dictconfig", "DictConfig", named),
+        "names omegaconf.dictconfig.DictConfig, which may run code, so it was not opened; if you trust it, save its weights "
+        "alone where omegaconf can be imported: python -c",
+    ),
+    "whole network": FieldFile(
+        saved(lambda _: {"epoch": 3, "model": _Net(), "ema": None}),
+        "holds a whole network, saved with torch.save(model): it names tests.lpn.models.test_field_checkpoints._Net",
+    ),
+    "mmengine": FieldFile(
+        of_foreign("mmengine.logging.history_buffer", "HistoryBuffer", named),
+        "names mmengine.logging.history_buffer.HistoryBuffer, which may run code",
+    ),
+    "protocol 4": FieldFile(saved(lambda state: state, pickle_protocol=4), "was saved with pickle protocol 4"),
+    "TorchScript": FieldFile(script, "is a TorchScript archive, which holds code; save its weights alone"),
+    "empty": FieldFile(written(b""), "is empty; its download or copy broke off"),
+    "TPU": FieldFile(
+        saved(of_device), "holds tensors of a TPU or NPU; save them again where it was trained, on the CPU"
+    ),
+    "Torch7": FieldFile(
+        written(b"\x04\0\0\0\x01\0\0\0\x03\0\0\0V 1\r\0\0\0nn.Sequential", "net_119.t7"),
+        "is a model of Torch7 (Lua)",
+    ),
+    "zeros": FieldFile(written(bytes(5000)), "is full of zeros; its download or copy broke off"),
+    "several": FieldFile(
+        saved(lambda state: {"a": state, "b": state}, "id_00070000.pt"),
+        "holds several state dicts (a, b), and no name tells",
+    ),
+    "pth as safetensors": FieldFile(saved(lambda state: {"state_dict": state}, "model.safetensors")),
+    "bfloat16": FieldFile(saved(lambda state: state)),
+    "two in an archive": FieldFile(mixed, "is a ZIP archive that holds latest_net_D.pth; unpack it"),
+    "tar.gz": FieldFile(tar_gz, "is packed by gzip; unpack it, and give the model file inside (tar -xzf, or gunzip)."),
+    "picture": FieldFile(written(b"\xff\xd8\xff\xe0\0\x10JFIF\0", "mosaic.jpg"), "is a picture; give the file of"),
+    "DeepSpeed": FieldFile(saved(deepspeed, "mp_rank_00_model_states.pt")),
+    "entry alone": FieldFile(
+        entry_alone, "data.pkl is an unpacked entry of a PyTorch file; give the file itself, or pack"
+    ),
+    "part of TensorFlow": FieldFile(
+        written(b"\x17\x2b\x11\x3d" * 99, "model.ckpt-9.data-00000-of-00001"),
+        "is a part of a checkpoint of TensorFlow; give",
+    ),
+    "arrays": FieldFile(
+        of_arrays, "is a pickle that torch.save did not write, which may run code, so it was not opened; if you"
+    ),
+    "encoder": FieldFile(
+        saved(
+            lambda state: {
+                "encoder": {f"module.{key}": v for key, v in state.items()},
+                "opt": {"param_groups": []},
+                "epoch": 1,
+            }
+        )
+    ),
+    "compiled and parallel": FieldFile(
+        saved(lambda state: {"model": {f"_orig_mod.module.{key}": value for key, value in state.items()}})
+    ),
+    "average in a list": FieldFile(
+        saved(lambda state: {"step": 1, "model": state, "ema": {"decay": 0.99, "shadow_params": [*state.values()]}})
+    ),
+    "beside its companion": FieldFile(beside_its_companion),
+    "text of a server": FieldFile(
+        written(b"Repository not found", "pytorch_model.bin"), "a text that begins 'Repository not"
+    ),
+    "class as a key": FieldFile(
+        of_foreign(
+            "pytorch_lightning.callbacks.model_checkpoint",
+            "ModelCheckpoint",
+            lambda state, config: {"state_dict": state, "callbacks": {type(config): {"best": np.float64(1)}}},
+        ),
+        "it names pytorch_lightning.callbacks.model_checkpoint.ModelCheckpoint, which may run code",
+    ),
+    "pandas": FieldFile(
+        of_foreign("pandas_of_another_version.core.indexes", "Index", named),
+        "where pandas_of_another_version can be imported",
+    ),
+    "DataParallel": FieldFile(saved(lambda state: {f"module.{key}": value for key, value in state.items()})),
+}
+
+
+@pytest.fixture(scope="module")
+def weights() -> tuple[State, Any]:
+    """Weights in bfloat16's values, and the descriptors that they give."""
+    network = small_worlds.make_network()
+    with torch.no_grad():
+        for value in network.state_dict().values():
+            value.copy_(value.bfloat16())
+    return network.state_dict(), TorchModel(network).descriptors(seeded.pictures(1, 1, 64, 64), "drone")
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit")
+@pytest.mark.parametrize("case", FIELD)
+def test_a_file_of_a_report_opens_or_is_named(case: str, weights: tuple[State, Any], tmp_path: Path) -> None:
+    state, expected = weights
+    if case == "bfloat16":
+        state = {key: value.bfloat16() if value.is_floating_point() else value for key, value in state.items()}
+    path = FIELD[case].make(tmp_path, state)
+    if (sentence := FIELD[case].sentence) is None:
+        np.testing.assert_array_equal(lpn.load(path).descriptors(seeded.pictures(1, 1, 64, 64), "drone"), expected)
+        return
+    with pytest.raises(ModelFileError) as caught:
+        lpn.load(path)
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
