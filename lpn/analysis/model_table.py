@@ -7,8 +7,7 @@ A paired test (McNemar 1947) asks whether two models that each find b and c quer
 
 from __future__ import annotations
 
-import csv
-import io
+import html
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -20,9 +19,9 @@ from typing import Any, Literal
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.tables import escape_formula
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.descriptors import Reader, cached_descriptors
@@ -201,17 +200,14 @@ class ModelTable:
 
     def to_csv(self) -> bytes:
         """Return one line a model: its figures with intervals, and its test against each other model."""
-        file = io.StringIO(newline="")
-        writer = csv.writer(file, lineterminator="\n")
         against = [f"{what} {one.name}" for one in self.models for what in ("only this, not", "only", "p against")]
         columns = [f"{name}{bound}" for name in self.figures[0] for bound in ("", " low", " high")]
-        writer.writerow(map(escape_formula, ("model", "task", "gallery", "queries", *columns, *against)))
+        rows: list[list[object]] = [["model", "task", "gallery", "queries", *columns, *against]]
         for one, of in zip(self.models, self.figures, strict=True):
             figures = [f"{number:.4f}" for e in of.values() for number in (e.value, e.low, e.high)]
             tests = [cell for other in self.models for cell in self._against(one.name, other.name)]
-            facts = (escape_formula(one.name), self.task, self.gallery_name, self.queries)
-            writer.writerow([*facts, *figures, *tests])
-        return file.getvalue().encode("utf-8", "replace")
+            rows.append([one.name, self.task, self.gallery_name, self.queries, *figures, *tests])
+        return csv_bytes(rows)
 
     def _against(self, name: str, other: str) -> tuple[str, str, str]:
         for test in self.tests:
@@ -422,4 +418,5 @@ def _row(*cells: str) -> str:
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+    """Return a cell of a Markdown table, which is HTML, too."""
+    return html.escape(text, quote=False).replace("|", "\\|")

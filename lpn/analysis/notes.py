@@ -4,18 +4,20 @@
     test/query_drone/0005/image-01.jpeg,night blur,"Looks like the twin next door."
 
 `path` is the query's picture, relative to the data set's folder; spaces separate tags. The file may be edited by hand, and by
-several programs at once, since each change replaces one line under a lock.
+several programs at once, since each change replaces one line under a lock. What a spreadsheet would compute has an apostrophe in
+front, such as '- dark, which is no part of the note; see `lpn.core.csv_cells`.
 """
 
 from __future__ import annotations
 
 import csv
-import io
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from lpn.core.csv_cells import csv_bytes, csv_rows, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.own_files import OwnFileFormat
@@ -28,6 +30,11 @@ LONGEST_TAG, MOST_TAGS, LONGEST_NOTE = 30, 20, 2000
 _HEADER = ["path", TAGS, NOTE]
 _TAG = re.compile(rf"\w[\w-]{{0,{LONGEST_TAG - 1}}}")
 _SEPARATORS = re.compile(r"[\s,;]+")
+_LINE_BREAK = re.compile("\r\n|[\r\v\f\x85\u2028\u2029]")
+# Categories of control characters and of bytes that are not UTF-8.
+_NO_TEXT = ("Cc", "Cs")
+# Embeddings, overrides, and isolates of a direction. The marks that a keyboard for Hebrew or Arabic types are none of these.
+_TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
         OutputError: when the file cannot be written.
     """
     note = Note(parse_tags(tags), _clean(text))
-    if not path or not path.isprintable():
+    if not path or printable(path) != path:
         raise InputError(
             f"The query's path is {printable(path)!r}; expected the path of the picture relative to the data set's "
             "folder, in printable UTF-8, so rename the file."
@@ -97,7 +104,7 @@ def add_tags(file: Path, paths: Sequence[str], tags: str | Iterable[str]) -> dic
     added = parse_tags(tags)
     if not added:
         raise InputError("There is no tag; write a word, such as night.")
-    if unusable := [path for path in paths if not path or not path.isprintable()]:
+    if unusable := [path for path in paths if not path or printable(path) != path]:
         raise InputError(
             f"The query's path is {printable(unusable[0])!r}; expected printable UTF-8, so rename the file."
         )
@@ -139,7 +146,7 @@ def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:
 def _decode(content: bytes, file: Path) -> dict[str, Note]:
     try:
         text = content.decode("utf-8-sig")
-        lines = [values for values in csv.reader(io.StringIO(text, newline=""), strict=True) if values]
+        lines = [[unescape(value) for value in values] for _, values in csv_rows(text, strict=True) if values]
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
     notes: dict[str, Note] = {}
@@ -168,17 +175,15 @@ def _decode(content: bytes, file: Path) -> dict[str, Note]:
 
 
 def _encode(notes: dict[str, Note]) -> bytes:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_HEADER)
-    writer.writerows([path, " ".join(note.tags), note.text] for path, note in sorted(notes.items()))
-    return text.getvalue().encode("utf-8", "replace")
+    return csv_bytes(
+        [_HEADER, *([path, " ".join(note.tags), note.text] for path, note in sorted(notes.items()))], "strict"
+    )
 
 
 def _clean(text: str) -> str:
-    """Remove control characters other than line breaks and tabs, which CSV cannot represent."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n")
-    return "".join(c for c in lines if c.isprintable() or c in "\n\t").strip()
+    """Write every line break as a line feed, and remove control characters and those that turn the writing around."""
+    lines = _LINE_BREAK.sub("\n", text)
+    return "".join(c for c in lines if c in "\n\t" or not (unicodedata.category(c) in _NO_TEXT or c in _TURNS)).strip()
 
 
 _FORMAT = OwnFileFormat("notes", _decode, _encode, dict, "shorten other notes first")

@@ -15,8 +15,6 @@ Broken pictures do not stop a run, unlike on one machine: among millions there a
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 import warnings
 from collections.abc import Callable, Mapping
@@ -41,6 +39,7 @@ from lpn.cluster.shards import (
 from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker, PartitionTask
 from lpn.core import images
+from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import DataError, InputError, StoreError
 from lpn.core.files import exclusive_lock
 from lpn.core.views import View
@@ -313,11 +312,8 @@ def _checked_notes(
 
 
 def _write_broken(target: Storage, broken: list[FailedPicture]) -> None:
-    text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    lines.writerow(("name", "reason"))
-    lines.writerows((one.item.row.file, one.reason) for one in broken)
-    target.write(BROKEN, text.getvalue().encode())
+    rows = [("name", "reason"), *((one.item.row.file, one.reason) for one in broken)]
+    target.write(BROKEN, csv_bytes(rows))
 
 
 class _DriverProgress:

@@ -6,11 +6,13 @@ import errno
 import hashlib
 import json
 import logging
+import math
 import os
 import re
 import threading
 import time
-from collections.abc import Iterator, Sequence
+import unicodedata
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tokenize import TokenError
@@ -43,6 +45,8 @@ _OPEN_FILES = 65_536
 _OPEN_FILES_MACOS = 10_240
 # Folders that a displayed name has at most.
 _MAX_FOLDERS = 8
+# Zero-width non-joiner and joiner: parts of letters in Persian and in Indian scripts, and of emoji.
+_JOINERS = "\u200c\u200d"
 # Bytes of the name of a folder.
 _MAX_LINK = 255
 
@@ -107,12 +111,26 @@ def write_atomic(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: object, *, ensure_ascii: bool = True) -> None:
-    """Write a value as indented JSON with a line feed at its end, atomically.
+    """Write a value as indented JSON with a line feed at its end, atomically; see `portable`.
 
     Raises:
         OutputError: if the file cannot be written; nothing is left behind.
     """
-    write_atomic(path, (json.dumps(value, indent=1, ensure_ascii=ensure_ascii) + "\n").encode())
+    write_atomic(path, (json.dumps(portable(value), indent=1, ensure_ascii=ensure_ascii) + "\n").encode())
+
+
+def portable(value: object) -> object:
+    """Return a value of JSON that every reader takes: null for a number that is not finite, "?" for a byte that is not UTF-8."""
+    match value:
+        case str():
+            return value.encode("utf-8", "replace").decode()
+        case float():
+            return value if math.isfinite(value) else None
+        case Mapping():
+            return {portable(key) if isinstance(key, str) else key: portable(entry) for key, entry in value.items()}
+        case list() | tuple():
+            return [portable(entry) for entry in value]
+    return value
 
 
 def linked_folder(path: Path) -> Path:
@@ -228,16 +246,20 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
 
 
 def printable(name: str) -> str:
-    """Return a file's name with "?" for control characters and bytes that are not UTF-8."""
-    if name.isascii() and name.isprintable():
+    """Return a file's name with "?" for control characters and bytes that are not UTF-8; spaces of any width stay."""
+    if name.isprintable():
         return name
-    return "".join(c if c.isprintable() else "?" for c in name.encode("utf-8", "replace").decode())
+    return "".join(c if _shows(c) else "?" for c in name.encode("utf-8", "replace").decode())
 
 
 def first_few(texts: Sequence[str], most: int) -> str:
     """Join the first texts by commas, and say how many more there are."""
     more = f", and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more
+
+
+def _shows(character: str) -> bool:
+    return character.isprintable() or character in _JOINERS or unicodedata.category(character) == "Zs"
 
 
 def _temporary(path: Path) -> Path:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from lpn.core.errors import DataError, InputError, OutputError
-from lpn.core.files import check_writable, exclusive_lock, write_atomic
+from lpn.core.files import check_writable, exclusive_lock, printable, write_atomic
 from lpn.core.shutdown import uninterrupted
 
 Contents = TypeVar("Contents")
@@ -65,7 +65,13 @@ class OwnFileFormat(Generic[Contents]):
         try:
             with exclusive_lock(file.parent, wait=True), uninterrupted():
                 contents = change(self.read(file))
-                content = self.encode(contents)
+                try:
+                    content = self.encode(contents)
+                except UnicodeEncodeError as error:
+                    text = printable(str(error.object))[:100]
+                    raise InputError(
+                        f"{file.name} cannot hold {text!r}, which is not UTF-8; rename the file, or leave the text out."
+                    ) from error
                 if len(content) > self.max_bytes:  # it could not be read again
                     raise InputError(f"{file.name} would have more than {self._limit}; {self.smaller}.")
                 write_atomic(file, content)

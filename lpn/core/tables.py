@@ -10,8 +10,6 @@ ignored. `none` stands for an unknown value. An unknown number satisfies no othe
 
 from __future__ import annotations
 
-import csv
-import io
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array, ObjectArray
+from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 
@@ -42,7 +41,6 @@ _OPERATOR = re.compile(r"<=|>=|!=|!~|=|<|>|~")
 # Names, and values outside of quotes, contain none of these.
 _OPERATOR_CHARACTERS = frozenset('<>=!~"')
 _MAX_LENGTH = 1000
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 Kind = Literal["number", "text"]
 
 
@@ -193,32 +191,23 @@ class Table:
     def to_csv(self, rows: Int64Array) -> bytes:
         """Return rows as CSV in UTF-8: path and all columns, unknown values empty, numbers above a column's limit as "> limit".
 
-        A text that a spreadsheet would read as a formula (it begins with =, +, -, @, tab, or return) is prefixed with an
-        apostrophe.
+        A text that a spreadsheet would read as a formula gets an apostrophe in front, see `lpn.core.csv_cells`.
         """
         columns = list(self.columns.values())
         cells = [
             [column.texts.get(row) or _csv_number(column.values[row], column.limit) for row in rows.tolist()]
             if column.kind == "number"
-            else [escape_formula(text) for text in column.values[rows]]
+            else column.values[rows].tolist()
             for column in columns
         ]
-        file = io.StringIO(newline="")
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["path", *(escape_formula(column.name) for column in columns)])
-        writer.writerows(zip((escape_formula(self.paths[row]) for row in rows), *cells, strict=True))
-        return file.getvalue().encode("utf-8", "replace")
+        header = ["path", *(column.name for column in columns)]
+        return csv_bytes([header, *zip((self.paths[row] for row in rows), *cells, strict=True)])
 
 
 def _csv_number(value: float, limit: float | None) -> str:
     if np.isnan(value):
         return ""
     return f"{value:.9g}" if limit is None or value <= limit else f"> {limit:g}"
-
-
-def escape_formula(text: str) -> str:
-    """Prefix a text that a spreadsheet would read as a formula with an apostrophe."""
-    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def _unquoted(text: str) -> str:

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
+from lpn.core.csv_cells import csv_rows
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
@@ -388,12 +389,16 @@ def read_lines(path: Path, name: str) -> list[str]:
     Raises:
         DataError: if the file cannot be read, is too large, or is not UTF-8.
     """
+    return _read_text(path, name).splitlines()
+
+
+def _read_text(path: Path, name: str, errors: str = "strict") -> str:
     try:
         if path.stat().st_size > MAX_LIST_BYTES:
             raise DataError(
                 f"{name} has more than {MAX_LIST_BYTES // 1_000_000} MB; expected a list of pictures as text."
             )
-        return path.read_text(encoding="utf-8-sig").splitlines()
+        return path.read_bytes().decode("utf-8-sig", errors)
     except OSError as error:
         raise DataError(
             f"{name} cannot be read ({error.strerror or error}); check that it is there and readable."
@@ -402,21 +407,22 @@ def read_lines(path: Path, name: str) -> list[str]:
         raise DataError(f"{name} is not text in UTF-8; expected a list of pictures.") from error
 
 
-def read_rows(path: Path, name: str) -> Iterator[tuple[int, list[str]]]:
+def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
     """Yield the non-empty rows of a CSV file, each with its line number from 1.
+
+    Args:
+        errors: of the decoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
 
     Raises:
         DataError: if it is not a CSV file.
     """
-    lines = csv.reader(read_lines(path, name))
+    line = 0
     try:
-        for values in lines:
+        for line, values in csv_rows(_read_text(path, name, errors)):
             if any(value.strip() for value in values):
-                yield lines.line_num, values
+                yield line, values
     except csv.Error as error:
-        raise DataError(
-            f"Line {lines.line_num} of {name} is not comma-separated values ({error}); correct it."
-        ) from error
+        raise DataError(f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it.") from error
 
 
 def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:

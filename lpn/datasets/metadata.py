@@ -19,6 +19,7 @@ from collections.abc import Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
 
+from lpn.core.csv_cells import unescape
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.formats import WORLD as WORLD_FORMAT
@@ -129,7 +130,7 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
         return []
     lines = read_rows(file, NAME)
     _, header = next(lines, (0, []))
-    names = [printable(name.strip()) for name in header]
+    names = [printable(unescape(name.strip())) for name in header]
     if names[:1] != ["path"] or len(names) < 2:
         raise DataError(
             f"The first line of {NAME} is {','.join(names) or 'empty'}; expected path and the names of columns."
@@ -141,11 +142,11 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
             raise DataError(
                 f"Line {number} of {NAME} has {len(values)} values; expected {len(names)}: {','.join(names)}."
             )
-        path, *rest = (value.strip() for value in values)
+        path, *rest = (unescape(value.strip()) for value in values)
         path = path.removeprefix("./")
         if path in rows:
             raise DataError(f"Line {number} of {NAME} is a second one for {printable(path)!r}; keep one.")
-        rows[path] = [printable(value) for value in rest]
+        rows[path] = [printable(" ".join(value.splitlines())) for value in rest]
     missing = [path for path in paths if path not in rows]
     if paths and len(missing) == len(paths):
         raise DataError(

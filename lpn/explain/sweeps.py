@@ -10,8 +10,6 @@ angle r estimates h = -r (mod 360).
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,6 +19,7 @@ import numpy as np
 
 from lpn import retrieval
 from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
+from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Truth
@@ -200,11 +199,8 @@ class SweepResult:
 
     def to_csv(self) -> bytes:
         """Return `rows` as comma-separated values in UTF-8."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(self.rows()[0]))
-        writer.writeheader()
-        writer.writerows(self.rows())
-        return text.getvalue().encode()
+        rows = self.rows()
+        return csv_bytes([list(rows[0]), *(row.values() for row in rows)])
 
     def _highest(self, scores: Sequence[float]) -> Point:
         places = sorted(range(len(scores)), key=lambda i: (-scores[i], _magnitude(self.over, self.points[i].change)))

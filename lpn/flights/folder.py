@@ -2,13 +2,12 @@
 
     name,file,width,height,time,latitude,longitude,height_above_ground,height_above_takeoff,altitude,heading,heading_source,...
 
-`file` is relative to the folder where possible. Unknown values are empty.
+`file` is relative to the folder where possible. Unknown values are empty. What a spreadsheet would compute has an apostrophe in
+front, see `lpn.core.csv_cells`.
 """
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import os
 from collections.abc import Mapping
@@ -18,8 +17,9 @@ from typing import Any, get_args
 
 import msgspec
 
+from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, OutputError
-from lpn.core.files import printable, write_atomic
+from lpn.core.files import printable, write_atomic, write_json
 from lpn.core.formats import decode_json, format_of
 from lpn.datasets.base import read_rows
 from lpn.flights.base import Flight, Frame, HeadingSource
@@ -80,15 +80,13 @@ def write_flight(flight: Flight, folder: Path) -> None:
         OutputError: if a file cannot be written, or would replace one that `lpn flight` did not write.
     """
     check_folder(folder)
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    rows: list[list[object]] = [list(_COLUMNS)]
     for frame in flight.frames:
         values = {name: getattr(frame, name) for name in _COLUMNS} | {"file": _relative(frame.file, folder)}
-        writer.writerow("" if value is None else _exact(value) for value in values.values())
-    write_atomic(folder / TABLE, text.getvalue().encode("utf-8", "surrogateescape"))
+        rows.append(list(values.values()))
+    write_atomic(folder / TABLE, csv_bytes(rows, "surrogateescape"))
     header = _Header(FORMAT, flight.name, flight.utc, list(flight.notes))
-    write_atomic(folder / HEADER, msgspec.json.format(msgspec.json.encode(header), indent=1) + b"\n")
+    write_json(folder / HEADER, msgspec.to_builtins(header), ensure_ascii=False)
 
 
 def read_flight(folder: Path) -> Flight:
@@ -104,7 +102,7 @@ def read_flight(folder: Path) -> Flight:
         raise DataError(f"{path} cannot be read ({error.strerror or error}); give a folder of lpn flight.") from error
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not what lpn flight writes; write the flight again.") from error
-    rows = read_rows(folder / TABLE, str(folder / TABLE))
+    rows = read_rows(folder / TABLE, str(folder / TABLE), "surrogateescape")
     if tuple(next(rows, (0, []))[1]) != _COLUMNS:
         raise DataError(f"The first line of {folder / TABLE} is not {','.join(_COLUMNS)}; write the flight again.")
     frames = tuple(_frame(values, folder, f"Line {line} of {folder / TABLE}") for line, values in rows)
@@ -112,11 +110,6 @@ def read_flight(folder: Path) -> Flight:
     if len(names) < len(frames):
         raise DataError(f"{folder / TABLE} names {len(frames) - len(names)} frames twice; names are unique.")
     return Flight(header.name, frames, tuple(header.notes), header.utc)
-
-
-def _exact(value: object) -> str:
-    """Return a value as text that reads as the same number."""
-    return repr(float(value)) if isinstance(value, float) else str(value)
 
 
 def _relative(file: Path, folder: Path) -> str:
@@ -130,7 +123,7 @@ def _relative(file: Path, folder: Path) -> str:
 def _frame(values: list[str], folder: Path, line: str) -> Frame:
     if len(values) != len(_COLUMNS):
         raise DataError(f"{line} has {len(values)} values; expected {len(_COLUMNS)}.")
-    texts = dict(zip(_COLUMNS, values, strict=True))
+    texts = dict(zip(_COLUMNS, map(unescape, values), strict=True))
     found: dict[str, Any] = {name: _number(texts[name], name, line) for name in _NUMBERS}
     source = texts["heading_source"] or None
     if (source is not None and source not in get_args(HeadingSource)) or (source is None) != (found["heading"] is None):

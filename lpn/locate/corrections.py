@@ -5,14 +5,14 @@
 
 `latitude` and `longitude` are of the picture's middle on the ground, the other columns of its corners, in WGS 84 degrees. The
 file may be edited by hand, and by several programs at once, since each change replaces one line under a lock. It is UTF-8;
-bytes of a file's name that are not stay as they are.
+bytes of a file's name that are not stay as they are. What a spreadsheet would compute has an apostrophe in front, such as
+'-33.4 -70.6, which is no difference here; see `lpn.core.csv_cells`.
 """
 
 from __future__ import annotations
 
 import codecs
 import csv
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.csv_cells import csv_bytes, csv_rows, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
@@ -114,7 +115,7 @@ def set_correction(file: Path, name: str, correction: Correction | None) -> dict
 def _decode(content: bytes, file: Path) -> dict[str, Correction]:
     text = content.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
     try:
-        rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
+        rows = [[unescape(value) for value in values] for _, values in csv_rows(text, strict=True)]
     except csv.Error as error:
         raise DataError(f"{file} is not a CSV file; correct it, or move it away.") from error
     if not rows or rows[0] != _HEADER:
@@ -154,14 +155,12 @@ def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:
 
 
 def _encode(corrections: Mapping[str, Correction]) -> bytes:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_HEADER)
+    rows = [_HEADER]
     for name, one in sorted(corrections.items()):
         latitude, longitude = one.middle.tolist()
         corners = [f"{a:.9f} {b:.9f}" for a, b in one.corners.tolist()]
-        writer.writerow([name, f"{latitude:.9f}", f"{longitude:.9f}", *corners])
-    return text.getvalue().encode("utf-8", "surrogateescape")
+        rows.append([name, f"{latitude:.9f}", f"{longitude:.9f}", *corners])
+    return csv_bytes(rows, "surrogateescape")
 
 
 _FORMAT = OwnFileFormat("corrections", _decode, _encode, dict, "remove some of them")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import html
 import json
 import math
 from collections.abc import Sequence
@@ -13,8 +12,9 @@ from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
 
+from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
-from lpn.core.files import write_atomic
+from lpn.core.files import portable, printable, write_atomic
 
 SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
 # Times below are seconds since the start of a video, and no time of day.
@@ -93,7 +93,7 @@ def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
     for point in points:
         properties = {key: getattr(point, key) for key in _COLUMNS if key not in ("latitude", "longitude")}
         geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
-        features.append({"type": "Feature", "geometry": geometry, "properties": _finite(properties)})
+        features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     for (stage, state), chosen in _lines(points).items():
         if len(chosen) > 1:
             line = {"type": "LineString", "coordinates": [_position(point) for point in chosen]}
@@ -105,7 +105,7 @@ def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
                 }
             )
     collection = {"type": "FeatureCollection", "name": name, "features": features}
-    return (json.dumps(collection, indent=1, allow_nan=False) + "\n").encode()
+    return (json.dumps(portable(collection), indent=1, allow_nan=False) + "\n").encode()
 
 
 def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
@@ -115,16 +115,16 @@ def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
     root = ElementTree.Element(f"{{{_GPX}}}gpx", {"version": "1.1", "creator": "lpn locate"})
     for (stage, state), chosen in _lines(points).items():
         track = ElementTree.SubElement(root, f"{{{_GPX}}}trk")
-        ElementTree.SubElement(track, f"{{{_GPX}}}name").text = _plain(f"{name}: {stage}") + _remark(state)
+        ElementTree.SubElement(track, f"{{{_GPX}}}name").text = printable(f"{name}: {stage}") + _remark(state)
         segment = ElementTree.SubElement(track, f"{{{_GPX}}}trkseg")
         for point in chosen:
             longitude, latitude = _position(point)
-            place = {"lat": repr(latitude), "lon": repr(longitude)}
+            place = {"lat": _decimal(latitude), "lon": _decimal(longitude)}
             entry = ElementTree.SubElement(segment, f"{{{_GPX}}}trkpt", place)
             if (moment := _moment(point.time)) is not None:
                 ElementTree.SubElement(entry, f"{{{_GPX}}}time").text = moment
-            ElementTree.SubElement(entry, f"{{{_GPX}}}name").text = _plain(point.frame)
-            ElementTree.SubElement(entry, f"{{{_GPX}}}desc").text = _plain(point.reason)
+            ElementTree.SubElement(entry, f"{{{_GPX}}}name").text = printable(point.frame)
+            ElementTree.SubElement(entry, f"{{{_GPX}}}desc").text = printable(point.reason)
             extensions = ElementTree.SubElement(entry, f"{{{_GPX}}}extensions")
             ElementTree.SubElement(extensions, f"{{{_OURS}}}state").text = state
             ElementTree.SubElement(extensions, f"{{{_OURS}}}camera").text = str(point.camera).lower()
@@ -134,11 +134,14 @@ def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
 
 
 def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return KML 2.2: a folder a stage with its lines and a placemark a frame, refused ones included."""
+    """Return KML 2.2: a folder a stage with its lines and a placemark a frame, refused ones included.
+
+    A description is HTML, which viewers run, so that its text is escaped as HTML, too. A name is plain text.
+    """
     ElementTree.register_namespace("", _KML)
     root = ElementTree.Element(f"{{{_KML}}}kml")
     document = ElementTree.SubElement(root, f"{{{_KML}}}Document")
-    ElementTree.SubElement(document, f"{{{_KML}}}name").text = _plain(name)
+    ElementTree.SubElement(document, f"{{{_KML}}}name").text = printable(name)
     lines = _lines(points)
     for stage in dict.fromkeys(point.stage for point in points):
         folder = ElementTree.SubElement(document, f"{{{_KML}}}Folder")
@@ -155,11 +158,10 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             if point.stage != stage:
                 continue
             mark = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
-            ElementTree.SubElement(mark, f"{{{_KML}}}name").text = _plain(point.frame) + _remark(point.state)
+            ElementTree.SubElement(mark, f"{{{_KML}}}name").text = printable(point.frame) + _remark(point.state)
             radius = "" if point.radius is None else f" The 1-sigma radius is {point.radius:.1f} m."
-            ElementTree.SubElement(mark, f"{{{_KML}}}description").text = _plain(
-                point.reason + _shown(point) + radius
-            ).strip()
+            description = html.escape(printable(point.reason + _shown(point) + radius).strip(), quote=False)
+            ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:
                 stamp = ElementTree.SubElement(mark, f"{{{_KML}}}TimeStamp")
                 ElementTree.SubElement(stamp, f"{{{_KML}}}when").text = moment
@@ -172,13 +174,8 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
 def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a table: a row a frame and stage, empty where unknown."""
     del name
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for point in points:
-        values = _finite({key: getattr(point, key) for key in _COLUMNS})
-        writer.writerow(["" if value is None else value for value in values.values()])
-    return text.getvalue().encode()
+    values = ([portable(getattr(point, key)) for key in _COLUMNS] for point in points)
+    return csv_bytes([_COLUMNS, *values])
 
 
 def _lines(points: Sequence[TrackPoint]) -> dict[tuple[str, State], list[TrackPoint]]:
@@ -209,26 +206,18 @@ def _position(point: TrackPoint) -> tuple[float, float]:
 
 def _coordinates(point: TrackPoint) -> str:
     longitude, latitude = _position(point)
-    return f"{longitude!r},{latitude!r}"
+    return f"{_decimal(longitude)},{_decimal(latitude)}"
+
+
+def _decimal(degrees: float) -> str:
+    """Return degrees without an exponent, which the schemas of GPX and KML do not allow."""
+    return f"{degrees:.8f}".rstrip("0").rstrip(".")
 
 
 def _moment(time: float | None) -> str | None:
     if time is None or not math.isfinite(time) or time < _FIRST_EPOCH:
         return None
     return datetime.fromtimestamp(time, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _finite(properties: dict[str, Any]) -> dict[str, Any]:
-    """Replace numbers that JSON cannot express by None."""
-    return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in properties.items()
-    }
-
-
-def _plain(text: str) -> str:
-    """Replace control characters, which XML does not allow."""
-    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def _xml(root: ElementTree.Element) -> bytes:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from lpn.core.csv_cells import csv_bytes
 from lpn.core.files import write_atomic
 from lpn.drawing.plots import png, pyplot
 from lpn.reproduce.claims import verdicts
@@ -61,16 +60,14 @@ def _format(mean: float, spread: float) -> str:
 
 
 def _csv(record: TableRecord) -> bytes:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     names = list(dict.fromkeys(name for row in record.rows for name in row.values))
-    writer.writerow(["row", "column", "paper", "mean", *names])
+    rows: list[list[object]] = [["row", "column", "paper", "mean", *names]]
     for row in record.rows:
         for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
             paper = row.paper[beside] if beside is not None and beside < len(row.paper) else ""
             found = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
-            writer.writerow([row.shown, title, paper, f"{row.mean[index]:.4f}" if row.mean else "", *found])
-    return text.getvalue().encode()
+            rows.append([row.shown, title, paper, f"{row.mean[index]:.4f}" if row.mean else "", *found])
+    return csv_bytes(rows)
 
 
 def figure(record: TableRecord) -> bytes:

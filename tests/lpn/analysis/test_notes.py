@@ -20,7 +20,7 @@ def test_notes_are_kept_and_read_back(tmp_path: Path) -> None:
     all_notes = set_note(file, "a/1.jpg", ["twin"], "=1+1")
     expected = {"a/1.jpg": Note(("twin",), "=1+1"), "b/2.jpg": Note(("night", "blur"), 'Two "lines",\nof text')}
     assert all_notes == read_notes(file) == expected
-    assert file.read_text().startswith("path,tags,note\na/1.jpg,twin,=1+1\n")
+    assert file.read_text().startswith("path,tags,note\na/1.jpg,twin,'=1+1\n")
     tags, texts = columns(all_notes, ["b/2.jpg", "c.jpg"])
     assert (tags.name, tags.values.tolist()) == ("tags", ["night blur", ""])
     assert texts.values.tolist() == ['Two "lines",\nof text', ""]
