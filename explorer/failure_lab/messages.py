@@ -136,10 +136,17 @@ class OpenQuery(LabMessage):
 
 
 class SaveNote(LabMessage):
+    """Save tags and note of a query.
+
+    Attributes:
+        before: tags and note as they were when the user began to type; None replaces whatever is there.
+    """
+
     task: str
     row: Index
     tags: str
     note: str
+    before: tuple[str, str] | None = None
 
 
 class TagChosen(LabMessage):

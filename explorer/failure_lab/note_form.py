@@ -8,6 +8,8 @@ from explorer.failure_lab import table
 from explorer.failure_lab.messages import SaveNote
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.web.html import Html
+from explorer.web.render import call, run_once
+from lpn.analysis import notes
 from lpn.analysis.notes import Note
 from lpn.core.errors import LPNError
 
@@ -20,6 +22,8 @@ class NoteForm:
         self._boxes, self._message = Html(gui), Html(gui)
         # The query's path and the note that the boxes were filled with.
         self._shown: tuple[str, Note] | None = None
+        # Path and name of a query whose note could not be saved, and why.
+        self._unsaved: tuple[str, str, str] | None = None
         self._revision = 0
 
     def show(self, findings: Findings | None, query: int | None) -> None:
@@ -33,24 +37,42 @@ class NoteForm:
         if stored == self._shown:
             return
         if self._shown is None or self._shown[0] != stored[0]:
-            self._message.show("")
+            self._message.show(self._reminder(stored[0]))
         self._shown = stored
         self._revision += 1
         self._boxes.show(table.note(findings, query, stored[1], self._revision))
 
     def save(self, message: SaveNote) -> bool:
-        """Save the tags and the note of a query; return whether that succeeded."""
+        """Save the tags and the note of a query; return whether the table has changed."""
         findings = self._service.findings(message.task)
         if findings is None or message.row >= len(findings.table):
             return False
         path = findings.table.paths[message.row]
         try:
-            self._service.set_note(path, message.tags, message.note)
+            before = None if message.before is None else Note(notes.parse_tags(message.before[0]), message.before[1])
+            self._service.set_note(path, message.tags, message.note, before)
         except LPNError as error:
-            self._message.show(table.message(f"Not saved. {error}", False))
-            return False
+            stored = error.stored if isinstance(error, notes.ChangedNoteError) else None
+            self._unsaved = path, findings.task.queries[message.row].name, str(error)
+            self._say(f"Not saved. {error}", False, path, stored and (" ".join(stored.tags), stored.text))
+            return stored is not None
+        if self._unsaved is not None and self._unsaved[0] == path:
+            self._unsaved = None
         newest = self._service.findings(message.task)
         if newest is not None and self._shown is not None and self._shown[0] == path:
             self._shown = path, newest.note(message.row)
-        self._message.show(table.message(f"Saved in {self._service.notes_place}.", True))
+        self._say(f"Saved in {self._service.notes_place}.", True, path, (message.tags, message.note))
         return True
+
+    def _say(self, text: str, good: bool, path: str, stored: tuple[str, str] | None) -> None:
+        """Show a message, and tell the page which tags and note are stored if that is new to it."""
+        script = "" if stored is None else run_once(call("noteStored", path, stored))
+        self._message.show(table.message(text, good) + script)
+
+    def _reminder(self, path: str) -> str:
+        """Return a line about a note that could not be saved; empty without one."""
+        if self._unsaved is None:
+            return ""
+        unsaved, name, reason = self._unsaved
+        what = "This note" if unsaved == path else f"The note of {name}"
+        return table.message(f"{what} is not saved, and waits in this browser for Save. {reason}", False)

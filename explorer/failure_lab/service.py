@@ -212,13 +212,17 @@ class FailureLab:
         """
         self._jobs.leave(client, None if task is None else task if kind is None else (kind, task))
 
-    def set_note(self, path: str, tags: str, text: str) -> None:
+    def set_note(self, path: str, tags: str, text: str, before: Note | None = None) -> None:
         """Store the tags and the note of a query on disk, and show them in all browsers.
 
         Raises:
             LPNError: as `notes.set_note`; then nothing has changed.
         """
-        self._show_notes(notes.set_note(self.notes, path, tags, text))
+        try:
+            self._show_notes(notes.set_note(self.notes, path, tags, text, before))
+        except notes.ChangedNoteError:
+            self._show_notes(notes.read_notes(self.notes))  # another program may have changed it
+            raise
 
     def add_tags(self, paths: Sequence[str], tags: str) -> None:
         """Add tags to several queries on disk, and show them in all browsers; errors as for `notes.add_tags`."""

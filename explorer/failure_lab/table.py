@@ -12,7 +12,7 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.failure_lab.service import Findings, SecondProgress
 from explorer.failure_lab.state import Drawer, LabState, extra_columns, fixed_columns, outcome_masks
 from explorer.session_state import Tab
-from explorer.web.render import render
+from explorer.web.render import call, render, run
 from explorer.workspace import Workspace
 from lpn.analysis.named_views import LONGEST_NAME, NamedView
 from lpn.analysis.notes import Note
@@ -107,6 +107,7 @@ def drawer(
     views: Sequence[NamedView],
     message: tuple[str, bool] | None,
     chosen: int = 0,
+    refused: str = "",
 ) -> str:
     """Return what is open below the summary.
 
@@ -115,14 +116,15 @@ def drawer(
         views: of the task.
         message: the result of the last change made there, and whether it succeeded.
         chosen: number of selected queries whose rows are chosen.
+        refused: the text of the last change, if it failed; it stays in its box.
     """
     if lab.drawer not in _drawers(lab, selected):
         return ""
     if lab.drawer == "columns":
         return column_choice(findings, lab)
     if lab.drawer == "tag":
-        return render("failure_lab/tag", selected=selected, chosen=chosen, message=message)
-    return render("failure_lab/views", views=views, message=message, longest=LONGEST_NAME)
+        return render("failure_lab/tag", selected=selected, chosen=chosen, message=message, refused=refused)
+    return render("failure_lab/views", views=views, message=message, longest=LONGEST_NAME, refused=refused)
 
 
 def column_choice(findings: Findings, lab: LabState) -> str:
@@ -209,8 +211,17 @@ def lines(
 
 def note(findings: Findings, row: int, note: Note, revision: int) -> str:
     """Return the boxes for the tags and the note of a query; `revision` counts how often they were filled."""
-    name = findings.task.queries[row].name
-    return render("failure_lab/note", task=findings.task.name, row=row, name=name, note=note, revision=revision)
+    path = findings.table.paths[row]
+    boxes = render(
+        "failure_lab/note",
+        task=findings.task.name,
+        row=row,
+        path=path,
+        name=findings.task.queries[row].name,
+        note=note,
+        revision=revision,
+    )
+    return boxes + run(call("noteOpened", path))
 
 
 def message(text: str, good: bool) -> str:

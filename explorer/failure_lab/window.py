@@ -81,6 +81,8 @@ class FailureLabWindow:
         self._shell: tuple[object, int] = None, 0
         # The result of the last change in the drawer, and whether it succeeded.
         self._drawer_message: tuple[str, bool] | None = None
+        # The text of that change, if it failed.
+        self._drawer_refused = ""
         self._sorted: tuple[object, Int64Array] = ((), np.zeros(0, np.int64))
         self._full_height_shown: bool | None = None
         self._resized = False
@@ -201,7 +203,7 @@ class FailureLabWindow:
                 views = self._service.views(lab.task)
             except LPNError as error:
                 self._drawer_message = str(error), False
-        return table.drawer(findings, lab, selected, views, self._drawer_message, chosen)
+        return table.drawer(findings, lab, selected, views, self._drawer_message, chosen, self._drawer_refused)
 
     def _change_drawer(self, message: LabMessage, findings: Findings) -> None:
         """Tag the selected queries, or save, open, or remove a view; tell the result in the drawer."""
@@ -227,15 +229,18 @@ class FailureLabWindow:
                             with self._lock:
                                 self._lab = shown = state.from_view(findings, self._lab, view)
                             self._tell(shown)
-            self._drawer_message = (told, True) if told else None
+            self._drawer_message, self._drawer_refused = (told, True) if told else None, ""
         except LPNError as error:
-            self._drawer_message = str(error), False
+            self._drawer_message, self._drawer_refused = (str(error), False), ""
+            match message:
+                case messages.TagChosen(text) | messages.SaveView(text):
+                    self._drawer_refused = text
         self._worker.wake()
 
     def _update(self, message: LabMessage) -> None:
         with self._lock:
             if isinstance(message, messages.ToggleDrawer):
-                self._drawer_message = None
+                self._drawer_message, self._drawer_refused = None, ""
             if isinstance(message, messages.SelectLasso):
                 changed = self._map.select_lasso(self._lab, message)
             else:

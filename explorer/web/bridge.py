@@ -30,6 +30,7 @@ _SCRIPT = ";".join(
         "glossary.js",
         "straighten.js",
         "lists.js",
+        "notes.js",
         "own.js",
         "pointer.js",
         "first_screen.js",

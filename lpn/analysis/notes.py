@@ -59,7 +59,23 @@ def read_notes(file: Path) -> dict[str, Note]:
     return _FORMAT.read(file)
 
 
-def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dict[str, Note]:
+class ChangedNoteError(InputError):
+    """A note that was changed by somebody else since it was read.
+
+    Attributes:
+        stored: the note as it is now.
+    """
+
+    def __init__(self, stored: Note) -> None:
+        self.stored = stored
+        words = " ".join((*stored.tags, stored.text)).strip()
+        now = f"it is now {printable(' '.join(words.split()))[:200]!r}" if words else "it is now empty"
+        super().__init__(f"Somebody else has changed this note meanwhile: {now}; save again to replace it.")
+
+
+def set_note(
+    file: Path, path: str, tags: str | Iterable[str], text: str, before: Note | None = None
+) -> dict[str, Note]:
     """Replace one query's annotation on disk and keep all others; an empty annotation removes its line.
 
     Args:
@@ -67,11 +83,13 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
         path: the query's picture, relative to the data set's folder.
         tags: words, or one text of words separated by spaces or commas.
         text: the note.
+        before: the annotation that is to be replaced; None replaces any.
 
     Returns:
         All notes after the change.
 
     Raises:
+        ChangedNoteError: when the annotation is not `before`; it is not changed.
         InputError: when a tag is not a short word, there are too many tags, or the note is too long.
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
@@ -86,7 +104,9 @@ def set_note(file: Path, path: str, tags: str | Iterable[str], text: str) -> dic
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
 
     def change(notes: dict[str, Note]) -> dict[str, Note]:
-        notes.pop(path, None)
+        stored = notes.pop(path, Note())
+        if before is not None and stored not in (Note(before.tags, _clean(before.text)), note):
+            raise ChangedNoteError(stored)
         return notes if note == Note() else notes | {path: note}
 
     return _FORMAT.change(file, change)

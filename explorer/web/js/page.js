@@ -171,12 +171,6 @@
     else if (event.key === "Escape") lpn.send("lab-drawer", "");
   };
 
-  lpn.note = (element) => {
-    const row = element.closest(".lab-note");
-    const [tags, note] = [...row.querySelectorAll("input, textarea")].map((box) => box.value);
-    lpn.send("lab-note", [row.dataset.task, Number(row.dataset.row), tags, note]);
-  };
-
   lpn.tip = (tip) => {
     tip.style.display = "flex";
     const origin = tip.offsetParent.getBoundingClientRect();
