@@ -96,18 +96,30 @@ def write_atomic(path: Path, data: bytes) -> None:
     Raises:
         OutputError: if it cannot be written; nothing is left behind.
     """
-    temporary = _temporary(path)
+    write_together({path: data})
+
+
+def write_together(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together, each as `write_atomic`; a full disk leaves all of them as they were.
+
+    Raises:
+        OutputError: if one cannot be written; nothing is left behind.
+    """
     with uninterrupted():
         try:
-            _prepare(path)
-            temporary.write_bytes(data)
-            os.replace(temporary, path)
+            for path, data in contents.items():
+                _prepare(path)
+                _temporary(path).write_bytes(data)
+            for path in contents:
+                os.replace(_temporary(path), path)
         except OSError as error:
-            with suppress(OSError):
-                temporary.unlink(missing_ok=True)
+            for written in contents:
+                with suppress(OSError):
+                    _temporary(written).unlink(missing_ok=True)
             raise _unwritable(path, error) from error
-        with suppress(OSError):
-            _delete_abandoned(path)
+        for path in contents:
+            with suppress(OSError):
+                _delete_abandoned(path)
 
 
 def write_json(path: Path, value: object, *, ensure_ascii: bool = True) -> None:
@@ -116,7 +128,12 @@ def write_json(path: Path, value: object, *, ensure_ascii: bool = True) -> None:
     Raises:
         OutputError: if the file cannot be written; nothing is left behind.
     """
-    write_atomic(path, (json.dumps(portable(value), indent=1, ensure_ascii=ensure_ascii) + "\n").encode())
+    write_atomic(path, json_bytes(value, ensure_ascii=ensure_ascii))
+
+
+def json_bytes(value: object, *, ensure_ascii: bool = True) -> bytes:
+    """Return what `write_json` writes."""
+    return (json.dumps(portable(value), indent=1, ensure_ascii=ensure_ascii) + "\n").encode()
 
 
 def portable(value: object) -> object:

@@ -19,7 +19,7 @@ import msgspec
 
 from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, OutputError
-from lpn.core.files import printable, write_atomic, write_json
+from lpn.core.files import json_bytes, printable, write_together
 from lpn.core.formats import decode_json, format_of
 from lpn.datasets.base import read_rows
 from lpn.flights.base import Flight, Frame, HeadingSource
@@ -84,9 +84,10 @@ def write_flight(flight: Flight, folder: Path) -> None:
     for frame in flight.frames:
         values = {name: getattr(frame, name) for name in _COLUMNS} | {"file": _relative(frame.file, folder)}
         rows.append(list(values.values()))
-    write_atomic(folder / TABLE, csv_bytes(rows, "surrogateescape"))
-    header = _Header(FORMAT, flight.name, flight.utc, list(flight.notes))
-    write_json(folder / HEADER, msgspec.to_builtins(header), ensure_ascii=False)
+    header = msgspec.to_builtins(_Header(FORMAT, flight.name, flight.utc, list(flight.notes)))
+    write_together(
+        {folder / TABLE: csv_bytes(rows, "surrogateescape"), folder / HEADER: json_bytes(header, ensure_ascii=False)}
+    )
 
 
 def read_flight(folder: Path) -> Flight:

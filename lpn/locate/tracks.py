@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from xml.etree import ElementTree
 
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
-from lpn.core.files import portable, printable, write_atomic
+from lpn.core.files import json_bytes, portable, printable, write_atomic
 
 SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
 # Times below are seconds since the start of a video, and no time of day.
@@ -105,7 +104,7 @@ def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
                 }
             )
     collection = {"type": "FeatureCollection", "name": name, "features": features}
-    return (json.dumps(portable(collection), indent=1, allow_nan=False) + "\n").encode()
+    return json_bytes(collection)
 
 
 def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:

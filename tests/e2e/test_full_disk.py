@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,52 +13,37 @@ from lpn.analysis.notes import Note, read_notes
 from tests.e2e.conftest import RunningApp, started
 from tests.e2e.test_lab import LabPage
 from tools.fixtures import small_worlds
+from tools.fixtures.small_disks import fill, small_disk
 
 LONG = "The roof looks like that of the twin. " * 50
 
 
 @pytest.fixture(scope="module")
-def small_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A data set of four places on a disk of 2 MB."""
+def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A data set of seven places on a disk of 2 MB."""
     folder = tmp_path_factory.mktemp("small") / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)]
-    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small disk can be mounted by root alone")
-    yield small_worlds.make_dataset(folder / "places", train=1, test=6)
-    subprocess.run(["umount", "-l", str(folder)], check=True)
+    with small_disk(folder, 2048) as mounted:
+        if not mounted:
+            pytest.skip("a small disk can be mounted by root alone")
+        yield small_worlds.make_dataset(folder / "places", train=1, test=6)
 
 
 @pytest.fixture(scope="module")
-def small_app(small_disk: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
-    with started(small_disk, model_file, tmp_path_factory.mktemp("run") / "cache") as running:
+def small_app(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
+    with started(places, model_file, tmp_path_factory.mktemp("run") / "cache") as running:
         yield running
 
 
-def filled(folder: Path) -> Path:
-    """Fill the disk to its last byte."""
-    file = folder / "filler"
-    with file.open("wb", buffering=0) as stream:
-        for size in (65536, 512, 1):
-            try:
-                while stream.write(bytes(size)):
-                    pass
-            except OSError:
-                continue
-    return file
-
-
-def open_row(lab: LabPage, number: int) -> str:
-    """Open the query of a row of the table, and return its path below the data."""
-    lab.page.locator("tr[data-row]").nth(number).click()
-    row = lab.page.locator("tr[data-row]").nth(number).get_attribute("data-row")
+def open_row(lab: LabPage, row: int) -> str:
+    """Open a query from the table, and return its path below the data."""
+    lab.page.locator(f"#lpn-lab-table tr[data-row='{row}']").click()
     expect(lab.page.locator(f".lab-note[data-row='{row}']")).to_be_visible()
     return str(lab.page.locator(".lab-note").get_attribute("data-path"))
 
 
 @pytest.mark.slow
 def test_a_note_is_not_lost_while_the_disk_is_full(
-    small_disk: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
+    places: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:
     lab = LabPage(contexts().new_page())
     lab.enter(small_app.url)
@@ -70,7 +53,7 @@ def test_a_note_is_not_lost_while_the_disk_is_full(
     tags.fill("kept")
     tags.blur()
     expect(message).to_contain_text("Saved in notes.csv")
-    filler = filled(small_disk)
+    filler = fill(places)
     second = open_row(lab, 2)
     note.fill(LONG)
     note.blur()
@@ -84,7 +67,7 @@ def test_a_note_is_not_lost_while_the_disk_is_full(
     open_row(lab, 2)
     expect(note).to_have_value(LONG)
     expect(unsaved).to_be_visible()
-    assert read_notes(small_disk / "notes.csv") == {first: Note(("kept",))}
+    assert read_notes(places / "notes.csv") == {first: Note(("kept",))}
     lab.page.reload()
     lab.enter(small_app.url)
     assert open_row(lab, 2) == second
@@ -93,24 +76,24 @@ def test_a_note_is_not_lost_while_the_disk_is_full(
     lab.page.locator(".lab-note a").click()
     expect(message).to_contain_text("Saved in notes.csv")
     expect(unsaved).to_be_hidden()
-    assert read_notes(small_disk / "notes.csv") == {first: Note(("kept",)), second: Note((), LONG.strip())}
+    assert read_notes(places / "notes.csv") == {first: Note(("kept",)), second: Note((), LONG.strip())}
     lab.key("b")
     lab.key("b")
     expect(note).to_have_value(LONG)
     note.fill("short")
     note.blur()
     expect(message).to_contain_text("Saved in notes.csv")
-    assert read_notes(small_disk / "notes.csv")[second] == Note((), "short")
+    assert read_notes(places / "notes.csv")[second] == Note((), "short")
 
 
 @pytest.mark.slow
 def test_a_story_and_a_view_are_not_lost_while_the_disk_is_full(
-    small_disk: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
+    places: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:
     lab = LabPage(contexts().new_page())
     lab.enter(small_app.url)
     page = lab.page
-    filler = filled(small_disk)
+    filler = fill(places)
     page.locator(".lab-summary a", has_text="Views").click()
     page.locator("#lpn-lab-view-name").fill("dark roofs")
     page.locator("#lpn-lab-views a.button").click()
@@ -126,20 +109,20 @@ def test_a_story_and_a_view_are_not_lost_while_the_disk_is_full(
     save.click()
     expect(page.locator("#lpn-story-message")).to_contain_text("No space left on device); free space")
     expect(caption).to_have_value("A twin.")
-    assert not (small_disk / "stories.json").exists()
+    assert not (places / "stories.json").exists()
     filler.unlink()
     save.click()
     expect(page.locator("#lpn-story-message")).to_contain_text("Saved in stories.json")
-    assert json.loads((small_disk / "stories.json").read_bytes())[0]["steps"][0]["caption"] == "A twin."
+    assert json.loads((places / "stories.json").read_bytes())[0]["steps"][0]["caption"] == "A twin."
     lab.key("b")
     page.locator("#lpn-lab-views a.button").click()
     expect(page.locator("#lpn-lab-views .dim", has_text="Saved in views.json")).to_be_visible()
-    assert json.loads((small_disk / "views.json").read_bytes())["views"][0]["name"] == "dark roofs"
+    assert json.loads((places / "views.json").read_bytes())["views"][0]["name"] == "dark roofs"
 
 
 @pytest.mark.slow
 def test_two_browsers_that_write_one_note_lose_neither(
-    small_disk: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
+    places: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:
     first, second = (LabPage(contexts().new_page()) for _ in range(2))
     for lab in (first, second):
@@ -155,11 +138,11 @@ def test_two_browsers_that_write_one_note_lose_neither(
         "Not saved. Somebody else has changed this note meanwhile: it is now 'theirs'; save again to replace it."
     )
     expect(first.page.locator(note)).to_have_value("mine")
-    assert read_notes(small_disk / "notes.csv")[path].text == "theirs"
+    assert read_notes(places / "notes.csv")[path].text == "theirs"
     first.page.locator(note).fill("theirs, and mine")
     first.page.locator(note).blur()
     expect(first.page.locator(message)).to_contain_text("Saved in")
-    assert read_notes(small_disk / "notes.csv")[path].text == "theirs, and mine"
+    assert read_notes(places / "notes.csv")[path].text == "theirs, and mine"
     open_row(second, 3)
     open_row(second, 4)
     expect(second.page.locator(note)).to_have_value("theirs, and mine")

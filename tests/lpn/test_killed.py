@@ -11,6 +11,7 @@ import os
 import shutil
 import signal
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,7 @@ from lpn import descriptors, index
 from lpn.core.errors import DataError, StoreError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
-from tools.fixtures import small_worlds
+from tools.fixtures import saves, small_worlds
 from tools.fixtures.killed_commands import Killer
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX's")
@@ -275,3 +276,26 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
         assert killer.run(arguments)[0] == 0, killer.log.read_text()
         assert len(descriptors.open_store(out).descriptors) == len(descriptors.pictures_below(pictures))
     assert killed >= steps - 2, "a run may save once less than another"
+
+
+def test_what_a_person_saves(tmp_path: Path, killer: Killer) -> None:
+    """What was saved before the kill is there, and what was being saved is there whole or not at all."""
+    out, journal = tmp_path / "out", tmp_path / "journal"
+    out.mkdir()
+    arguments = [saves.COMMAND, str(out), str(journal)]
+    status, _, steps = killer.run(arguments)
+    assert status == 0, killer.log.read_text()
+    assert saves.saved(out) == dict.fromkeys(saves.SAVES, 3)
+    rng = Random("saves")
+    for step in sorted(rng.sample(range(1, steps + 1), min(steps, 3 * ROUNDS))):
+        shutil.rmtree(out)
+        out.mkdir()
+        journal.write_text("")
+        assert killer.run(arguments, step=step)[0] == -signal.SIGKILL
+        reported = Counter(journal.read_text().split())
+        pieces = saves.saved(out)
+        more = {kind for kind in saves.SAVES if pieces[kind] != reported[kind]}
+        assert all(pieces[kind] == reported[kind] + 1 for kind in more), step
+        assert len(more) <= 1, step
+    assert killer.run(arguments)[0] == 0, killer.log.read_text()
+    assert saves.saved(out) == dict.fromkeys(saves.SAVES, 3)

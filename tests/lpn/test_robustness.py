@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -27,7 +26,7 @@ from lpn.datasets import open_dataset
 from lpn.datasets.geo import read_positions
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.onnx_engine import Engine
-from tools.fixtures import small_worlds
+from tools.fixtures import small_disks, small_worlds
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -351,13 +350,10 @@ def test_a_port_in_use_is_one_sentence(capsys: pytest.CaptureFixture[str], model
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A disk of 128 kB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=128k", "tmpfs", str(folder)]
-    if not shutil.which("mount") or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small disk can be mounted by root alone")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+    with small_disks.small_disk(tmp_path / "disk", 128) as mounted:
+        if not mounted:
+            pytest.skip("a small disk can be mounted by root alone")
+        yield tmp_path / "disk"
 
 
 def test_a_full_disk_is_one_sentence_and_leaves_nothing_whole(

@@ -1,0 +1,104 @@
+"""A full disk while a person's work is saved: the old file stays whole, one sentence says so, and saving again works."""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+from collections.abc import Callable, Iterator
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+
+from lpn.analysis import notes
+from lpn.cli import main
+from lpn.core.errors import OutputError
+from lpn.locate.tracks import TrackPoint, write_track
+from tools.fixtures import saves
+from tools.fixtures.small_disks import fill, small_disk
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 256 kB."""
+    with small_disk(tmp_path / "disk", 256) as mounted:
+        if not mounted:
+            pytest.skip("a small disk can be mounted by root alone")
+        yield tmp_path / "disk"
+
+
+@pytest.mark.parametrize("kind", saves.SAVES)
+def test_what_was_saved_stays_whole_and_saving_again_works(kind: str, disk: Path) -> None:
+    for save in saves.SAVES.values():
+        save(disk, 0)
+    before = {file: file.read_bytes() for file in disk.rglob("*") if file.is_file()}
+    filler = fill(disk)
+    with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\); free space or choose another"):
+        saves.SAVES[kind](disk, 1)
+    assert {file: file.read_bytes() for file in disk.rglob("*") if file.is_file() and file != filler} == before
+    filler.unlink()
+    saves.SAVES[kind](disk, 1)
+    assert saves.saved(disk) == dict.fromkeys(saves.SAVES, 1) | {kind: 2}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of a process are POSIX's")
+def test_a_disk_that_fills_up_within_a_file_leaves_the_old_one(tmp_path: Path) -> None:
+    """As a quota does, in a process of its own: the limit holds for every file that it writes."""
+    track = tmp_path / "track.kml"
+    write_track(track, "monday", [TrackPoint("a.jpg", "retrieval", "accepted", "", None, 46.0, 7.0)])
+    before = track.read_bytes()
+    process = get_context("fork").Process(target=_write_beyond_the_limit, args=(track,))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == {track: before}
+
+
+def _write_beyond_the_limit(track: Path) -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+    points = [TrackPoint(f"{i}.jpg", "retrieval", "accepted", "", None, 46.0, 7.0) for i in range(999)]
+    try:
+        write_track(track, "monday", points)
+    except OutputError as error:
+        os._exit(0 if "cannot be written (File too large)" in str(error) else 1)
+    os._exit(2)
+
+
+def test_the_commands_that_write_files_for_others_say_so(
+    disk: Path, data: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = disk / "failures.csv"
+    table.write_text("an older table")
+    fill(disk)
+    given = ["failures", "--data", str(data), "--model", str(model_file), "--csv", str(table)]
+    assert main.main(given) == 2
+    shown = capsys.readouterr().err
+    assert shown.count("\n") == 1
+    assert "failures.csv cannot be written (No space left on device); free space or choose another place." in shown
+    assert table.read_text() == "an older table"
+
+
+def _set_notes(file: Path, name: str) -> None:
+    for count in range(20):
+        notes.set_note(file, f"{name}/{count}.jpg", "night", "- of both")
+    os._exit(0)
+
+
+def _in_processes(work: Callable[..., None], file: Path) -> list[int | None]:
+    context = get_context("fork")
+    processes = [context.Process(target=work, args=(file, name)) for name in "abc"]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    return [process.exitcode for process in processes]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="two processes must not write into one folder there")
+def test_three_programs_that_save_at_once_lose_nothing(tmp_path: Path) -> None:
+    assert _in_processes(_set_notes, tmp_path / "notes.csv") == [0, 0, 0]
+    stored = notes.read_notes(tmp_path / "notes.csv")
+    assert len(stored) == 60
+    assert set(stored.values()) == {notes.Note(("night",), "- of both")}
+    assert [file.name for file in tmp_path.iterdir()] == ["notes.csv"]
