@@ -54,7 +54,8 @@ class NoteForm:
         except LPNError as error:
             stored = error.stored if isinstance(error, notes.ChangedNoteError) else None
             self._unsaved = path, findings.task.queries[message.row].name, str(error)
-            self._say(f"Not saved. {error}", False, path, stored and (" ".join(stored.tags), stored.text))
+            newer = None if stored is None else (" ".join(stored.tags), stored.text)
+            self._say(f"Not saved. {error}", False, path, newer)
             return stored is not None
         if self._unsaved is not None and self._unsaved[0] == path:
             self._unsaved = None

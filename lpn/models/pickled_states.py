@@ -234,7 +234,7 @@ def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> tuple[list[str], 
     """Return the state dict in what a training saved, with its keys there; or what was saved as it is, without keys."""
     states = _states(loaded, depth)
     named = next(iter(states), None)
-    if named in _WEIGHTS or (len(states) == 1 and not _has_tensors(loaded)):
+    if named is not None and (named in _WEIGHTS or (len(states) == 1 and not _has_tensors(loaded))):
         keys, state = states[named]
         return [named, *keys], state
     return [], loaded

@@ -34,7 +34,9 @@ def test_what_was_saved_stays_whole_and_saving_again_works(kind: str, disk: Path
         save(disk, 0)
     before = {file: file.read_bytes() for file in disk.rglob("*") if file.is_file()}
     filler = fill(disk)
-    with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\); free space or choose another"):
+    with pytest.raises(
+        OutputError, match=r"cannot be written \(No space left on device\); free space or choose another"
+    ):
         saves.SAVES[kind](disk, 1)
     assert {file: file.read_bytes() for file in disk.rglob("*") if file.is_file() and file != filler} == before
     filler.unlink()

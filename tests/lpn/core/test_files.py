@@ -7,10 +7,20 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from lpn.core.errors import OutputError
-from lpn.core.files import check_writable, distinct_names, fingerprint, first_few, write_atomic, write_json
+from lpn.core.files import (
+    check_writable,
+    distinct_names,
+    fingerprint,
+    first_few,
+    printable,
+    write_atomic,
+    write_json,
+    write_together,
+)
 
 
 def test_a_file_is_whole_however_many_write_it(tmp_path: Path) -> None:
@@ -91,3 +101,35 @@ def test_the_first_few_are_named_and_the_others_counted() -> None:
     assert first_few(["a", "b"], 2) == "a, b"
     assert first_few(["a", "b", "c", "d"], 2) == "a, b, and 2 more"
     assert first_few([], 2) == ""
+
+
+def test_json_is_read_by_any_reader(tmp_path: Path) -> None:
+    value = {"caf\udce9": [float("nan"), (float("-inf"), 1.5)], "fine": {"a": None, "b": True, 3: "\u2028"}}
+    write_json(tmp_path / "a.json", value)
+    expected = {"caf?": [None, [None, 1.5]], "fine": {"a": None, "b": True, "3": "\u2028"}}
+    assert msgspec.json.decode((tmp_path / "a.json").read_bytes()) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        # A no-break space as macOS writes it, an ideographic space, a Persian word with a non-joiner, an emoji of three.
+        ("Bildschirm 10.15\u202fPM.png", "Bildschirm 10.15\u202fPM.png"),
+        ("\u753b\u50cf\u30001.jpg", "\u753b\u50cf\u30001.jpg"),
+        ("\u0645\u06cc\u200c\u062e", "\u0645\u06cc\u200c\u062e"),
+        ("\U0001f468\u200d\U0001f33e.jpg", "\U0001f468\u200d\U0001f33e.jpg"),
+        ("a\u202egpj.exe", "a?gpj.exe"),
+        ("a\nb\x1b[31m\u2028\u2029\x85", "a?b?[31m???"),
+        ("caf\udce9", "caf?"),
+    ],
+)
+def test_names_are_shown_as_they_are_where_that_is_safe(name: str, shown: str) -> None:
+    assert printable(name) == shown
+
+
+def test_files_that_belong_together_are_replaced_together(tmp_path: Path) -> None:
+    first, second = tmp_path / "a", tmp_path / "b"
+    write_together({first: b"1", second: b"1"})
+    with pytest.raises(OutputError, match="c cannot be written"):
+        write_together({first: b"2", second: b"2", tmp_path / "a" / "c": b"2"})
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == {first: b"1", second: b"1"}
