@@ -12,6 +12,7 @@ import functools
 import itertools
 import logging
 from collections.abc import Awaitable, Callable, Generator, Iterator, Sequence
+from http import HTTPStatus
 from typing import Any
 
 import viser
@@ -23,13 +24,16 @@ from websockets.http11 import Request as WebsocketRequest
 from websockets.http11 import Response
 from websockets.protocol import CONNECTING, Event
 from websockets.streams import StreamReader
+from websockets.typing import Subprotocol
 
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
 from explorer.server.auth_pages import redirect_page, refusal_page
+from explorer.server.connection_check import FAULTS, GREETING, PROTOCOL, ConnectionCheck, is_websocket
+from explorer.server.connection_check import PATH as CHECK_PATH
 from explorer.server.loading import with_loading_line
 from explorer.server.message_filter import FIELDS, MAX_MESSAGE, MessageFilter, RejectedMessageError
-from explorer.server.picture_route import PictureRoute
+from explorer.server.picture_route import PREFIX, PictureRoute
 from explorer.server.rate_limiter import RateLimiter, TokenBucket
 from lpn.core.errors import MissingPackageError
 
@@ -63,6 +67,8 @@ _LONG = Refusal(
     f"An address has up to {MAX_ADDRESS:,} characters. Open the page without what follows its ?.",
 )
 _MALFORMED = Refusal(400, "Malformed request", "The request is not for an address of this server.")
+_NO_UPGRADE = Refusal(426, FAULTS["upgrade"].title, FAULTS["upgrade"].text)
+_NO_PROTOCOL = Refusal(400, FAULTS["protocol"].title, FAULTS["protocol"].text)
 
 
 class Gateway:
@@ -82,6 +88,7 @@ class Gateway:
     ) -> None:
         self.authenticator, self._pictures, self._embedders = authenticator, pictures, tuple(embedders)
         self._rate_limiter = RateLimiter()
+        self._check = ConnectionCheck()
         self._server: viser.ViserServer | None = None
         self._protecting = False
         if changed := [kind for kind, fields in FIELDS.items() if viser_compat.message_fields(kind) != fields]:
@@ -107,10 +114,13 @@ class Gateway:
         """Replace `websockets.asyncio.server.serve`. It must not raise: viser would wait for ever."""
         self._protecting = True
         page = settings.pop("process_request", None)  # viser always passes one; without it every request fails
+        select = settings.pop("select_subprotocol", None)
         return websockets.asyncio.server.serve(
             functools.partial(_handle, handler, itertools.count()),
             *where,
             process_request=functools.partial(self._respond, page),
+            select_subprotocol=functools.partial(_select_subprotocol, select),
+            process_response=_finish,
             **settings
             | {
                 "max_size": MAX_MESSAGE,
@@ -138,11 +148,13 @@ class Gateway:
     ) -> Response | Awaitable[Response] | None:
         if len(raw.path) > MAX_ADDRESS:
             return refusal_page(_LONG)
-        port = int(connection.local_address[1])
+        server, port = _local_address(connection)
         request = _http_request(connection, raw)
         if self.authenticator.has_token(request) and self._rate_limiter.blocked(request.address):
             return refusal_page(_BLOCKED)
         verdict = self.authenticator.check(request, port)
+        if is_websocket(request):
+            self._check.note(request, server, verdict if isinstance(verdict, Refusal) else None)
         if isinstance(verdict, Redirect):
             return redirect_page(verdict, self.authenticator.cookie(request, port))
         if verdict is not None:
@@ -151,10 +163,22 @@ class Gateway:
                 log.warning("A wrong token came from %s", request.address)
                 self._rate_limiter.wrong_token(request.address)
             return refusal_page(verdict)
-        if self._pictures is not None and self._pictures.serves(raw.path) and not request.upgrade:
-            return self._picture(self._pictures, raw.path, request)
-        response = page(connection, raw)
-        return None if response is None else self._secured(with_loading_line(response), request)
+        # viser would take "Upgrade: WebSocket", as Apache writes it, for a request of its page.
+        if request.upgrade:
+            return None if request.headers.get("sec-websocket-protocol") else refusal_page(_NO_PROTOCOL)
+        if is_websocket(request):
+            return refusal_page(_NO_UPGRADE)
+        path = _path_in_folder(raw.path)
+        if self._pictures is not None and self._pictures.serves(path):
+            return self._picture(self._pictures, path, request)
+        if path.partition("?")[0] == CHECK_PATH:
+            return self._secured(self._check.answer(request, server), request)
+        response = page(connection, WebsocketRequest(path, raw.headers))
+        if response is None:
+            return refusal_page(_MALFORMED)
+        if response.status_code == 404 and (folder := _folder(request)) is not None:
+            return redirect_page(Redirect(folder, sign_in=False), "")
+        return self._secured(with_loading_line(response), request)
 
     async def _picture(self, pictures: PictureRoute, path: str, request: HttpRequest) -> Response:
         return self._secured(await pictures.respond(path, request.address), request)
@@ -164,14 +188,29 @@ class Gateway:
 
 
 class _RequestReader(StreamReader):
-    """Reads up to `MAX_REQUEST_LINE` bytes of a request's first line; header lines keep the limit of websockets."""
+    """Reads up to `MAX_REQUEST_LINE` bytes of a request's first line; header lines keep the limit of websockets.
 
+    websockets reads GET and HTTP/1.1 only. A proxy may ask by HTTP/1.0, as nginx does unless it is told otherwise, and programs
+    that watch a server ask by HEAD; both are read as if they were GET and HTTP/1.1.
+
+    Attributes:
+        head: the request is one of HEAD: its answer has no body.
+    """
+
+    head = False
     _first = True
 
     def read_line(self, m: int) -> Generator[None, None, bytearray]:
         """Read a line of at most `m` bytes; see the base class for the errors."""
-        m, self._first = max(m, MAX_REQUEST_LINE) if self._first else m, False
-        return super().read_line(m)
+        if not self._first:
+            return (yield from super().read_line(m))
+        self._first = False
+        line = yield from super().read_line(max(m, MAX_REQUEST_LINE))
+        if line.startswith(b"HEAD "):
+            self.head, line = True, line.replace(b"HEAD", b"GET", 1)
+        if line.endswith(b" HTTP/1.0\r\n"):
+            line[-3:-2] = b"1"
+        return line
 
 
 class _Connection(ServerConnection):
@@ -180,7 +219,7 @@ class _Connection(ServerConnection):
     def __init__(self, is_upload_button: Callable[[str], bool], *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         # The parser has begun to read by the other reader.
-        self.protocol.reader = _RequestReader()
+        self.reader = self.protocol.reader = _RequestReader()
         self.protocol.parser = self.protocol.parse()
         next(self.protocol.parser)
         self.filter = MessageFilter(is_upload_button)
@@ -218,6 +257,9 @@ class _Connection(ServerConnection):
 async def _handle(handler: Handler, numbers: Iterator[int], connection: ServerConnection) -> None:
     """Run viser's handler; an error closes this connection only and is logged in one line."""
     asyncio.get_running_loop().set_exception_handler(_log_failed_task)
+    if connection.subprotocol == PROTOCOL:
+        await connection.send(GREETING)
+        return
     number = next(numbers)  # viser counts browsers in the same way
     if isinstance(connection, _Connection):
         connection.filter.number = number
@@ -256,14 +298,54 @@ def _http_request(connection: ServerConnection, request: WebsocketRequest) -> Ht
     headers: dict[str, list[str]] = {}
     for name, value in request.headers.raw_items():
         headers.setdefault(name.lower(), []).append(value)
-    # viser opens a websocket for exactly this value, and answers every other request with its page.
-    upgrade = headers.get("upgrade") == ["websocket"]
+    upgrade = [value.strip().lower() for value in headers.get("upgrade", ())] == ["websocket"]
     return HttpRequest(request.path, headers, upgrade, _address(connection))
 
 
 def _address(connection: ServerConnection) -> str:
     remote = connection.remote_address
     return str(remote[0]) if isinstance(remote, tuple) else ""
+
+
+def _local_address(connection: ServerConnection) -> tuple[str, int]:
+    """Return the address at which a connection arrived as NAME:PORT, and its port."""
+    host, port = connection.local_address[:2]
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}", int(port)
+
+
+def _path_in_folder(path: str) -> str:
+    """Return a path and its query without the folder that a proxy may leave in front: all files of the page are in one."""
+    place, mark, query = path.partition("?")
+    start = place.rfind(PREFIX)
+    return place[start if start >= 0 else max(place.rfind("/"), 0) :] + mark + query
+
+
+def _folder(request: HttpRequest) -> str | None:
+    """Return the folder, relative to its address, of a page that was asked for without the last slash; None for other files."""
+    place, mark, query = request.path.partition("?")
+    name = place.rpartition("/")[2]
+    page = "text/html" in request.only("accept") and request.only("sec-fetch-mode") in ("", "navigate")
+    return f"./{name}/{mark}{query}" if page and name and "." not in name else None
+
+
+def _finish(connection: ServerConnection, _: WebsocketRequest, response: Response) -> None:
+    """Say that the connection ends after a page, and leave the body out where HEAD asked for it."""
+    if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
+        return
+    if "Connection" not in response.headers:
+        response.headers["Connection"] = "close"
+    if isinstance(connection, _Connection) and connection.reader.head:
+        response.body = b""
+
+
+def _select_subprotocol(
+    select: Callable[[ServerConnection, Sequence[Subprotocol]], Subprotocol | None] | None,
+    connection: ServerConnection,
+    offered: Sequence[Subprotocol],
+) -> Subprotocol | None:
+    if PROTOCOL in offered:
+        return Subprotocol(PROTOCOL)
+    return None if select is None else select(connection, offered)
 
 
 def _add_security_headers(response: Response, host: str, embedders: Sequence[str]) -> Response:

@@ -176,7 +176,7 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
     assert status == 421
     assert "--allow-host evil.example" in body
     assert get(app, "/?websocket=ws://evil.example")[0] == 403
-    assert get(app, "/?websocket=ws://evil.example", Upgrade="WebSocket")[0] == 403  # viser answers it with its page
+    assert get(app, "/?websocket=ws://evil.example", Upgrade="WebSocket")[0] == 400, "no page"
     assert refused(app, origin="https://evil.example") == 403
     assert refused(app, origin="null") == 403
     with WebSocketClient(url(app), origin=url(app)):
