@@ -14,13 +14,15 @@ from lpn.flights.photos import photo_of
 
 # Kinds of files that visitors may send: fewer decoders than a data set's own pictures go through.
 KINDS = "JPEG, PNG, or WebP"
-# Uploads are shrunk to this many pixels a side, so that rotating them stays quick.
+# Uploads are shrunk to this many pixels a side, so that rotating them stays quick. Those of 6,400 pixels a side and more are
+# decoded at a part of their size; smaller ones, such as photos of 20 megapixels, pixel by pixel.
 MAX_SIDE = 1600
 _MAX_NAME = 80
 # Scans of a progressive JPEG; usual are 1 and 10. A scan needs few bytes but the time of a whole picture.
 _MAX_SCANS = 100
 
-# Limits the memory of decoding for all browsers: the largest picture takes 430 MB and up to 5 s of a core.
+# Limits the memory of decoding for all browsers: the largest JPEG takes 140 MB, the largest PNG or
+# WebP 370 MB and up to 5 s of a core.
 _READING = threading.BoundedSemaphore(2)
 
 
@@ -47,7 +49,7 @@ def read(name: str, content: bytes) -> OwnPicture:
     if content.startswith(b"\xff\xd8") and (scans := content.count(b"\xff\xda")) > _MAX_SCANS:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     with _READING:
-        picture = images.shrink(images.decode_picture(content, name, KINDS), MAX_SIDE)
+        picture = images.shrink(images.decode_picture(content, name, KINDS, MAX_SIDE), MAX_SIDE)
         return OwnPicture(name, picture, _place(content, name))
 
 

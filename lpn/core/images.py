@@ -34,6 +34,9 @@ OTHER_SUFFIXES = (
 # Drones take pictures of up to 8192 x 6144 pixels.
 MAX_PIXELS = 64_000_000
 PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
+# OpenCV's flags by the factor that they divide width and height by.
+_REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
 
 _HEIC = (b"heic", b"heix", b"hevc", b"heim", b"heis", b"mif1", b"msf1")
 # A number for red, green, and blue.
@@ -59,23 +62,49 @@ def load_picture(path: str | Path) -> UInt8Array:
     return decode_picture(data, printable(str(path)))
 
 
-def decode_picture(data: bytes, name: str, kinds: str = KINDS) -> UInt8Array:
+def decode_picture(data: bytes, name: str, kinds: str = KINDS, side: int | None = None) -> UInt8Array:
     """Decode the bytes of a picture file, of an animation the first frame; `name` and `kinds` are used in messages only.
+
+    Args:
+        side: pixels of the longer side that the caller needs; a picture at least four times as long is decoded at 1/2, 1/4, or
+            1/8 of its size, at least twice as long as needed, which saves memory. None decodes every pixel.
 
     Raises:
         PictureError: if they are not a picture, or one of more than 64 megapixels.
     """
     if (found := header_error(io.BytesIO(data))) is not None:
         raise PictureError(f"{name} {found}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
+    factor = 1 if side is None else _reduction(data, side)
     try:
-        decoded = None if _overruns(data) else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        decoded = None if _overruns(data) else _decode(data, factor)
     except (cv2.error, MemoryError):
         decoded = None
     if decoded is None and data.startswith(b"GIF8"):  # OpenCV reads these since 4.11
         return _first_frame(data, name, kinds)
     if decoded is None or decoded.ndim != 3 or decoded[..., 0].size > MAX_PIXELS:
         raise PictureError(f"{name} is cut short or damaged; expected a whole {kinds} file, so copy it again.")
-    return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
+    return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded))
+
+
+def _reduction(data: bytes, side: int) -> int:
+    """Return 1, 2, 4, or 8: how many times smaller a picture may be decoded so that twice `side` pixels remain."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        with Image.open(io.BytesIO(data)) as header:
+            longer = max(header.size)
+    return max(factor for factor in (1, *_REDUCED) if factor == 1 or longer >= 2 * factor * side)
+
+
+def _decode(data: bytes, factor: int) -> UInt8Array | None:
+    """Return upright BGR at 1 / factor of the size, None for a damaged file."""
+    # Only libjpeg decodes less than every pixel; OpenCV would shrink the others without anti-aliasing.
+    scaled = factor > 1 and data.startswith(_JPEG)
+    flags = _REDUCED[factor] if scaled else cv2.IMREAD_COLOR
+    decoded = cast("UInt8Array | None", cv2.imdecode(np.frombuffer(data, np.uint8), flags))
+    if decoded is None or factor == 1 or scaled:
+        return decoded
+    height, width = (max(length // factor, 1) for length in decoded.shape[:2])
+    return cast(UInt8Array, cv2.resize(decoded, (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _first_frame(data: bytes, name: str, kinds: str) -> UInt8Array:

@@ -162,3 +162,36 @@ def test_threads_that_all_share_do_not_yield_because_one_thread_does() -> None:
 
     assert kinds("asked") == 1
     assert kinds() == 2, "OpenCV does not share its threads any more: `use_all_cores` need not start them"
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+@pytest.mark.parametrize(
+    ("longer", "shape"), [(399, (300, 399)), (400, (150, 200)), (799, (150, 399)), (800, (75, 200))]
+)
+def test_a_far_larger_picture_is_decoded_at_a_part_of_its_size(
+    suffix: str, longer: int, shape: tuple[int, int]
+) -> None:
+    data = cv2.imencode(suffix, cv2.resize(small_worlds.place(3), (longer, 300)), [cv2.IMWRITE_JPEG_QUALITY, 95])[
+        1
+    ].tobytes()
+    whole = images.decode_picture(data, "a")
+    reduced = images.decode_picture(data, "a", side=100)
+    assert np.abs(reduced.shape[:2] - np.array(shape)).max() <= 1
+    if longer < 400:
+        np.testing.assert_array_equal(reduced, whole)
+    difference = images.resize(whole, 24, 64).astype(int) - images.resize(reduced, 24, 64)
+    assert np.abs(difference).mean() < 0.6
+    assert np.abs(difference).max() <= 12
+
+
+def test_a_picture_that_is_decoded_at_a_part_of_its_size_is_upright_and_whole() -> None:
+    data = io.BytesIO()
+    exif = Image.Exif()
+    exif[0x0112] = 6  # its top is at the right
+    Image.fromarray(cv2.resize(small_worlds.place(3), (800, 400))).save(data, "JPEG", exif=exif, quality=95)
+    reduced = images.decode_picture(data.getvalue(), "a", side=100)
+    assert reduced.shape == (200, 100, 3)
+    turned = images.resize(np.rot90(cv2.resize(small_worlds.place(3), (800, 400)), -1), 64, 64)
+    assert np.abs(images.resize(reduced, 64, 64).astype(int) - turned).mean() < 3
+    with pytest.raises(PictureError, match="cut short or damaged"):
+        images.decode_picture(data.getvalue()[:9000], "a", side=100)
