@@ -174,8 +174,9 @@ class Authenticator:
         return Refusal(
             421,
             "This server does not go by that name",
-            f"The request was for {name or 'a name that cannot be read'}. If that name is right, start the server again with "
-            f"--allow-host {name or 'NAME'}.",
+            f"The request was for {name or 'a name that cannot be read'}. If this page's address has that name, start the server "
+            f"again with --allow-host {name or 'NAME'}. If not, the proxy in between must pass Host as the browser sent it; for "
+            "nginx, add: proxy_set_header Host $http_host;",
         )
 
     def _check_token(self, request: HttpRequest, token: str, port: int) -> Refusal | Redirect | None:

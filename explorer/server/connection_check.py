@@ -43,7 +43,7 @@ _STATUS = re.compile(r"[1-5][0-9]{2}")
 _NGINX, _APACHE, _OTHER = "nginx", "Apache", "other proxies"
 # Names by which servers of a kind call themselves in the header Server.
 _SERVERS = {_NGINX: ("nginx", "openresty", "tengine", "angie"), _APACHE: ("apache",)}
-_OTHERS = "caddy cloudflare envoy traefik haproxy varnish tornado iis litespeed gws awselb".split()
+_OTHERS = ("caddy", "cloudflare", "envoy", "traefik", "haproxy", "varnish", "tornado", "iis", "litespeed", "awselb")
 _WEBSOCKET_LINES = {
     _NGINX: (
         "proxy_http_version 1.1;",
@@ -188,7 +188,9 @@ class ConnectionCheck:
     _lines: TokenBucket = field(default_factory=lambda: TokenBucket(_LOG_RATE, _LOG_BURST), init=False)
 
     def note(self, request: HttpRequest, server: str, refusal: Refusal | None) -> None:
-        """Note a websocket that arrived, with or without its header Upgrade, and log what is wrong with it.
+        """Note a websocket that arrived, with or without its header Upgrade.
+
+        What is wrong with viser's is logged at once, what is wrong with the page's own when it asks: one of them may be open.
 
         Args:
             server: address and port at which it arrived.
@@ -202,8 +204,18 @@ class ConnectionCheck:
             self._arrivals[number] = arrival
             if len(self._arrivals) > _MAX_CHECKS:
                 self._arrivals.popitem(last=False)
-        if origin:  # a browser's, not a port scanner's
+        elif origin:  # a browser's, not a port scanner's
             self._log(_faults(origin, host, arrival, "", ""), _Circumstances(origin, host, server))
+
+    def note_name(self, request: HttpRequest) -> None:
+        """Log that a page was asked for by a name that the server does not go by."""
+        name = printable(request.only("host"))[:_MAX_NAME] or "no name"
+        if "text/html" in request.only("accept"):  # a browser's, not a port scanner's
+            sentence = (
+                f"A page was asked for by the name {name} and refused: if its address has that name, start the server with "
+                "--allow-host; else its proxy must pass Host as the browser sent it (nginx: proxy_set_header Host $http_host;)."
+            )
+            self._log_line(("name", "", name), sentence)
 
     def answer(self, request: HttpRequest, server: str) -> Response:
         """Return the faults that a page asks for, as JSON: title, texts, and the lines of each kind of proxy.
@@ -239,6 +251,10 @@ class ConnectionCheck:
             {"Content-Type": "application/json", "Content-Length": str(len(body)), "Cache-Control": "no-store"}
         )
         return Response(HTTPStatus.OK, HTTPStatus.OK.phrase, headers, body)
+
+    def log_once(self, sentence: str) -> None:
+        """Log a sentence, unless it or too many others were logged."""
+        self._log_line((sentence, "", ""), sentence)
 
     def _log(self, faults: Sequence[str], values: _Circumstances) -> None:
         for one in faults:

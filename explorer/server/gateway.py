@@ -18,6 +18,7 @@ from typing import Any
 import viser
 import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CTRL_OPCODES, Frame
 from websockets.http11 import Request as WebsocketRequest
@@ -51,6 +52,14 @@ MAX_ADDRESS, MAX_REQUEST_LINE = 20_000, 1 << 16
 # A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
 SMALL_FRAME = 1024  # bytes
+
+# Beginnings of connections that are no requests, and what the terminal says of them.
+_FOREIGN = {
+    b"\x16\x03": "Something speaks TLS to this port, as for https://; it answers http:// only, so let a proxy add the TLS.",
+    b"PROXY ": "A proxy sends the PROXY protocol, which is not read here; switch it off (HAProxy: no send-proxy).",
+    b"\r\n\r\n\0\r\nQUIT\n": "A proxy sends the PROXY protocol, which is not read here; switch it off (HAProxy: no send-proxy).",
+    b"PRI * HTTP/2.0": "A proxy speaks HTTP/2 to this port; set it to HTTP/1.1.",
+}
 
 _WEB_LOG = logging.getLogger(f"{__name__}.web")
 _WEB_LOG.setLevel(logging.WARNING)  # at debug level, websockets logs requests, and thus tokens
@@ -124,7 +133,7 @@ class Gateway:
             **settings
             | {
                 "max_size": MAX_MESSAGE,
-                "create_connection": functools.partial(_Connection, self._is_upload_button),
+                "create_connection": functools.partial(_Connection, self._is_upload_button, self._check),
                 "server_header": None,
                 "logger": _WEB_LOG,
             },
@@ -146,6 +155,8 @@ class Gateway:
     def _authenticate_and_respond(
         self, page: PageServer, connection: ServerConnection, raw: WebsocketRequest
     ) -> Response | Awaitable[Response] | None:
+        if _method(connection) == b"OPTIONS":  # a proxy that asks whether the server is up, without a name or a token
+            return Response(HTTPStatus.NO_CONTENT, "No Content", Headers({"Allow": "GET, HEAD, OPTIONS"}))
         if len(raw.path) > MAX_ADDRESS:
             return refusal_page(_LONG)
         server, port = _local_address(connection)
@@ -159,6 +170,8 @@ class Gateway:
             return redirect_page(verdict, self.authenticator.cookie(request, port))
         if verdict is not None:
             log.debug("Refused %s, %d: %s", request.address, verdict.status, verdict.title)
+            if verdict.status == HTTPStatus.MISDIRECTED_REQUEST:
+                self._check.note_name(request)
             if verdict.wrong_token:
                 log.warning("A wrong token came from %s", request.address)
                 self._rate_limiter.wrong_token(request.address)
@@ -191,13 +204,13 @@ class _RequestReader(StreamReader):
     """Reads up to `MAX_REQUEST_LINE` bytes of a request's first line; header lines keep the limit of websockets.
 
     websockets reads GET and HTTP/1.1 only. A proxy may ask by HTTP/1.0, as nginx does unless it is told otherwise, and programs
-    that watch a server ask by HEAD; both are read as if they were GET and HTTP/1.1.
+    that watch a server ask by HEAD or OPTIONS; all are read as if they were GET and HTTP/1.1.
 
     Attributes:
-        head: the request is one of HEAD: its answer has no body.
+        method: the one of the request.
     """
 
-    head = False
+    method = b"GET"
     _first = True
 
     def read_line(self, m: int) -> Generator[None, None, bytearray]:
@@ -206,8 +219,9 @@ class _RequestReader(StreamReader):
             return (yield from super().read_line(m))
         self._first = False
         line = yield from super().read_line(max(m, MAX_REQUEST_LINE))
-        if line.startswith(b"HEAD "):
-            self.head, line = True, line.replace(b"HEAD", b"GET", 1)
+        if line.startswith((b"HEAD ", b"OPTIONS ")):
+            self.method, _, rest = bytes(line).partition(b" ")
+            line = bytearray(b"GET " + rest)
         if line.endswith(b" HTTP/1.0\r\n"):
             line[-3:-2] = b"1"
         return line
@@ -216,8 +230,11 @@ class _RequestReader(StreamReader):
 class _Connection(ServerConnection):
     """A browser's connection, from which viser receives only filtered messages."""
 
-    def __init__(self, is_upload_button: Callable[[str], bool], *arguments: Any, **settings: Any) -> None:
+    def __init__(
+        self, is_upload_button: Callable[[str], bool], check: ConnectionCheck, *arguments: Any, **settings: Any
+    ) -> None:
         super().__init__(*arguments, **settings)
+        self._check, self._begun = check, False
         # The parser has begun to read by the other reader.
         self.reader = self.protocol.reader = _RequestReader()
         self.protocol.parser = self.protocol.parse()
@@ -236,6 +253,15 @@ class _Connection(ServerConnection):
         excess = own if len(own) > MAX_PENDING else pending if len(pending) > MAX_ALL_PENDING else []
         if excess:
             next(one for one in excess if one.request is None).transport.abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Name a connection that begins with something else than a request; a proxy would only say that it ended."""
+        if not self._begun:
+            self._begun = True
+            for start, sentence in _FOREIGN.items():
+                if data.startswith(start):
+                    self._check.log_once(sentence)
+        super().data_received(data)
 
     def process_event(self, event: Event) -> None:
         """Abort a connection that floods the server with control frames or small fragments: `recv` delays only whole messages."""
@@ -328,13 +354,17 @@ def _folder(request: HttpRequest) -> str | None:
     return f"./{name}/{mark}{query}" if page and name and "." not in name else None
 
 
+def _method(connection: ServerConnection) -> bytes:
+    return connection.reader.method if isinstance(connection, _Connection) else b"GET"
+
+
 def _finish(connection: ServerConnection, _: WebsocketRequest, response: Response) -> None:
     """Say that the connection ends after a page, and leave the body out where HEAD asked for it."""
     if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
         return
     if "Connection" not in response.headers:
         response.headers["Connection"] = "close"
-    if isinstance(connection, _Connection) and connection.reader.head:
+    if _method(connection) == b"HEAD":
         response.body = b""
 
 

@@ -66,6 +66,7 @@ def pictures(folder: Path) -> list[FuzzCase]:
         assert picture.shape[2] == 3
         assert picture.dtype == np.uint8
         assert 0 < picture[..., 0].size <= images.MAX_PIXELS
+        assert images.decode_picture(data, "picture", side=4)[..., 0].size <= picture[..., 0].size
 
     png = [seed for seed in seeds if seed.startswith(b"\x89PNG")]
     return [FuzzCase(seeds, read), FuzzCase(png, lambda data: read(_with_png_checksums(data)))]
