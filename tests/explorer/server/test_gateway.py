@@ -6,6 +6,7 @@ import contextlib
 import gc
 import gzip
 import http.client
+import json
 import logging
 import os
 import socket
@@ -15,9 +16,9 @@ import urllib.error
 import urllib.request
 import weakref
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 import cv2
@@ -26,6 +27,8 @@ import pytest
 import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.typing import Origin, Subprotocol
 
 from explorer.app import App, serve_in_background
 from explorer.opening import open_model
@@ -35,12 +38,13 @@ from explorer.server.auth import Authenticator
 from explorer.server.gateway import Gateway
 from explorer.server.message_filter import MAX_UPLOADS
 from explorer.server.picture_route import PREFIX, EncodedPicture, PictureRoute
-from explorer.server.rate_limiter import GUESSES, RateLimiter
+from explorer.server.rate_limiter import GUESSES, RateLimiter, TokenBucket
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError, MissingPackageError
 from tools.fixtures import small_worlds
+from tools.fixtures.small_proxy import SmallProxy
 from tools.fixtures.websocket_client import WebSocketClient
 
 T = TypeVar("T")
@@ -188,6 +192,133 @@ def raw(app: App, data: bytes) -> bytes:
     with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) as connection:
         connection.sendall(data)
         return connection.makefile("rb").readline().strip()
+
+
+def test_proxies_that_ask_by_http_1_0_or_whether_the_server_is_up_are_answered(locked: App) -> None:
+    """nginx asks by HTTP/1.0 unless it is told otherwise, HAProxy checks by OPTIONS without a host; both had no answer."""
+    assert raw(locked, b"OPTIONS / HTTP/1.0\r\n\r\n") == b"HTTP/1.1 204 No Content"
+    assert raw(locked, b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") == b"HTTP/1.1 401 Unauthorized"
+    locked.authenticator.token = None
+    assert raw(locked, b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") == b"HTTP/1.1 200 OK"
+    connection = http.client.HTTPConnection("127.0.0.1", locked.server.get_port(), timeout=20)
+    connection.request("HEAD", "/")
+    response = connection.getresponse()
+    assert (response.status, response.read(), response.headers["Connection"]) == (200, b"", "close")
+    assert int(response.headers["Content-Length"]) > 100_000
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (b"\x16\x03\x01\x02\x00\x01", "speaks TLS to this port"),
+        (b"PROXY TCP4 192.0.2.1 192.0.2.2 5 6\r\n", "sends the PROXY protocol"),
+        (b"\r\n\r\n\0\r\nQUIT\n!", "sends the PROXY protocol"),
+        (b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n", "speaks HTTP/2 to this port"),
+    ],
+)
+def test_a_connection_that_is_no_request_is_named_on_the_terminal_once(
+    app: App, start: bytes, message: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app.gateway._check, "_logged", set())
+    monkeypatch.setattr(app.gateway._check, "_lines", TokenBucket(1, 100))
+    for _ in range(2):
+        with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) as connection:
+            connection.sendall(start)
+            connection.shutdown(socket.SHUT_WR)
+            assert connection.recv(100) == b""
+    assert [message in record.getMessage() for record in caplog.records] == [True]
+
+
+def test_the_page_is_served_below_any_folder(app: App, picture_source: dict[str, Callable[[], EncodedPicture]]) -> None:
+    picture_source["tile/0"] = lambda: EncodedPicture(b"JPEG", "image/jpeg")
+    for folder in ("/maps/", "/user/alice/proxy/absolute/8080/", "/a/index.html"):
+        assert get(app, folder)[0] == 200, folder
+    assert get(app, "/maps/pictures/tile/0")[::2] == (200, "JPEG")
+    assert json.loads(get(app, "/maps/connection?page=https://x.example")[2])["title"]
+    status, _, body = get(app, "/proxy/8080?query=3", accept="text/html")
+    assert status == 200
+    assert "url=./8080/?query=3" in body
+    for path in ("/maps/x.js", "/favicon.ico", "/maps/pictures/", "/maps"):
+        assert get(app, path)[0] == 404, path
+
+
+def test_a_websocket_that_a_proxy_changes_is_answered_with_the_reason(app: App) -> None:
+    key = {"Sec_WebSocket_Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec_WebSocket_Version": "13", "Origin": url(app)}
+    status, _, body = get(app, **key)
+    assert status == 426
+    assert "arrived as a plain request, without the header Upgrade" in body
+    status, _, body = get(app, Upgrade="websocket", Connection="Upgrade", **key)
+    assert status == 400
+    assert "without the header Sec-WebSocket-Protocol" in body
+    port, protocol = app.server.get_port(), b"Sec-WebSocket-Protocol: viser-v1.1.1\r\n"
+    lines = b"".join(f"{name.replace('_', '-')}: {value}\r\n".encode() for name, value in key.items())
+    head = f"GET /maps HTTP/1.0\r\nHost: 127.0.0.1:{port}\r\nConnection: upgrade\r\n".encode()
+    opened = raw(app, head + b"Upgrade: WebSocket\r\n" + lines + protocol + b"\r\n")
+    assert opened == b"HTTP/1.1 101 Switching Protocols", "as Apache's mod_proxy_wstunnel writes it"
+
+
+def test_the_pages_own_websocket_is_greeted_and_is_no_browser(app: App) -> None:
+    before = len(app.server.get_clients())
+    for path in ("/", "/maps/", "/maps"):
+        address = f"{url(app)}{path}?check=0123456789abcdef".replace("http", "ws")
+        with connect(address, subprotocols=[Subprotocol("lpn-check")], origin=Origin(url(app))) as checking:
+            assert checking.recv(60) == "open"
+    assert len(app.server.get_clients()) == before
+
+
+@dataclass(frozen=True)
+class Told:
+    """What page and terminal say behind a proxy."""
+
+    options: dict[str, Any]
+    status: int
+    line: str
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        Told({"host": "localhost"}, 403, "proxy_set_header Host $http_host;"),
+        Told({"drop": ("upgrade",)}, 426, "proxy_set_header Upgrade $http_upgrade;"),
+        Told({"drop": ("upgrade",), "version": "1.0"}, 426, "proxy_http_version 1.1;"),
+        Told({"drop": ("sec-websocket-protocol",)}, 400, "Sec-WebSocket-Protocol"),
+    ],
+)
+def test_the_terminal_names_what_a_proxy_does_wrong(
+    app: App, told: Told, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app.gateway._check, "_logged", set())
+    monkeypatch.setattr(app.gateway._check, "_lines", TokenBucket(1, 100))
+    with SmallProxy(app.server.get_port(), **told.options) as proxy:
+        origin = f"http://127.0.0.1:{proxy.port}"
+        for _ in range(3):
+            with pytest.raises(InvalidStatus) as raised:
+                WebSocketClient(proxy.url, origin=origin)
+            assert raised.value.response.status_code == told.status
+    (record,) = caplog.records
+    assert f"A page at {origin} cannot connect: " in record.getMessage()
+    assert told.line in record.getMessage()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"folder": "maps"},
+        {"folder": "maps", "strip": False},
+        {"version": "1.0"},
+        {"add": {"X-Forwarded-Host": "maps.example.org", "X-Forwarded-Proto": "https", "X-Forwarded-Port": "443"}},
+        {"drop": ("origin",)},
+    ],
+)
+def test_a_proxy_that_passes_the_host_needs_nothing_else(
+    app: App, options: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    with SmallProxy(app.server.get_port(), **options) as proxy:
+        with urllib.request.urlopen(proxy.url, timeout=60) as response:
+            assert "lpn-loading" in response.read().decode()
+        with WebSocketClient(proxy.url, origin=f"http://127.0.0.1:{proxy.port}") as talker:
+            talker.greet()
+    assert not caplog.records
 
 
 def answers(app: App) -> bool:
