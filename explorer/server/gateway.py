@@ -45,9 +45,9 @@ PageServer = Callable[[ServerConnection, WebsocketRequest], Response | None]
 
 # Bounds on connections without an answer yet, from one address and in total; each times out after 10 s.
 MAX_PENDING, MAX_ALL_PENDING = 64, 256
-# Characters of an address, which has the state of a page, and bytes of a request's first line that are read. websockets reads
-# 8,192 bytes of it, and closes the connection without an answer to a longer one.
-MAX_ADDRESS, MAX_REQUEST_LINE = 20_000, 1 << 16
+# Characters of an address, which has the state of a page, and bytes of a request that are read. websockets reads 8,192 bytes of
+# each line, and closes the connection without an answer to a longer one, such as the cookies of a proxy with a login.
+MAX_ADDRESS, MAX_REQUEST_HEAD = 20_000, 1 << 16
 # Limits on control frames and small message fragments: tokens per second, and the size of the token bucket.
 # A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
@@ -201,7 +201,7 @@ class Gateway:
 
 
 class _RequestReader(StreamReader):
-    """Reads up to `MAX_REQUEST_LINE` bytes of a request's first line; header lines keep the limit of websockets.
+    """Reads the lines of a request, which are longer than websockets allows where a page has its state or many cookies.
 
     websockets reads GET and HTTP/1.1 only. A proxy may ask by HTTP/1.0, as nginx does unless it is told otherwise, and programs
     that watch a server ask by HEAD or OPTIONS; all are read as if they were GET and HTTP/1.1.
@@ -211,14 +211,15 @@ class _RequestReader(StreamReader):
     """
 
     method = b"GET"
-    _first = True
+    _remaining = MAX_REQUEST_HEAD
 
     def read_line(self, m: int) -> Generator[None, None, bytearray]:
-        """Read a line of at most `m` bytes; see the base class for the errors."""
-        if not self._first:
-            return (yield from super().read_line(m))
-        self._first = False
-        line = yield from super().read_line(max(m, MAX_REQUEST_LINE))
+        """Read a line, whatever `m` is, while all have `MAX_REQUEST_HEAD` bytes at most; see the base class for the errors."""
+        first = self._remaining == MAX_REQUEST_HEAD
+        line = yield from super().read_line(self._remaining)
+        self._remaining -= len(line)
+        if not first:
+            return line
         if line.startswith((b"HEAD ", b"OPTIONS ")):
             self.method, _, rest = bytes(line).partition(b" ")
             line = bytearray(b"GET " + rest)

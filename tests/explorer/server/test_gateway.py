@@ -279,6 +279,7 @@ class Told:
     "told",
     [
         Told({"host": "localhost"}, 403, "proxy_set_header Host $http_host;"),
+        Told({"host": "127.0.0.1"}, 403, "its proxy must pass Host as the browser sent it"),  # without its port
         Told({"drop": ("upgrade",)}, 426, "proxy_set_header Upgrade $http_upgrade;"),
         Told({"drop": ("upgrade",), "version": "1.0"}, 426, "proxy_http_version 1.1;"),
         Told({"drop": ("sec-websocket-protocol",)}, 400, "Sec-WebSocket-Protocol"),
@@ -384,8 +385,11 @@ def test_an_address_as_long_as_a_page_makes_it_is_answered_and_a_longer_one_refu
         found, _, body = get(app, "/?region=" + "1" * length)
         assert found == status
         assert ("An address has up to 20,000 characters" in body) == (status == 414)
-    with pytest.raises(http.client.HTTPException):
-        get(app, x="1" * 9_000)  # a header
+    assert get(app, cookie="a=" + "1" * 60_000)[0] == 200, "a proxy with a login adds long cookies"
+    with pytest.raises((http.client.HTTPException, ConnectionError)):
+        get(app, cookie="a=" + "1" * 70_000)
+    with pytest.raises((http.client.HTTPException, ConnectionError)):
+        get(app, **{f"x{i}": "1" * 8_000 for i in range(9)})
 
 
 def test_a_refusal_escapes_the_host_name(app: App) -> None:

@@ -1,0 +1,143 @@
+"""The page behind proxies: it opens, or names the line of configuration that is missing."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import BrowserContext, expect
+
+from tests.e2e.conftest import PATIENCE, RunningApp
+from tools.fixtures.processes import free_ports
+from tools.fixtures.small_proxy import SmallProxy
+
+Contexts = Callable[..., BrowserContext]
+SERVING = Path(__file__).parents[2] / "docs" / "serving.md"
+HOST_LINE = "proxy_set_header Host $http_host;"
+
+
+def port(app: RunningApp) -> int:
+    return urlsplit(app.url).port or 0
+
+
+@pytest.mark.parametrize(
+    ("options", "title", "line"),
+    [
+        ({"drop": ("upgrade",)}, "The proxy does not pass websockets on", "proxy_set_header Upgrade $http_upgrade;"),
+        ({"drop": ("sec-websocket-protocol",)}, "The proxy drops a header", "pass all Sec-WebSocket headers on"),
+        ({"websockets": 404}, "The websocket of this page does not arrive", "proxy_http_version 1.1;"),
+        pytest.param({"websockets": "hold"}, "The proxy holds the websocket", "proxy_buffering off;", marks=pytest.mark.slow),
+        pytest.param({"websockets": "silent"}, "does not arrive", "proxy_http_version 1.1;", marks=pytest.mark.slow),
+    ],
+)  # fmt: skip
+def test_the_page_names_what_its_proxy_does_wrong(
+    app: RunningApp, contexts: Contexts, options: dict[str, Any], title: str, line: str
+) -> None:
+    with SmallProxy(port(app), **options) as proxy:
+        page = contexts().new_page()
+        page.goto(proxy.url)
+        expect(page.locator("#lpn-fault h1")).to_contain_text(title)
+        expect(page.locator("#lpn-fault dl")).to_contain_text(line)
+
+
+def test_a_page_whose_host_is_changed_says_so_and_goes_on_once_it_is_not(app: RunningApp, contexts: Contexts) -> None:
+    with SmallProxy(port(app), host=f"127.0.0.1:{port(app)}", server="nginx/1.22.1") as proxy:
+        page = contexts().new_page()
+        page.goto(proxy.url)
+        fault = page.locator("#lpn-fault")
+        expect(fault.locator("h1")).to_have_text("Another web site may not use this server")
+        expect(fault).to_contain_text(
+            f"This page is at http://127.0.0.1:{proxy.port}, but the proxy asks LPN Explorer for"
+        )
+        expect(fault.locator("dt")).to_have_text("nginx")
+        expect(fault.locator("dd")).to_have_text(HOST_LINE)
+        proxy.host = ""
+        expect(page.locator("#lpn-status")).to_have_count(1)
+        expect(fault).to_have_count(0)
+
+
+@pytest.mark.parametrize(
+    ("options", "path"),
+    [
+        ({"folder": "maps", "redirect": True}, ""),
+        pytest.param({"folder": "maps", "strip": False}, "", marks=pytest.mark.slow),
+        pytest.param({"folder": "maps"}, "maps", marks=pytest.mark.slow),
+        pytest.param({"version": "1.0"}, "#part", marks=pytest.mark.slow),
+    ],
+)
+def test_the_page_opens_below_a_folder(app: RunningApp, contexts: Contexts, options: dict[str, Any], path: str) -> None:
+    with SmallProxy(port(app), **options) as proxy:
+        page = contexts().new_page()
+        page.goto(f"http://127.0.0.1:{proxy.port}/{path}" if path else proxy.url)
+        expect(page.locator("#lpn-status")).to_have_count(1)
+        expect(page.locator("#lpn-loading")).to_have_count(0)
+        assert urlsplit(page.url).path == (f"/{options['folder']}/" if "folder" in options else "/")
+        assert "websocket=" not in page.url
+
+
+def blocks(start: str) -> list[str]:
+    """The configurations of docs/serving.md whose first line begins so."""
+    found = re.findall(r"(?:^    .*\n|^\n(?=    ))+", SERVING.read_text("utf-8"), re.MULTILINE)
+    return [block for block in found if block.strip().startswith(start)]
+
+
+@contextmanager
+def running(*command: str) -> Iterator[None]:
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(60)
+
+
+def opens(contexts: Contexts, address: str) -> None:
+    """Check that the page opens; the proxy may still be starting."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", urlsplit(address).port or 0)) == 0:
+                break
+        time.sleep(0.05)
+    page = contexts().new_page()
+    page.goto(address)
+    expect(page.locator("#lpn-status")).to_have_count(1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
+def test_the_documented_blocks_of_nginx_work(app: RunningApp, contexts: Contexts, tmp_path: Path) -> None:
+    (own,), (below,) = blocks("server {"), blocks("location /maps/ {")
+    whole, folder = free_ports(2)
+    own = re.sub(r"^ *(ssl_|auth_|server_name).*\n", "", own, flags=re.MULTILINE).replace(
+        "443 ssl", f"127.0.0.1:{whole}"
+    )
+    paths = "".join(f"{kind}_temp_path {tmp_path};" for kind in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi"))
+    text = f"pid {tmp_path}/pid; error_log {tmp_path}/errors; daemon off; events {{}} http {{ access_log off; {paths}\n{own}"
+    text += f"server {{ listen 127.0.0.1:{folder};\n{below} }} }}"
+    (tmp_path / "nginx.conf").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
+    with running("nginx", "-e", str(tmp_path / "errors"), "-c", str(tmp_path / "nginx.conf")):
+        opens(contexts, f"http://127.0.0.1:{whole}/")
+        opens(contexts, f"http://127.0.0.1:{folder}/maps")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("caddy") is None, reason="Caddy is not installed")
+def test_the_documented_blocks_of_caddy_work(app: RunningApp, contexts: Contexts, tmp_path: Path) -> None:
+    (own,), (below,) = blocks("maps.example.org {"), blocks("tools.example.org {")
+    whole, folder = free_ports(2)
+    own = re.sub(r"basicauth \{.*?\}\n", "", own, flags=re.DOTALL).replace("maps.example.org", f":{whole}")
+    text = "{\n admin off\n auto_https off\n}\n" + own + below.replace("tools.example.org", f":{folder}")
+    (tmp_path / "Caddyfile").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
+    with running("caddy", "run", "--adapter", "caddyfile", "--config", str(tmp_path / "Caddyfile")):
+        opens(contexts, f"http://127.0.0.1:{whole}/")
+        opens(contexts, f"http://127.0.0.1:{folder}/maps")
