@@ -56,7 +56,7 @@ _WEBSOCKET_LINES = {
 
 
 @dataclass(frozen=True)
-class Fault:
+class ConnectionFault:
     """A reason for which no websocket opens; its texts have the names of `_Circumstances` in braces.
 
     Attributes:
@@ -73,8 +73,8 @@ class Fault:
 
 _NO_OTHER_SITE = "Another web site may not use this server"
 _NOT_PASSED = "The websocket of this page does not arrive"
-FAULTS: Final[Mapping[str, Fault]] = {
-    "host": Fault(
+FAULTS: Final[Mapping[str, ConnectionFault]] = {
+    "host": ConnectionFault(
         _NO_OTHER_SITE,
         "This page is at {page}, but the proxy asks LPN Explorer for {host}, so the page counts as another site's. The proxy "
         "must pass Host as the browser sent it, with its port.",
@@ -86,39 +86,39 @@ FAULTS: Final[Mapping[str, Fault]] = {
             _OTHER: ("pass Host on unchanged",),
         },
     ),
-    "frame": Fault(
+    "frame": ConnectionFault(
         _NO_OTHER_SITE,
         "This page is in a frame that hides its address, so it counts as another site's. Open it in a tab of its own.",
         "it is in a frame that hides its address, and another web site may not use this server; open it in a tab of its own",
         {},
     ),
-    "upgrade": Fault(
+    "upgrade": ConnectionFault(
         "The proxy does not pass websockets on",
         "The websocket of this page arrived as a plain request, without the header Upgrade. The proxy must pass it.",
         "its websocket arrived without the header Upgrade, which the proxy must pass",
         _WEBSOCKET_LINES,
     ),
-    "protocol": Fault(
+    "protocol": ConnectionFault(
         "The proxy drops a header of the websocket",
         "The websocket of this page arrived without the header Sec-WebSocket-Protocol. The proxy must pass it.",
         "its websocket arrived without the header Sec-WebSocket-Protocol, which the proxy must pass",
         {_OTHER: ("pass all Sec-WebSocket headers on",)},
     ),
-    "refused": Fault(
+    "refused": ConnectionFault(
         "The websocket of this page is refused",
         "It arrived without the cookie that lets this page in. Open the link that the server printed once more; if that does not "
         "help, let the proxy pass Cookie.",
         "its websocket arrived without the cookie of a signed-in browser, which the proxy must pass",
         {},
     ),
-    "held": Fault(
+    "held": ConnectionFault(
         "The proxy holds the websocket back",
         "The websocket of this page arrived and was accepted, but what LPN Explorer sends through it does not come back. The "
         "proxy must pass websockets both ways, without collecting what they send.",
         "its websocket was accepted, but the proxy does not bring back what is sent through it",
         {**_WEBSOCKET_LINES, _NGINX: (*_WEBSOCKET_LINES[_NGINX], "proxy_buffering off;")},
     ),
-    "redirect": Fault(
+    "redirect": ConnectionFault(
         _NOT_PASSED,
         "The proxy answers {address} with a redirect, and a websocket follows none. The folder needs its slash in the proxy's "
         "configuration, or the redirect an exception for websockets.",
@@ -129,20 +129,20 @@ FAULTS: Final[Mapping[str, Fault]] = {
             _OTHER: ("send {folder} to LPN Explorer, its websockets too",),
         },
     ),
-    "status": Fault(
+    "status": ConnectionFault(
         _NOT_PASSED,
         "The proxy itself answers {address}, with {status}. It must send all below {folder} to LPN Explorer, the websocket too.",
         "its websocket did not arrive, as the proxy itself answers {address}, with {status}",
         _WEBSOCKET_LINES,
     ),
-    "closed": Fault(
+    "closed": ConnectionFault(
         _NOT_PASSED,
         "Pages come through, but something between this browser and LPN Explorer refuses the websocket at {address}: a proxy, a "
         "firewall, or a tunnel. It must pass websockets on.",
         "its websocket at {address} did not arrive; a proxy, a firewall, or a tunnel refuses it",
         _WEBSOCKET_LINES,
     ),
-    "silent": Fault(
+    "silent": ConnectionFault(
         _NOT_PASSED,
         "Pages come through, but something between this browser and LPN Explorer leaves the websocket at {address} without an "
         "answer: a proxy, a firewall, or a tunnel. It must pass websockets on.",

@@ -213,7 +213,7 @@ class _RequestReader(StreamReader):
     method = b"GET"
     _remaining = MAX_REQUEST_HEAD
 
-    def read_line(self, m: int) -> Generator[None, None, bytearray]:
+    def read_line(self, m: int) -> Generator[None, None, bytearray]:  # noqa: ARG002
         """Read a line, whatever `m` is, while all have `MAX_REQUEST_HEAD` bytes at most; see the base class for the errors."""
         first = self._remaining == MAX_REQUEST_HEAD
         line = yield from super().read_line(self._remaining)
