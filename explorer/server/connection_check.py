@@ -137,15 +137,15 @@ FAULTS: Final[Mapping[str, ConnectionFault]] = {
     ),
     "closed": ConnectionFault(
         _NOT_PASSED,
-        "Pages come through, but something between this browser and LPN Explorer refuses the websocket at {address}: a proxy, a "
-        "firewall, or a tunnel. It must pass websockets on.",
+        "Pages come through, but something between this browser and LPN Explorer refuses the websocket at {page}{address}: a "
+        "proxy, a firewall, or a tunnel. It must pass websockets on.",
         "its websocket at {address} did not arrive; a proxy, a firewall, or a tunnel refuses it",
         _WEBSOCKET_LINES,
     ),
     "silent": ConnectionFault(
         _NOT_PASSED,
-        "Pages come through, but something between this browser and LPN Explorer leaves the websocket at {address} without an "
-        "answer: a proxy, a firewall, or a tunnel. It must pass websockets on.",
+        "Pages come through, but something between this browser and LPN Explorer leaves the websocket at {page}{address} without "
+        "an answer: a proxy, a firewall, or a tunnel. It must pass websockets on.",
         "its websocket at {address} did not arrive; a proxy, a firewall, or a tunnel leaves it without an answer",
         _WEBSOCKET_LINES,
     ),

@@ -178,7 +178,9 @@ class Gateway:
             return refusal_page(verdict)
         # viser would take "Upgrade: WebSocket", as Apache writes it, for a request of its page.
         if request.upgrade:
-            return None if request.headers.get("sec-websocket-protocol") else refusal_page(_NO_PROTOCOL)
+            # A program that checks the server sends neither; a browser sends both.
+            dropped = request.only("origin") and not request.headers.get("sec-websocket-protocol")
+            return refusal_page(_NO_PROTOCOL) if dropped else None
         if is_websocket(request):
             return refusal_page(_NO_UPGRADE)
         path = _path_in_folder(raw.path)

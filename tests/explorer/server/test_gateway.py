@@ -180,7 +180,7 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
     assert status == 421
     assert "--allow-host evil.example" in body
     assert get(app, "/?websocket=ws://evil.example")[0] == 403
-    assert get(app, "/?websocket=ws://evil.example", Upgrade="WebSocket")[0] == 400, "no page"
+    assert get(app, "/?websocket=ws://evil.example", Upgrade="WebSocket")[0] == 426, "no page"
     assert refused(app, origin="https://evil.example") == 403
     assert refused(app, origin="null") == 403
     with WebSocketClient(url(app), origin=url(app)):
@@ -231,7 +231,7 @@ def test_a_connection_that_is_no_request_is_named_on_the_terminal_once(
 
 def test_the_page_is_served_below_any_folder(app: App, picture_source: dict[str, Callable[[], EncodedPicture]]) -> None:
     picture_source["tile/0"] = lambda: EncodedPicture(b"JPEG", "image/jpeg")
-    for folder in ("/maps/", "/user/alice/proxy/absolute/8080/", "/a/index.html"):
+    for folder in ("/maps/", "//", "/user/alice/proxy/absolute/8080/", "/a/index.html"):
         assert get(app, folder)[0] == 200, folder
     assert get(app, "/maps/pictures/tile/0")[::2] == (200, "JPEG")
     assert json.loads(get(app, "/maps/connection?page=https://x.example")[2])["title"]
@@ -250,6 +250,9 @@ def test_a_websocket_that_a_proxy_changes_is_answered_with_the_reason(app: App) 
     status, _, body = get(app, Upgrade="websocket", Connection="Upgrade", **key)
     assert status == 400
     assert "without the header Sec-WebSocket-Protocol" in body
+    check = f"GET / HTTP/1.1\r\nHost: {urlsplit(url(app)).netloc}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n"
+    check += "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    assert raw(app, check.encode()) == b"HTTP/1.1 101 Switching Protocols", "as a proxy checks whether websockets open"
     port, protocol = app.server.get_port(), b"Sec-WebSocket-Protocol: viser-v1.1.1\r\n"
     lines = b"".join(f"{name.replace('_', '-')}: {value}\r\n".encode() for name, value in key.items())
     head = f"GET /maps HTTP/1.0\r\nHost: 127.0.0.1:{port}\r\nConnection: upgrade\r\n".encode()
@@ -304,6 +307,7 @@ def test_the_terminal_names_what_a_proxy_does_wrong(
 @pytest.mark.parametrize(
     "options",
     [
+        {},  # a mapped or tunnelled port
         {"folder": "maps"},
         {"folder": "maps", "strip": False},
         {"version": "1.0"},
