@@ -84,6 +84,18 @@ def test_the_page_opens_below_a_folder(app: RunningApp, contexts: Contexts, opti
         assert "websocket=" not in page.url
 
 
+@pytest.mark.slow
+def test_a_page_that_loses_its_websocket_to_a_proxy_says_why(app: RunningApp, contexts: Contexts) -> None:
+    with SmallProxy(port(app)) as proxy:
+        page = contexts().new_page()
+        page.goto(proxy.url)
+        expect(page.locator("#lpn-status")).to_have_count(1)
+        expect(page.locator("#lpn-loading")).to_have_count(0)
+        proxy.drop = ("upgrade",)
+        proxy.cut()
+        expect(page.locator("#lpn-notice")).to_contain_text("The proxy does not pass websockets on.")
+
+
 def blocks(start: str) -> list[str]:
     """The configurations of docs/serving.md whose first line begins so."""
     found = re.findall(r"(?:^    .*\n|^\n(?=    ))+", SERVING.read_text("utf-8"), re.MULTILINE)

@@ -81,6 +81,7 @@
   const post = Worker.prototype.postMessage;
   const PATIENCE = 6000;
   let trying = false;
+  let lost = false;
   Worker.prototype.postMessage = function (message, ...rest) {
     if (message?.type !== "retry") return post.call(this, message, ...rest);
     if (trying) return;
@@ -89,12 +90,13 @@
     const answered = asked.then((answer) => answer.status < 500, () => false);
     answered.then((up) => {
       if (up) post.call(this, message, ...rest);
+      // Pages come through, but websockets may not: a proxy was changed meanwhile.
+      if (up) window.lpnWay?.look().then((fault) => fault && lost && lpn.say([fault.title + ".", ...fault.texts].join(" "), 0));
       setTimeout(() => (trying = false), up ? PATIENCE : 0);
     });
   };
 
   // viser shades the panels while the connection is lost, and reconnects by itself.
-  let lost = false;
   setInterval(() => {
     const shade = document.getElementById("lpn-header")?.closest('div[style*="transition: opacity 150ms"]');
     const now = !!shade && parseFloat(shade.style.opacity) < 1;
