@@ -17,11 +17,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpn.core.csv_cells import csv_bytes, csv_rows, unescape
+from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.own_files import OwnFileFormat
-from lpn.core.tables import Column, text_column
+from lpn.core.tables import Column, decode_text, delimited, text_column
+from lpn.datasets.listed_paths import plain_path
 from lpn.datasets.metadata import NOTE, TAGS
 
 NAME = "notes.csv"
@@ -165,8 +166,8 @@ def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:
 
 def _decode(content: bytes, file: Path) -> dict[str, Note]:
     try:
-        text = content.decode("utf-8-sig")
-        lines = [[unescape(value) for value in values] for _, values in csv_rows(text, strict=True) if values]
+        rows = delimited(decode_text(content), strict=True).rows
+        lines = [[unescape(value) for value in values] for _, values in rows]
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{file} is not a CSV file in UTF-8; correct it, or move it away.") from error
     notes: dict[str, Note] = {}
@@ -180,7 +181,7 @@ def _decode(content: bytes, file: Path) -> dict[str, Note]:
                     "it, or move the file away."
                 )
             continue
-        path = values[0].strip().removeprefix("./")
+        path = plain_path(values[0])
         if len(values) != len(_HEADER) or not path or path in notes:
             problem = "has no path" if not path else f"is a duplicate for {printable(path)}"
             problem = f"has {len(values)} values" if len(values) != len(_HEADER) else problem

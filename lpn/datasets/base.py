@@ -5,21 +5,19 @@ from __future__ import annotations
 import csv
 import logging
 import os
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
-from lpn.core.csv_cells import csv_rows
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
-from lpn.core.tables import Column, number_column, text_column
+from lpn.core.tables import Column, decode_text, delimited, number_column, text_column
 from lpn.core.views import views_of
 from lpn.datasets import geo
 
@@ -34,11 +32,12 @@ TASKS = (
     "drone-to-street",
     "street-to-drone",
 )
-_SAFE_PATH = re.compile(r"\w[\w-]*(\.\w+)?(/\w[\w-]*(\.\w+)?)*")
 # The published evaluations that measure distances: of DenseUAV, of GTA-UAV, and of UAV-VisLoc in Game4Loc's form.
 PositionProtocol = Literal["DenseUAV", "GTA-UAV", "UAV-VisLoc"]
 # The largest list of pictures (.csv, .txt) that is read, in bytes.
 MAX_LIST_BYTES = 100_000_000
+# Folders that macOS's archives, Windows, Synology's servers, and Linux add; pictures in them are no pictures of the user.
+_ADDED_BY_SYSTEMS = frozenset(("__MACOSX", "$RECYCLE.BIN", "System Volume Information", "@eaDir", "lost+found"))
 
 
 @dataclass(frozen=True)
@@ -292,8 +291,13 @@ def tasks_between(queries: Collection[str], galleries: Collection[str]) -> list[
 
 
 def hidden(path: Path) -> bool:
-    """Return whether a file or folder is hidden (.ipynb_checkpoints, ._a.jpg)."""
-    return path.name.startswith(".")
+    """Return whether a file or folder is hidden, or is one that a system leaves beside those of the user."""
+    return hidden_name(path.name)
+
+
+def hidden_name(name: str) -> bool:
+    """Return whether a name is hidden (.ipynb_checkpoints, ._a.jpg, .DS_Store), or one that a system adds (__MACOSX)."""
+    return name.startswith(".") or name in _ADDED_BY_SYSTEMS
 
 
 def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
@@ -303,7 +307,7 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     """
     found: list[Path] = []
     for folder, folders, names in os.walk(root):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+        folders[:] = [name for name in folders if not hidden_name(name)]
         found += [Path(folder, n) for n in names if not n.startswith(".") and n.lower().endswith(suffixes)]
     # A broken link counts as a picture, so that it is reported as unreadable.
     return sorted(file for file in found if file.is_file() or (file.is_symlink() and not file.exists()))
@@ -317,7 +321,7 @@ def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
     found: list[LeftOut] = []
     for top in folders:
         for folder, inside, names in os.walk(root / top):
-            inside[:] = sorted(name for name in inside if not name.startswith("."))
+            inside[:] = sorted(name for name in inside if not hidden_name(name))
             files = {file: _unread(file) for file in (Path(folder, name) for name in sorted(names))}
             found += [LeftOut(file.relative_to(root).as_posix(), why) for file, why in files.items() if why is not None]
     return found
@@ -340,75 +344,35 @@ def _unread(file: Path) -> str | None:
         return None
 
 
-class FileNames:
-    """The files below a root; each folder is read once, so that many look-ups are quick."""
-
-    def __init__(self, root: Path) -> None:
-        self._root = root
-        self._folders: dict[str, frozenset[str]] = {}
-
-    def __contains__(self, relative: str) -> bool:
-        folder, _, name = relative.rpartition("/")
-        if folder not in self._folders:
-            try:
-                self._folders[folder] = frozenset(os.listdir(self._root / folder))  # noqa: PTH208 (names are enough)
-            except OSError:
-                self._folders[folder] = frozenset()
-        return name in self._folders[folder]
-
-
-def checked_path(text: str, where: str) -> str:
-    """Check that a listed path stays below the data set's folder, and return it with forward slashes.
-
-    Args:
-        where: the file and line that contain the path, for the error.
-
-    Raises:
-        DataError: if the path is absolute, is empty, or contains "..".
-    """
-    if _SAFE_PATH.fullmatch(text) or _is_name(text):
-        return text
-    path = PurePosixPath(text.strip().replace("\\", "/"))
-    drive = bool(path.parts) and ":" in path.parts[0]
-    if not path.parts or path.is_absolute() or drive or ".." in path.parts or any(ord(c) < 32 for c in text.strip()):
-        raise DataError(
-            f"{where} names the file {printable(text)!r}; expected a path below the data set's folder, without '..'."
-        )
-    return path.as_posix()
-
-
-def _is_name(text: str) -> bool:
-    """Return whether a text names a file without any folder; quick, as lists hold hundreds of thousands."""
-    separated = "/" in text or "\\" in text or ":" in text
-    return not separated and text.isprintable() and text == text.strip() and text not in ("", ".", "..")
-
-
 def read_lines(path: Path, name: str) -> list[str]:
     """Return the lines of a text file.
 
     Raises:
-        DataError: if the file cannot be read, is too large, or is not UTF-8.
+        DataError: if the file cannot be read, is too large, or is neither UTF-8 nor UTF-16.
     """
-    return _read_text(path, name).splitlines()
+    return read_text(path, name).splitlines()
 
 
-def _read_text(path: Path, name: str, errors: str = "strict") -> str:
+def read_text(path: Path, name: str, errors: str = "strict") -> str:
+    """Return the text of a file; errors as for `read_lines`."""
     try:
         if path.stat().st_size > MAX_LIST_BYTES:
             raise DataError(
                 f"{name} has more than {MAX_LIST_BYTES // 1_000_000} MB; expected a list of pictures as text."
             )
-        return path.read_bytes().decode("utf-8-sig", errors)
+        return decode_text(path.read_bytes(), errors)
     except OSError as error:
         raise DataError(
             f"{name} cannot be read ({error.strerror or error}); check that it is there and readable."
         ) from error
     except UnicodeDecodeError as error:
-        raise DataError(f"{name} is not text in UTF-8; expected a list of pictures.") from error
+        raise DataError(f"{name} is not text in UTF-8 or UTF-16; expected a list of pictures.") from error
 
 
 def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
-    """Yield the non-empty rows of a CSV file, each with its line number from 1.
+    """Yield the rows of a CSV file that are not blank, each with its line number from 1.
+
+    Values are separated by commas or tabs; see `lpn.core.tables.delimited`.
 
     Args:
         errors: of the decoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
@@ -416,11 +380,11 @@ def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[i
     Raises:
         DataError: if it is not a CSV file.
     """
+    rows = delimited(read_text(path, name, errors)).rows
     line = 0
     try:
-        for line, values in csv_rows(_read_text(path, name, errors)):
-            if any(value.strip() for value in values):
-                yield line, values
+        for line, values in rows:
+            yield line, values
     except csv.Error as error:
         raise DataError(f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it.") from error
 

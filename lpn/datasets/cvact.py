@@ -17,7 +17,8 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import matlab
-from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, warn_left_out
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, warn_left_out
+from lpn.datasets.listed_paths import FilesBelow
 
 NAME = "ACT_data.mat"
 FULL = {
@@ -44,7 +45,7 @@ class CVACT(ListedDataset):
 
     def __init__(self, root: Path) -> None:
         ids, rows = _read(root / NAME)
-        there, left_out = FileNames(root), []
+        there, left_out = FilesBelow(root), []
         pictures: dict[str, dict[str, list[Picture]]] = {}
         for split, indices in rows.items():
             of_split: dict[str, list[Picture]] = {view: [] for view in _FILES}
@@ -73,10 +74,10 @@ class CVACT(ListedDataset):
         )
 
 
-def _find(there: FileNames, view: str, name: str) -> str | None:
+def _find(there: FilesBelow, view: str, name: str) -> str | None:
     """Return the path of a pair's picture below the root."""
     files = (f"{folder}{_FILES[view].format(name)}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
-    return next((file for file in files if file in there), None)
+    return next((found for file in files if (found := there.find(file)) is not None), None)
 
 
 def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:

@@ -13,7 +13,8 @@ from typing import Literal
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, Size, checked_path, read_rows, warn_left_out
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, read_rows, warn_left_out
+from lpn.datasets.listed_paths import FilesBelow, listed_path
 from lpn.datasets.rendered import is_rendered
 
 Split = Literal["train", "val"]
@@ -47,17 +48,22 @@ class CVUSA(ListedDataset):
         rendered = is_rendered(root.parent)
         listed: dict[Split, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
         labels = _labels(listed["train"] + listed["val"])
-        there, left_out = FileNames(root), []
+        left_out: list[LeftOut] = []
+        files = FilesBelow(root).resolve(
+            (file for pairs in listed.values() for pair in pairs for file in pair), "splits"
+        )
         pictures: dict[Split, dict[str, list[Picture]]] = {}
         for split, pairs in listed.items():
             of_split: dict[str, list[Picture]] = {"satellite": [], "street": []}
             for pair in pairs:
-                missing = [file for file in pair if file not in there]
+                missing = [file for file in pair if file not in files]
                 left_out += [LeftOut(file, "is not there") for file in missing]
                 if not missing:
                     for view, file in zip(of_split, pair, strict=True):
                         name = printable(Path(file).stem)
-                        of_split[view].append(Picture(root / file, labels[pair], name, panorama=view == "street"))
+                        of_split[view].append(
+                            Picture(root / files[file], labels[pair], name, panorama=view == "street")
+                        )
             pictures[split] = of_split
         if not any(pictures[split]["street"] for split in pictures):
             raise DataError(
@@ -84,7 +90,7 @@ def _read(root: Path, split: Split) -> list[tuple[str, str]]:
                 f"Line {line} of {name} has {len(values)} values; expected a tile, a panorama, and perhaps an annotation."
             )
         where = f"Line {line} of {name}"
-        pairs.append((checked_path(values[0], where), checked_path(values[1], where)))
+        pairs.append((listed_path(values[0], where), listed_path(values[1], where)))
     if len(set(pairs)) < len(pairs):
         raise DataError(f"{name} lists a pair twice; keep one line of each.")
     return pairs

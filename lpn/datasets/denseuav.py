@@ -19,6 +19,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.datasets.base import Picture, PositionProtocol, Size, read_lines
+from lpn.datasets.listed_paths import plain_path
 from lpn.datasets.university import University
 
 LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
@@ -101,7 +102,7 @@ def _places(root: Path) -> tuple[str, dict[str, geo.Position]]:
 
 def _line(line: str, where: str) -> tuple[str, geo.Position]:
     point = _POINT.search(line)
-    parts = line[: point.start()].strip().replace("\\", "/").split("/") if point is not None else []
+    parts = plain_path(line[: point.start()]).split("/") if point is not None else []
     if point is None or len(parts) < 2:
         raise DataError(
             f"{where} is {printable(line[:100])!r}; expected a path, E<longitude>, N<latitude>, and a height."

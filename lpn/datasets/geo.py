@@ -14,7 +14,6 @@ The columns from altitude on are optional and may be empty.
 from __future__ import annotations
 
 import csv
-import io
 import math
 import os
 from collections import Counter
@@ -29,6 +28,8 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
+from lpn.core.tables import decode_text, delimited
+from lpn.datasets.listed_paths import by_name, fold, plain_path
 
 if TYPE_CHECKING:
     from lpn.datasets.base import Picture
@@ -201,8 +202,8 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
         DataError: if the format is wrong; the message names the line.
     """
     try:
-        lines = csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""))
-        header = tuple(name.strip().lower() for name in next(lines, []))
+        decimal_comma, rows = delimited(decode_text(data))
+        header = tuple(name.strip().lower() for name in next(rows, (0, []))[1])
         unknown = set(header) - {*_REQUIRED, *_OPTIONAL}
         if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
             raise DataError(
@@ -210,13 +211,12 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
                 "known, altitude,heading,tilt,fov,width."
             )
         found: dict[str, Position] = {}
-        for values in lines:
-            if values:
-                line = f"Line {lines.line_num} of {file}"
-                name, position = _position(header, values, line)
-                if name in found:
-                    raise DataError(f"{line} gives {_short(name)} a second position; keep one.")
-                found[name] = position
+        for number, values in rows:
+            line = f"Line {number} of {file}"
+            name, position = _position(header, values, line, decimal_comma)
+            if name in found:
+                raise DataError(f"{line} gives {_short(name)} a second position; keep one.")
+            found[name] = position
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{file} is not a text file of comma-separated values in UTF-8; save it as such.") from error
     return found
@@ -224,6 +224,8 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
 
 def find_positions(found: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position]:
     """Return the position of each picture by its name; DataError if one has none."""
+    if any(name not in found for name in names):
+        found = by_name(found, names, file)
     missing = [name for name in names if name not in found]
     if missing:
         raise DataError(
@@ -242,23 +244,30 @@ def match(found: Mapping[str, Position], names: Sequence[str], file: str = NAME)
     Raises:
         InputError: if two prefixes match equally many names, at different positions.
     """
-    wanted = set(names)
+    # Another case is the same picture, unless the names themselves differ by their case alone.
+    folds = all(len(set(map(fold, paths))) == len(paths) for paths in (found, set(map(plain_path, names))))
+    key = fold if folds else str
+    listed = {key(path): position for path, position in found.items()}
+    keys = [key(plain_path(name)) for name in names]
+    wanted, shown = set(keys), dict[str, str]()
     counts: Counter[str] = Counter()
     for path in found:
         parts = path.split("/")
         for depth in range(len(parts)):
-            if "/".join(parts[depth:]) in wanted:
-                counts["".join(f"{part}/" for part in parts[:depth])] += 1
+            if key("/".join(parts[depth:])) in wanted:
+                folder = "".join(f"{part}/" for part in parts[:depth])
+                counts[key(folder)] += 1
+                shown.setdefault(key(folder), folder)
     most = max(counts.values(), default=0)
     above = sorted(folder for folder, count in counts.items() if count == most) or [""]
     if above[0]:
         for other in above[1:]:
-            if any(_place(found.get(above[0] + name)) != _place(found.get(other + name)) for name in names):
+            if any(_place(listed.get(above[0] + name)) != _place(listed.get(other + name)) for name in keys):
                 raise InputError(
-                    f"{file} has the pictures below both {above[0]} and {other}, at other places; give a file of positions, or "
-                    "the folder of one (as --data takes it), that has only the described one."
+                    f"{file} has the pictures below both {shown[above[0]]} and {shown[other]}, at other places; give a file of "
+                    "positions, or the folder of one (as --data takes it), that has only the described one."
                 )
-    return [found.get(above[0] + name) for name in names]
+    return [listed.get(above[0] + name) for name in keys]
 
 
 def _place(position: Position | None) -> tuple[float, float] | None:
@@ -274,19 +283,19 @@ def _read(path: Path) -> dict[str, Position]:
         ) from error
 
 
-def _position(header: Sequence[str], values: Sequence[str], line: str) -> tuple[str, Position]:
+def _position(header: Sequence[str], values: Sequence[str], line: str, decimal_comma: bool) -> tuple[str, Position]:
     if len(values) != len(header):
         raise DataError(f"{line} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
     path, numbers = "", {}
     for name, value in zip(header, values, strict=True):
         text = value.strip()
         if name == "path":
-            path = text
+            path = plain_path(text)
         elif text or name in _REQUIRED:
-            numbers[name] = _number(text, name, line)
+            numbers[name] = _number(text.replace(",", ".", 1) if decimal_comma else text, name, line)
     if not path:
         raise DataError(f"{line} has no path; expected the picture's, relative to the folder.")
-    return path.removeprefix("./"), Position(**numbers)
+    return path, Position(**numbers)
 
 
 def _short(text: str) -> str:

@@ -27,6 +27,7 @@ from lpn.core.formats import is_newer, newer_version
 from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import Picture, geo
 from lpn.datasets.base import read_rows
+from lpn.datasets.listed_paths import by_name, plain_path
 
 log = logging.getLogger(__name__)
 
@@ -143,10 +144,13 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
                 f"Line {number} of {NAME} has {len(values)} values; expected {len(names)}: {','.join(names)}."
             )
         path, *rest = (unescape(value.strip()) for value in values)
-        path = path.removeprefix("./")
+        path = plain_path(path)
         if path in rows:
             raise DataError(f"Line {number} of {NAME} is a second one for {printable(path)!r}; keep one.")
         rows[path] = [printable(" ".join(value.splitlines())) for value in rest]
+    everywhere = list(rows.values())
+    if any(path not in rows for path in paths):
+        rows = by_name(rows, paths, NAME)
     missing = [path for path in paths if path not in rows]
     if paths and len(missing) == len(paths):
         raise DataError(
@@ -156,7 +160,7 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
         log.warning("%s has no line for %d of %d queries, such as %s.", NAME, len(missing), len(paths), missing[0])
     empty = [""] * (len(names) - 1)
     return [
-        _column(name, [rows.get(path, empty)[i] for path in paths], [row[i] for row in rows.values()])
+        _column(name, [rows.get(path, empty)[i] for path in paths], [row[i] for row in everywhere])
         for i, name in enumerate(names[1:])
     ]
 

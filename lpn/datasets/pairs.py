@@ -11,13 +11,14 @@ picture (without satellites: the same picture of the first view) show the same p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS
-from lpn.datasets.base import FileNames, LeftOut, ListedDataset, Picture, checked_path, read_rows, warn_left_out
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, read_rows, warn_left_out
+from lpn.datasets.listed_paths import FilesBelow, listed_path
 
 NAME = "pairs.csv"
 _MOST = 2**62
@@ -42,8 +43,11 @@ class PairsCSV(ListedDataset):
 
     def __init__(self, root: Path) -> None:
         views, rows = _read(root / NAME)
+        there = FilesBelow(root).resolve((file for row in rows for file in row.files.values()), NAME)
+        # One picture may be listed in two spellings, and is one place all the same.
+        rows = [replace(row, files={view: there.get(file, file) for view, file in row.files.items()}) for row in rows]
+        files = set(there.values())
         places = _places(rows, "satellite" if "satellite" in views else views[0])
-        there = FileNames(root)
         left_out: dict[str, LeftOut] = {}
         pictures: dict[str, dict[str, dict[str, Picture]]] = {
             split: {view: {} for view in views} for split in ("train", "test")
@@ -55,7 +59,7 @@ class PairsCSV(ListedDataset):
                     raise DataError(
                         f"Line {row.line} of {NAME} gives {printable(file)} the place {place}, after {listed.label}; keep one."
                     )
-                if file in there:
+                if file in files:
                     name = Path(file).with_suffix("").as_posix()
                     pictures[row.split][view][file] = Picture(root / file, place, printable(name))
                 else:
@@ -101,7 +105,7 @@ def _row(header: list[str], views: list[str], values: list[str], line: int) -> _
         place = int(text) if text.isdecimal() and len(text) < 20 else _MOST
         if place >= _MOST:
             raise DataError(f"Line {line} of {NAME} has the place {printable(text)!r}; expected a whole number from 0.")
-    files = {view: checked_path(row[view], f"Line {line} of {NAME}") for view in views if row[view]}
+    files = {view: listed_path(row[view], f"Line {line} of {NAME}") for view in views if row[view]}
     if not files:
         raise DataError(f"Line {line} of {NAME} names no picture; expected one of {', '.join(views)}.")
     return _PairLine(line, files, split, place)

@@ -16,7 +16,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,8 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.datasets.areas import AREAS, Area, choose_area
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, checked_path, files_below, warn_left_out
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, warn_left_out
+from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
 
 # Side of GTA-UAV's map in pixels, and metres of a pixel.
 _MAP_PIXELS, _METRES = 24_576, 0.45
@@ -85,6 +86,9 @@ class TilePairs(ListedDataset):
         test, form = _read(_list(root, area, "test"))
         train = _read(_list(root, area, "train"))[0] if _list(root, area, "train").is_file() else []
         self.kind, self.measured_by = form, form
+        there = FilesBelow(root)
+        test = _here(there, test, _list(root, area, "test").name)
+        train = _here(there, train, _list(root, area, "train").name)
         folders = {pair.tiles for pair in test}
         if len(folders) != 1:
             raise DataError(
@@ -97,14 +101,15 @@ class TilePairs(ListedDataset):
                 "for each drone picture."
             )
         folder = folders.pop()
-        files = [file.relative_to(root).as_posix() for file in files_below(root / folder)]
+        below = [] if there.find(folder) is None else files_below(root / folder)
+        files = [file.relative_to(root).as_posix() for file in below]
         if not files:
             raise DataError(
                 f"{printable(root.name)} has no tiles in {folder}, which its lists name; unpack them there."
             )
         numbers: dict[str, int] = {}
         for number, file in enumerate(files):
-            if (other := numbers.setdefault(Path(file).name, number)) != number:
+            if (other := numbers.setdefault(fold(Path(file).name), number)) != number:
                 raise DataError(
                     f"{printable(root.name)} has the tiles {printable(files[other])} and {printable(file)}, and its lists name "
                     "tiles by their file names alone; leave one of them out."
@@ -120,7 +125,7 @@ class TilePairs(ListedDataset):
                 for name in pair.listed:
                     if name not in numbers:
                         left_out[name] = LeftOut(f"{folder}/{name}", "is not there")
-                if not (root / pair.file).is_file():
+                if there.find(pair.file) is None:
                     left_out[pair.file] = LeftOut(pair.file, "is not there")
                 elif pair.true and not true:
                     left_out[pair.file] = LeftOut(pair.file, "has none of its true tiles")
@@ -256,8 +261,16 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
         ) from error
     if not (math.isfinite(first) and math.isfinite(second)):
         raise DataError(f"{where} has the position {first}, {second}; expected two finite numbers.")
-    file = checked_path(f"{entry['drone_img_dir']}/{entry['drone_img_name']}", where)
-    return _Pair(file, (first, second), true, listed, checked_path(str(entry["sate_img_dir"]), where))
+    file = listed_path(f"{entry['drone_img_dir']}/{entry['drone_img_name']}", where)
+    return _Pair(file, (first, second), true, listed, listed_path(str(entry["sate_img_dir"]), where))
+
+
+def _here(there: FilesBelow, pairs: list[_Pair], name: str) -> list[_Pair]:
+    """Return pairs whose drone pictures and folders of tiles are those that their paths name."""
+    found = there.resolve((path for pair in pairs for path in (pair.file, pair.tiles)), name)
+    return [
+        replace(pair, file=found.get(pair.file, pair.file), tiles=found.get(pair.tiles, pair.tiles)) for pair in pairs
+    ]
 
 
 def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:
@@ -267,7 +280,7 @@ def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:
     weights = [math.nan] * len(names) if weights is None else _values(weights, of_weights)
     if len(names) != len(weights):
         raise ValueError(f"{len(names)} tiles and {len(weights)} weights")
-    return {Path(str(name)).name: float(weight) for name, weight in zip(names, weights, strict=True)}
+    return {fold(name_of(str(name))): float(weight) for name, weight in zip(names, weights, strict=True)}
 
 
 def _values(value: Any, key: str) -> list[Any]:

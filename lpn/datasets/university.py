@@ -15,7 +15,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import linked_folder, printable
 from lpn.core.images import SUFFIXES
-from lpn.datasets.base import Dataset, LeftOut, Picture, Size, tasks_between, unread_below
+from lpn.datasets.base import Dataset, LeftOut, Picture, Size, hidden_name, tasks_between, unread_below
 from lpn.datasets.rendered import is_rendered
 
 # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
@@ -125,7 +125,7 @@ def _names(folder: Path, folders: bool) -> list[str]:
     """Return the sorted names of the folders or of the files in a folder."""
     with os.scandir(folder) as entries:
         return sorted(
-            e.name for e in entries if not e.name.startswith(".") and (_is_folder(e) if folders else _is_picture(e))
+            e.name for e in entries if not hidden_name(e.name) and (_is_folder(e) if folders else _is_picture(e))
         )
 
 

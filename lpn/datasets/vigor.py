@@ -24,17 +24,8 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.datasets.areas import AREAS, Area, choose_area
-from lpn.datasets.base import (
-    FileNames,
-    LeftOut,
-    ListedDataset,
-    Picture,
-    Size,
-    Truth,
-    checked_path,
-    read_lines,
-    warn_left_out,
-)
+from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, read_lines, warn_left_out
+from lpn.datasets.listed_paths import FilesBelow, listed_path, name_of
 
 CITIES = ("Chicago", "NewYork", "SanFrancisco", "Seattle")
 _SPLITS = ("splits", "splits__corrected")
@@ -78,7 +69,7 @@ class VIGOR(ListedDataset):
             one for one in AREAS if any((splits / city / _list(one, "test")).is_file() for city in _cities(one, "test"))
         ]
         area = choose_area(root, there, area, f"{splits.name}/<city>/{_list('same', 'test')}")
-        files, left_out = FileNames(root), dict[str, LeftOut]()
+        files, left_out = FilesBelow(root), dict[str, LeftOut]()
         self._semi: list[list[str]] = []
         numbers: dict[str, int] = {}
         gallery: list[Picture] = []
@@ -88,8 +79,8 @@ class VIGOR(ListedDataset):
             for file in tiles.values():
                 numbers[file] = len(numbers)
                 if city in _cities(area, "test"):
-                    if file in files:
-                        gallery.append(Picture(root / file, numbers[file], f"{city}/{Path(file).stem}"))
+                    if (there := files.find(file)) is not None:
+                        gallery.append(Picture(root / there, numbers[file], f"{city}/{Path(there).stem}"))
                     else:
                         left_out[file] = LeftOut(file, "is not there")
         for split in ("train", "test"):
@@ -102,20 +93,24 @@ class VIGOR(ListedDataset):
                 folder = _folder(root, city, "panorama", "ground")
                 for panorama, listed in _panoramas(root / name, name, tiles_of[city]):
                     file = f"{folder}/{panorama}"
-                    if file not in files:
+                    if (there := files.find(file)) is None:
                         left_out[file] = LeftOut(file, "is not there")
                         continue
                     shown = f"{city}/{panorama.split(',')[0]}"
-                    pictures[split].append(Picture(root / file, numbers[listed[0]], shown, panorama=True, group=city))
+                    pictures[split].append(Picture(root / there, numbers[listed[0]], shown, panorama=True, group=city))
                     if split == "test":
                         self._semi.append(listed[1:])
         self._order = {picture.label: position for position, picture in enumerate(gallery)}
         self._numbers = numbers
         used = {picture.label for picture in pictures["train"]}
-        trained = [Picture(root / file, number, Path(file).stem) for file, number in numbers.items() if number in used]
+        trained = [
+            Picture(root / there, number, Path(there).stem)
+            for file, number in numbers.items()
+            if number in used and (there := files.find(file)) is not None
+        ]
         super().__init__(
             root,
-            {"street": pictures["train"], "satellite": [tile for tile in trained if _relative(root, tile) in files]},
+            {"street": pictures["train"], "satellite": trained},
             {"street": pictures["test"]},
             {"satellite": gallery},
             f"{splits.name}/<city>/{_list(area, 'test')} and the pictures that it names",
@@ -192,8 +187,9 @@ def _tiles(root: Path, splits: Path, city: str) -> dict[str, str]:
     folder = _folder(root, city, "satellite", "satellite")
     found = {}
     for number, line in enumerate(read_lines(splits / city / _TILES, name), 1):
-        if tile := line.strip():
-            found[tile] = f"{folder}/{checked_path(tile, f'Line {number} of {name}')}"
+        if line.strip():
+            tile = name_of(listed_path(line, f"Line {number} of {name}"))
+            found[tile] = f"{folder}/{tile}"
     return found
 
 
@@ -209,12 +205,9 @@ def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> list[tuple[st
             raise DataError(
                 f"{where} has {len(values)} values; expected a panorama, and a tile with two numbers up to four times."
             )
-        missing = [tile for tile in values[1::3] if tile not in tiles]
+        listed = [name_of(tile) for tile in values[1::3]]
+        missing = [tile for tile in listed if tile not in tiles]
         if missing:
             raise DataError(f"{where} names the tile {printable(missing[0])}, which is not in {_TILES} of its city.")
-        found.append((checked_path(values[0], where), [tiles[tile] for tile in values[1::3]]))
+        found.append((name_of(listed_path(values[0], where)), [tiles[tile] for tile in listed]))
     return found
-
-
-def _relative(root: Path, picture: Picture) -> str:
-    return geo.names_below(root, [picture])[0]

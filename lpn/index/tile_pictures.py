@@ -13,7 +13,7 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Picture
-from lpn.datasets.base import checked_path
+from lpn.datasets.listed_paths import checked_path
 from lpn.drawing import captions
 from lpn.maps import Map, NamedWindow
 from lpn.maps.named_window import WindowCut, covers_part_of, describe_place

@@ -25,7 +25,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -37,8 +37,9 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.views import View
 from lpn.datasets import Picture, Truth, matlab
-from lpn.datasets.base import checked_path, read_rows
+from lpn.datasets.base import read_rows
 from lpn.datasets.geo import Position
+from lpn.datasets.listed_paths import FilesBelow, listed_path
 from lpn.retrieval.published_results import PublishedResult
 from lpn.retrieval.ranks import JUNK
 
@@ -144,7 +145,7 @@ def load_arrays(
     folder = Path(root) if root is not None else sides["query"].parent if paths is None else Path(paths).parent
     if not folder.is_dir():
         raise DataError(f"There is no folder of pictures at {printable(str(folder))}; check the path.")
-    lines = _numbered(arrays) if paths is None else _listed(Path(paths), arrays)
+    lines = _numbered(arrays) if paths is None else _here(folder, _listed(Path(paths), arrays), _name(Path(paths)))
     names = [line.label for side in lines.values() for line in side]
     numbers = _label_numbers(names)
     labels = {side: np.array([numbers[line.label] for line in of], np.int64) for side, of in lines.items()}
@@ -360,7 +361,7 @@ def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[
         row = {column: value.strip() for column, value in zip(header, values, strict=True)}
         if row["side"] not in found:
             raise DataError(f"{where} has the side {printable(row['side'])!r}; expected query or gallery.")
-        line = _Line(checked_path(row["file"], where), row.get("label", ""), _position(row, where))
+        line = _Line(listed_path(row["file"], where), row.get("label", ""), _position(row, where))
         found[row["side"]].append(line)
     for side, lines in found.items():
         if len(lines) != len(arrays[side]):
@@ -368,6 +369,15 @@ def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[
                 f"{name} has {len(lines)} lines of the side {side}, and the array {len(arrays[side])} rows; expected as many."
             )
     return found
+
+
+def _here(folder: Path, lines: dict[Side, list[_Line]], name: str) -> dict[Side, list[_Line]]:
+    """Return lines with the files that their paths name below the folder; other paths stay, but none is absolute."""
+    there = FilesBelow(folder).resolve((line.file for of in lines.values() for line in of), name)
+    return {
+        side: [replace(line, file=there.get(line.file, line.file.lstrip("/").replace(":", ""))) for line in of]
+        for side, of in lines.items()
+    }
 
 
 def _position(row: Mapping[str, str], where: str) -> Position | None:

@@ -20,6 +20,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS, View, views_of
 from lpn.datasets import Dataset, Picture, Truth, matlab
+from lpn.datasets.listed_paths import plain_path
 
 _NORM_TOLERANCE = 0.01
 
@@ -242,7 +243,7 @@ def _paths(values: Any, count: int, side: str, name: str) -> tuple[str, ...] | N
         )
     # In a cell array, each text is an array of its own.
     texts = [str(np.ravel(value)[0]) if isinstance(value, np.ndarray) and value.size else str(value) for value in array]
-    return tuple(text.rstrip().replace("\\", "/") for text in texts)
+    return tuple(plain_path(text) for text in texts)
 
 
 def _pictures_of_rows(
