@@ -7,13 +7,14 @@ pictures; docs/data.md shows each layout.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets import cvact, cvusa, landmarks, pairs
+from lpn.datasets import cvact, cvusa, landmarks, levels, pairs
 from lpn.datasets.areas import split_area
 from lpn.datasets.base import (
     Dataset,
@@ -61,6 +62,8 @@ __all__ = [
     "warn_left_out",
 ]
 
+log = logging.getLogger(__name__)
+
 _LAYOUTS = (
     "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
     "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
@@ -79,7 +82,7 @@ def open_dataset(root: str | Path) -> Dataset:
     """
     root, area = split_area(Path(root))
     if not root.is_dir():
-        raise DataError(f"There is no data set folder at {root}; check the path.")
+        raise levels.no_folder(root)
     is_rendered(root)  # raises for an unfinished world
     marked = _marked(root)
     if area is not None:
@@ -90,16 +93,19 @@ def open_dataset(root: str | Path) -> Dataset:
         marked = partial(marked, area=area)
     if marked is not None:
         return marked(root)
-    inner = sorted(child.name for child in root.iterdir() if child.is_dir() and not hidden(child) and _marked(child))
-    if inner:
-        found = ", ".join(map(printable, inner[:5]))
-        raise DataError(
-            f"{root} holds data sets in folders of its own: {found}; give --data {root / printable(inner[0])}."
-        )
+    whole, pictures = levels.above(root, _marked), levels.holds_pictures(root)
+    if whole is not None and not pictures:
+        raise levels.part_of(root, whole)
+    if (error := levels.below(root, _marked) or levels.misplaced(root)) is not None:
+        raise error
+    if whole is not None:
+        log.warning("%s is opened as a folder of pictures; the data set that it is a part of is %s.", root, whole)
     if queries := landmarks.query_files(root):
         return Landmarks(root, queries)
     if files := files_below(root):
         return Folder(root, files)
+    if (error := levels.archives_alone(root)) is not None:
+        raise error
     inside = ", ".join(sorted(printable(child.name) for child in root.iterdir())[:5]) or "nothing"
     raise DataError(f"{root} holds {inside}; expected {_LAYOUTS}.")
 

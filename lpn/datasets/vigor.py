@@ -65,10 +65,10 @@ class VIGOR(ListedDataset):
 
     def __init__(self, root: Path, area: Area | None = None) -> None:
         splits = _splits(root)
-        there = [
+        areas = [
             one for one in AREAS if any((splits / city / _list(one, "test")).is_file() for city in _cities(one, "test"))
         ]
-        area = choose_area(root, there, area, f"{splits.name}/<city>/{_list('same', 'test')}")
+        area = choose_area(root, areas, area, f"{splits.name}/<city>/{_list('same', 'test')}")
         files, left_out = FilesBelow(root), dict[str, LeftOut]()
         self._semi: list[list[str]] = []
         numbers: dict[str, int] = {}

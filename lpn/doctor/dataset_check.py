@@ -18,6 +18,7 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, geo
 from lpn.datasets.integrity import picture_errors
 from lpn.training.recipes import RECIPES
+from lpn.training.training_set import trainable
 
 _RECIPES = {
     "University-1652": ("paper", "released", "small", "world"),
@@ -87,7 +88,8 @@ class DataSetReport:
         decoded: whether the files were decoded completely.
         broken: pictures that cannot be read.
         left_out: files that the data set itself leaves out: missing, known to be broken, or not read (`Dataset.unread`).
-        lacking: places and queries without their counterpart.
+        lacking: places and queries without their counterpart, which cannot be used.
+        gaps: those without one of their counterparts, which are used by the others; the published University-1652 has some.
         duplicates: groups of files of one list with equal content and different labels.
         shared: places in both train and test.
         positions: what the positions cover, and where they are from; None without any.
@@ -103,6 +105,7 @@ class DataSetReport:
     broken: tuple[BrokenPicture, ...]
     left_out: tuple[LeftOut, ...]
     lacking: tuple[MissingCounterparts, ...]
+    gaps: tuple[MissingCounterparts, ...]
     duplicates: tuple[tuple[str, ...], ...]
     shared: tuple[int, ...]
     positions: str | None
@@ -111,7 +114,7 @@ class DataSetReport:
 
     @property
     def healthy(self) -> bool:
-        """True if nothing is broken; a subset, duplicates, and damage of the published data set do not count."""
+        """True if nothing is broken; a subset, gaps, duplicates, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
         return not (self.broken or missing or self.lacking or self.shared or self.gap)
 
@@ -136,6 +139,7 @@ def check_dataset(
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     found = picture_errors(files, decode, None if on_progress is None else lambda done: on_progress(done, len(files)))
     positions, gap = _positions(dataset)
+    (untrained, partly), (missed, by_street) = _training_places(lists), _unanswered(dataset)
     return DataSetReport(
         root=printable(dataset.root.resolve().name),
         kind=dataset.kind,
@@ -144,7 +148,8 @@ def check_dataset(
         decoded=decode,
         broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in found.items()),
         left_out=(*dataset.left_out, *dataset.unread()),
-        lacking=(*_partial_places(lists), *_unanswered(dataset)),
+        lacking=(*untrained, *missed),
+        gaps=(*partly, *_street_places(dataset, lists), *by_street),
         duplicates=tuple(_duplicates(dataset.root, lists, found)),
         shared=tuple(_shared(dataset, lists)),
         positions=positions,
@@ -159,36 +164,74 @@ def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
     return Count(name, len(pictures), places, full.pictures if full else None, full.places if full else None)
 
 
-def _partial_places(lists: dict[str, list[Picture]]) -> list[MissingCounterparts]:
-    """Find places without a picture of every view, which training cannot use."""
+def _train_labels(lists: dict[str, list[Picture]]) -> dict[str, set[int]]:
+    """Return the labels of each set to train on; google alone trains nothing without street."""
     labels = {name: {p.label for p in pictures} for name, pictures in lists.items() if name.startswith("train/")}
-    everywhere = set().union(*labels.values())
-    missing = {name: sorted(everywhere - there) for name, there in labels.items()}
-    return [
-        MissingCounterparts(
-            name, f"places have no picture in {name}", tuple(f"{label:04d}" for label in without), len(everywhere)
-        )
-        for name, without in missing.items()
-        if without
-    ]
+    found = {name.removeprefix("train/"): of for name, of in labels.items()}
+    if "street" not in found:
+        found.pop("google", None)
+    return found
 
 
-def _unanswered(dataset: Dataset) -> list[MissingCounterparts]:
-    """Find queries without a true match, which count as missed."""
-    found: list[MissingCounterparts] = []
+def _training_places(lists: dict[str, list[Picture]]) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
+    """Return the places that training leaves out, and those that it has in some views alone, which is no damage."""
+    labels = _train_labels(lists)
+    if len(labels) < 2:
+        return [], []
+    found = trainable(labels)
+    total = len(found.places) + len(found.left_out)
+    lost = {name: [label for label in found.left_out if label not in of] for name, of in labels.items()}
+    return (
+        [_without_picture(f"train/{name}", of, total) for name, of in lost.items() if of and name != "google"],
+        [_without_picture(f"train/{name}", of, total) for name, of in found.gaps.items()],
+    )
+
+
+def _without_picture(name: str, labels: Sequence[int], of: int) -> MissingCounterparts:
+    return MissingCounterparts(name, f"places have no picture in {name}", tuple(f"{label:04d}" for label in labels), of)
+
+
+def _street_places(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[MissingCounterparts]:
+    """Find places of the test split without a street picture, which not every place of University-1652 has."""
+    if any(dataset.truth(task) is not None for task in dataset.tasks()):
+        return
+    for role in ("query", "gallery"):
+        of_role = {
+            name: {p.label for p in pictures} for name, pictures in lists.items() if name.startswith(f"test/{role}_")
+        }
+        name = f"test/{role}_street"
+        if name in of_role:
+            everywhere = set().union(*of_role.values())
+            if without := sorted(everywhere - of_role[name]):
+                yield _without_picture(name, without, len(everywhere))
+
+
+def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
+    """Find queries without a true match, which count as missed: those that are damage, and those that are none.
+
+    Not every place has a street picture. A query without one is no damage, as long as another view answers it.
+    """
+    found: dict[str, tuple[list[Picture], int]] = {}
+    answered: set[Path] = set()
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
         queries, truth = dataset.queries(query_view), dataset.truth(task)
         if truth is None:
             there = {picture.label for picture in dataset.gallery(gallery_view)}
-            without = [query.name for query in queries if query.label not in there]
+            without = [query for query in queries if query.label not in there]
         else:
-            without = [query.name for query, of in zip(queries, truth, strict=True) if not len(of.good)]
-        if without:
-            found.append(
-                MissingCounterparts(task, f"queries of {task} have no true match", tuple(without), len(queries))
-            )
-    return found
+            without = [query for query, of in zip(queries, truth, strict=True) if not len(of.good)]
+        answered |= {query.path for query in queries}.difference(query.path for query in without)
+        found[task] = without, len(queries)
+    damage, gaps = [], []
+    for task, (without, total) in found.items():
+        by_street = [query for query in without if views_of(task)[1] == "street" and query.path in answered]
+        missed = [query for query in without if query not in by_street]
+        for queries, kind in ((missed, damage), (by_street, gaps)):
+            if queries:
+                names = tuple(query.name for query in queries)
+                kind.append(MissingCounterparts(task, f"queries of {task} have no true match", names, total))
+    return damage, gaps
 
 
 def _shared(dataset: Dataset, lists: dict[str, list[Picture]]) -> list[int]:
@@ -245,12 +288,8 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
 
 
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
-    train = {
-        name.removeprefix("train/"): {p.label for p in of} for name, of in lists.items() if name.startswith("train/")
-    }
-    if "street" not in train:
-        train.pop("google", None)
-    places = len(set.intersection(*train.values())) if "satellite" in train and len(train) > 1 else 0
+    train = _train_labels(lists)
+    places = len(trainable(train).places) if "satellite" in train and len(train) > 1 else 0
     recipes = [name for name in _RECIPES.get(dataset.kind, ()) if name in RECIPES]
     if places and recipes:
         yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
@@ -287,7 +326,7 @@ def _below(root: Path, file: Path) -> str:
 
 
 def print_report(report: DataSetReport, console: Console) -> None:
-    """Print a report with at most five names of each kind; `to_dict` has all names."""
+    """Print a report with a few names of each kind; `to_dict` has all names."""
     console.print(f"{report.root} is {_KINDS.get(report.kind, report.kind)}.", markup=False, highlight=False)
     table = Table()
     for name in ("pictures of", "pictures", "places"):
@@ -306,6 +345,8 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines += _some("are left out, being broken in the published data set too", known)
     for item in report.lacking:
         lines += _some(f"of {item.of} {item.what}", item.names)
+    for item in report.gaps:
+        lines += [f"{line} This is no damage." for line in _some(f"of {item.of} {item.what}", item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
     lines += _some("groups of files in one list are equal", [" = ".join(g) for g in report.duplicates])
     lines += [text for text in (report.gap or report.positions,) if text]
@@ -337,7 +378,7 @@ def _of(found: int, full: int | None) -> str:
     return f"{found:,}" if full is None else f"{found:,} of {full:,}"
 
 
-def _some(what: str, names: Sequence[str]) -> list[str]:
+def _some(what: str, names: Sequence[str], most: int = 5) -> list[str]:
     if not names:
         return []
-    return [f"{len(names)} {what}: {first_few(names, 5)}."]
+    return [f"{len(names)} {what}: {first_few(names, most)}."]

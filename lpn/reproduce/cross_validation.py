@@ -27,8 +27,7 @@ from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, fingerprint, printable, write_atomic
 from lpn.core.formats import decode_json
-from lpn.core.views import View
-from lpn.datasets import Dataset, Picture
+from lpn.datasets import Dataset
 from lpn.models.base import Model
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.reproduce import trainings
@@ -41,7 +40,7 @@ from lpn.retrieval import metrics
 from lpn.retrieval.calibration import MIN_PICTURES, calibrate
 from lpn.retrieval.protocol import centred
 from lpn.training.recipes import Recipe
-from lpn.training.training_set import Fold
+from lpn.training.training_set import Fold, paired_pictures
 
 FORMAT = "lpn-cross-validation/1"
 _FOLD_FORMAT = "lpn-fold/2"
@@ -349,11 +348,8 @@ def _measure(model: Model, held: Mapping[int, Mapping[str, Sequence[Path]]], fin
     Descriptors are compared in two or three readings: as they are (plain), each view's mean subtracted first (centred), and
     calibrated without labels, where there are as many pictures as that needs.
     """
-    first = next(iter(held.values()))
-    views: tuple[View, View] = ("drone" if "drone" in first else "street", "satellite")
-    pictures = {
-        view: [Picture(file, label, file.name) for label, sets in held.items() for file in sets[view]] for view in views
-    }
+    pictures = paired_pictures(held)
+    views = tuple(pictures)
     plain = {view: descriptors.temporary_descriptors(model, pictures[view], view) for view in views}
     labels = {view: np.array([picture.label for picture in pictures[view]]) for view in views}
     read = {"plain": plain, "centred": {view: centred(plain[view]) for view in views}}

@@ -23,26 +23,25 @@ class DescriptorMemory:
     def __init__(self, places: int) -> None:
         self.places = places
         self.rows: dict[str, Tensor] = {}
-        self.filled = torch.zeros(places, dtype=torch.bool)
 
     def others(self, labels: Tensor) -> dict[str, Tensor]:
-        """Return descriptors (M, F) of the places that are remembered and not among `labels`, by picture set."""
-        chosen = self.filled.clone()
-        chosen[labels.cpu()] = False
-        return {name: rows[chosen.to(rows.device)] for name, rows in self.rows.items()}
+        """Return descriptors (M, F) of the places that are remembered and not among `labels`, by picture set, M of the set."""
+        fresh = torch.ones(self.places, dtype=torch.bool)
+        fresh[labels.cpu()] = False
+        # A descriptor has norm 1, so a row of zeros is none.
+        return {name: rows[fresh.to(rows.device) & rows.any(dim=1)] for name, rows in self.rows.items()}
 
     def remember(self, outputs: Mapping[str, tuple[Tensor, Tensor]], labels: Tensor) -> None:
-        """Keep the descriptors of a step; `outputs` are those of `MultiViewNetwork`, with the same labels (B,) in each set."""
+        """Keep the descriptors of a step; `outputs` are those of `MultiViewNetwork`, of sets with the same labels (B,)."""
         for name, (parts, _) in outputs.items():
             found = descriptors(parts.detach().float())
             if name not in self.rows:
                 self.rows[name] = torch.zeros(self.places, found.shape[1], device=found.device)
             self.rows[name][labels] = found
-        self.filled[labels.cpu()] = True
 
     def state(self) -> dict[str, Tensor]:
         """Return what `restore` takes."""
-        return {"filled": self.filled, **{f"rows.{name}": rows for name, rows in self.rows.items()}}
+        return {f"rows.{name}": rows for name, rows in self.rows.items()}
 
     def restore(self, state: Mapping[str, Tensor], device: torch.device) -> None:
         """Restore what `state` returned, on a device.
@@ -50,5 +49,6 @@ class DescriptorMemory:
         Raises:
             KeyError: if the state is another one.
         """
-        self.filled = state["filled"].cpu()
-        self.rows = {key[len("rows.") :]: rows.to(device) for key, rows in state.items() if key != "filled"}
+        self.rows = {
+            key.removeprefix("rows."): rows.to(device) for key, rows in state.items() if key.startswith("rows.")
+        }

@@ -86,11 +86,11 @@ class Learner:
             with self.mixed_precision.autocast():
                 outputs = self.multi_view(batch.sets)
             gathered = self.group.gather(outputs)
-            labels = next(iter(batch.labels.values()))
-            others = None if self.memory is None else self.memory.others(labels)
+            others = None if self.memory is None else self.memory.others(torch.cat(list(batch.labels.values())))
             loss = total_loss(gathered, batch.labels, self.recipe, batch.overlaps, others, self._taught(batch))
             if self.memory is not None:
-                self.memory.remember(gathered, labels)
+                for name, of in gathered.items():
+                    self.memory.remember({name: of}, batch.labels[name])
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.

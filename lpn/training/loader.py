@@ -7,7 +7,7 @@ cache of decoded pictures.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -31,7 +31,7 @@ from lpn.training.training_set import TrainingSet
 _PREFETCH = 2
 _MAX_WORKERS = 16
 
-# Draws one picture of each set of a place, or one picture of one set.
+# Draws one picture of each set of a row, or one picture of one set.
 _Row = Callable[[], dict[str, UInt8Array]]
 # The class of each row of a batch, by set.
 _Labels = dict[str, Int64Array]
@@ -60,6 +60,10 @@ class TrainingBatch:
 class Loader:
     """The batches of a training in order, sampled as the recipe says.
 
+    With `sampling = places` a row of a batch is one place in each set. A place without a picture in a set leaves its row of that
+    set to another place, drawn anew each epoch, under that place's own label; `lpn.training.losses` compares rows of one label
+    only.
+
     Each place of an epoch, or each picture with `sampling = pictures`, has its own random seed, so the number of workers
     changes no result.
 
@@ -83,9 +87,15 @@ class Loader:
     ) -> None:
         if len(places) < 2:
             raise InputError(f"The training set has {len(places) or 'no'} place; training needs at least two.")
-        self._pictures = {}
-        if recipe.sampling == "pictures" and isinstance(places, TrainingSet):
-            self._pictures = places.pictures()
+        self._pictures: dict[str, list[tuple[Path, int]]] = {}
+        self._files: dict[str, list[list[Path]]] = {}
+        if isinstance(places, TrainingSet):
+            self._pictures = places.pictures() if recipe.sampling == "pictures" else {}
+            self._files = {} if self._pictures else places.drawn_from()
+        # For each set that not all places have: those that have it.
+        self._there = {
+            name: np.flatnonzero([bool(of) for of in files]) for name, files in self._files.items() if not all(files)
+        }
         # An epoch ends with the shortest set.
         self._length = min(map(len, self._pictures.values()), default=len(places))
         if self._length < recipe.batch:
@@ -104,6 +114,11 @@ class Loader:
         self._scale, self._offset = (
             torch.from_numpy(values).to(device)[:, None, None] for values in images.scale_and_offset()
         )
+
+    @property
+    def shortest(self) -> str:
+        """The set with the fewest pictures, with which an epoch ends; empty if sampling goes over places."""
+        return min(self._pictures, key=lambda name: len(self._pictures[name]), default="")
 
     @property
     def steps(self) -> int:
@@ -132,6 +147,7 @@ class Loader:
     def _batches(self, epoch: int) -> Iterator[tuple[_Labels, BoolArray | None, list[_Row]]]:
         """Yield each batch's labels of each set, its windows that share ground, and the work for this process's rows."""
         rows: list[_Row]
+        labels: _Labels
         if isinstance(self.places, MapWindows):
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
                 rows = [partial(self.places.draw, int(place), epoch) for place in places[self.share]]
@@ -139,8 +155,18 @@ class Loader:
             return
         if self.recipe.sampling == "places":
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
-                rows = [partial(self._draw_place, self.places, int(place), epoch) for place in places[self.share]]
-                yield dict.fromkeys(self.places.files, places), None, rows
+                labels = {name: self._shown(name, number, places, epoch) for number, name in enumerate(self._files, 1)}
+                rows = [
+                    partial(
+                        self._draw_place,
+                        self.places,
+                        int(places[row]),
+                        epoch,
+                        {n: int(of[row]) for n, of in labels.items()},
+                    )
+                    for row in range(len(places))[self.share]
+                ]
+                yield labels, None, rows
             return
         orders = [
             self._chunks(len(pictures), [self.recipe.seed, epoch, number])
@@ -148,7 +174,7 @@ class Loader:
         ]
         # The orders of longer sets have more chunks.
         for chunks in zip(*orders, strict=False):
-            labels: _Labels = {}
+            labels = {}
             rows = []
             for number, ((name, pictures), chunk) in enumerate(zip(self._pictures.items(), chunks, strict=True)):
                 labels[name] = np.array([pictures[index][1] for index in chunk], np.int64)
@@ -172,13 +198,29 @@ class Loader:
         rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
         return {name: self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)}
 
-    def _draw_place(self, places: TrainingSet, place: int, epoch: int) -> dict[str, UInt8Array]:
+    def _shown(self, name: str, number: int, places: Int64Array, epoch: int) -> Int64Array:
+        """Return the place that each row of a set shows: its own, or another one if that has no picture in the set.
+
+        Args:
+            number: of the set, from 1, as a zero would repeat the random numbers of `_draw_place`.
+        """
+        shown = places.copy()
+        for row, place in enumerate(places):
+            if not self._files[name][place]:
+                rng = np.random.default_rng([self.recipe.seed, epoch, int(place), number])
+                shown[row] = rng.choice(self._there[name])
+        return shown
+
+    def _draw_place(
+        self, places: TrainingSet, place: int, epoch: int, shown: Mapping[str, int]
+    ) -> dict[str, UInt8Array]:
         """Draw and augment one picture of each set, (H, W, 3) uint8; runs in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
-        for name, files in places.files.items():
-            path = files[place][int(rng.integers(len(files[place])))]
+        for name, of in shown.items():
+            files = self._files[name][of]
+            path = files[int(rng.integers(len(files)))]
             drawn[name] = self._augmented(places, path, name, rng, angle, mirror)
         return drawn
 

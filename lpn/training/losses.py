@@ -47,7 +47,7 @@ def infonce_loss(
         temperature: divides the mean cosine over parts.
         smoothing: label smoothing from 0 to 1, shared by the pairs that are not left out.
         overlaps: pairs of places that share ground, (B, B) bool, which are neither positives nor negatives.
-        others: descriptors of further places, (M, F) in each view, which are negatives without a gradient of their own.
+        others: descriptors of further places, (M, F) in each view with an M of its own, which are negatives without a gradient.
     """
     similarity = first @ second.T / temperature
     counted = torch.ones_like(similarity, dtype=torch.bool)
@@ -149,9 +149,10 @@ def total_loss(
 
     Args:
         outputs: part embeddings and class scores of each picture set (satellite, drone, street, google).
-        labels: class of each row of each set, (B,). The InfoNCE and metric losses need the same labels in every set.
+        labels: class of each row of each set, (B,). The InfoNCE, metric, and distillation losses compare the rows of a set whose
+            label is that of the satellite's; others show another place, for want of a picture.
         overlaps: see `infonce_loss`.
-        others: descriptors (M, F) of further places by picture set, as negatives of the InfoNCE loss.
+        others: descriptors (M, F) of further places by picture set, M of the set, as negatives of the InfoNCE loss.
         taught: descriptors (B, T) that the teachers give each picture set; None without teachers.
     """
     loss = torch.zeros((), device=next(iter(labels.values())).device)
@@ -163,17 +164,23 @@ def total_loss(
     if (recipe.infonce or taught or recipe.metric != "none") and "satellite" in outputs:
         embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
         tiles = embeddings.pop("satellite")
-        pairs = [
-            _pair_loss(
-                tiles,
-                parts,
-                recipe,
-                overlaps,
-                (others["satellite"], others[name]) if others else None,
-                (taught["satellite"], taught[name]) if taught else None,
+        pairs = []
+        for name, parts in embeddings.items():
+            same = labels["satellite"] == labels[name]
+            if same.sum() < 2:
+                # Nothing to compare; the sum keeps the graph that a training by several processes expects.
+                pairs.append(0 * (tiles.sum() + parts.sum()))
+                continue
+            pairs.append(
+                _pair_loss(
+                    tiles[same],
+                    parts[same],
+                    recipe,
+                    None if overlaps is None else overlaps[same][:, same],
+                    (others["satellite"], others[name]) if others else None,
+                    (taught["satellite"][same], taught[name][same]) if taught else None,
+                )
             )
-            for name, parts in embeddings.items()
-        ]
         loss = loss + torch.stack(pairs).mean()
     return loss
 

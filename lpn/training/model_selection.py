@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 from rich.console import Console
@@ -18,6 +18,7 @@ from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.retrieval import metrics
 from lpn.retrieval.evaluate import check_test_split, evaluate
+from lpn.training.training_set import paired_pictures
 
 # The metrics of one epoch: a line of log.csv.
 EpochMetrics = dict[str, float]
@@ -92,7 +93,7 @@ class HeldOut:
     """Retrieval of the satellite pictures of held-out training places by their drone or street pictures.
 
     Args:
-        places: the files of each set of each place.
+        places: the files of each set of each place; those without a pair of pictures are not measured.
         zoom: see `TestSplit`.
     """
 
@@ -100,23 +101,18 @@ class HeldOut:
         self, places: Mapping[int, Mapping[str, Sequence[Path]]], zoom: Callable[[View], float] = _unzoomed
     ) -> None:
         self._zoom = zoom
-        first = next(iter(places.values()))
-        self.view: View = "drone" if "drone" in first else "street"
-        self.pictures = {
-            view: [Picture(file, label, file.name) for label, sets in places.items() for file in sets[view]]
-            for view in (self.view, "satellite")
-        }
+        self.pictures = paired_pictures(places)
+        self.view = next(iter(self.pictures))
+        held = len({picture.label for picture in self.pictures[self.view]})
         task = f"{self.view}-to-satellite"
         self.column = f"recall@1 {task} held out"
-        self.description = f"R@1 of {task} on {len(places)} places held out of the training"
+        self.description = f"R@1 of {task} on {held} places held out of the training"
 
     def measure(self, model: Model) -> EpochMetrics:
         """Measure Recall@1 and AP among the held-out places only, in percent."""
         query, gallery = (
             (
-                descriptors.temporary_descriptors(
-                    model, pictures, cast(View, view), Change(scale=self._zoom(cast(View, view)))
-                ),
+                descriptors.temporary_descriptors(model, pictures, view, Change(scale=self._zoom(view))),
                 np.array([picture.label for picture in pictures]),
             )
             for view, pictures in self.pictures.items()

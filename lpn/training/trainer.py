@@ -161,6 +161,26 @@ class Trainer:
         """The network that is trained."""
         return self.learner.network
 
+    @property
+    def updates(self) -> int:
+        """The updates of the weights that `run` makes: those that are left, if the run is resumed."""
+        return self.steps * (self.recipe.epochs - len(self.history))
+
+    def plan(self) -> str:
+        """Say in one sentence what `run` trains on, and the steps and updates that it makes."""
+        recipe, done = self.recipe, len(self.history)
+        if isinstance(self.places, MapWindows):
+            what, rows = f"{len(self.places):,} windows of {self.name} an epoch", "windows"
+        else:
+            what = f"{len(self.places):,} places in {', '.join(self.places.files)}"
+            rows = "places" if recipe.sampling == "places" else "pictures of each set"
+        ends = f" (it ends with the pictures of {self.loader.shortest})" if self.loader.shortest else ""
+        resumed = f", of which {self.updates:,} are left" if done else ""
+        return (
+            f"Training on {what}: {self.steps:,} steps an epoch{ends} of {recipe.batch} {rows}, so {recipe.epochs} epochs make "
+            f"{self.steps * recipe.epochs:,} updates{resumed}."
+        )
+
     def run(self) -> Path:
         """Train to the last epoch, test, and return the path of the model.
 
@@ -309,6 +329,7 @@ class Trainer:
             f"pictures are prepared by {workers}.{shares}",
             soft_wrap=True,
         )
+        self.console.print(self.plan(), soft_wrap=True)
         decay, epochs = self.recipe.decay_epoch, self.recipe.epochs
         if self.recipe.schedule == "step" and decay >= epochs:
             self.console.print(

@@ -1,10 +1,14 @@
-"""The training set: the pictures of each place, and a cache of decoded pictures."""
+"""The training set: the pictures of each place, and a cache of decoded pictures.
+
+A place is trained on in the views that it has. Two views are needed, as one alone has nothing to be compared with.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import threading
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +18,8 @@ from rich.console import Console
 from lpn.core import images
 from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
-from lpn.core.views import VIEWS, View
+from lpn.core.files import first_few
+from lpn.core.views import VIEWS, View, branch_of
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import list_errors, picture_errors
 
@@ -36,20 +41,48 @@ class Fold(NamedTuple):
     seed: int = 0
 
 
+class Trainable(NamedTuple):
+    """The places of a training set, by their labels.
+
+    Attributes:
+        places: those that are trained on, which have pictures of two views.
+        left_out: those with pictures of one view alone.
+        gaps: for each set, those of `places` without a picture in it; sets without any are absent.
+    """
+
+    places: list[int]
+    left_out: list[int]
+    gaps: dict[str, list[int]]
+
+
+def trainable(labels: Mapping[str, Collection[int]]) -> Trainable:
+    """Tell which places can be trained on, from the labels of each set (satellite, drone, street, google).
+
+    Pictures of google are of the street view.
+    """
+    views: dict[int, set[View]] = {}
+    for name, of in labels.items():
+        for label in of:
+            views.setdefault(label, set()).add(branch_of(name))
+    places = sorted(label for label, of_place in views.items() if len(of_place) > 1)
+    gaps = {name: sorted(set(places).difference(of)) for name, of in labels.items()}
+    return Trainable(places, sorted(set(views).difference(places)), {name: of for name, of in gaps.items() if of})
+
+
 class TrainingSet:
     """The training pictures: for each set (satellite, drone, street, google), the files of each place.
 
-    Broken pictures (see `lpn.datasets.integrity`) are left out, with one message.
+    Broken pictures (see `lpn.datasets.integrity`) are left out, with one message. Places are left out as `trainable` says, and
+    are named.
 
     Attributes:
         labels: label of each place.
-        files: for each set, the files of each place.
-        views: the views that are trained.
+        files: for each set, the files of each place, which may be none.
         panoramas: True if the street pictures cover the full circle.
 
     Raises:
-        DataError: when there are no satellite pictures, there are neither drone nor street pictures, or no place has a
-            picture in every set present.
+        DataError: when there are no satellite pictures, there are neither drone nor street pictures, or no place has
+            pictures of two views.
     """
 
     def __init__(self, dataset: Dataset, console: Console, google: bool = True) -> None:
@@ -60,27 +93,31 @@ class TrainingSet:
             console.print(
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
-        if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
-            found = ", ".join(f"train/{name}" for name in by_place) or "none"
-            raise DataError(
-                f"{dataset.root.name} has pictures in {found}; training needs train/satellite and at least one of "
-                "train/drone, train/street, as in University-1652."
-            )
+        _check_sets(by_place, dataset.root)
         _leave_out_broken(by_place, dataset.root, console)
-        everywhere = set.intersection(*(set(places) for places in by_place.values()))
-        incomplete = sorted(set.union(*(set(places) for places in by_place.values())) - everywhere)
-        if incomplete:
-            some = ", ".join(f"{label:04d}" for label in incomplete[:5])
-            console.print(
-                f"{len(incomplete)} places lack a picture in one of {', '.join(by_place)} and are left out: {some}."
-            )
-        if not everywhere:
+        _check_sets(by_place, dataset.root)
+        found = trainable(by_place)
+        if not found.places:
             raise DataError(
-                f"No place of {dataset.root.name} has a picture in all of {', '.join(by_place)}; nothing to train on."
+                f"No place of {dataset.root.name} has pictures in two of {', '.join(by_place)}; nothing to train on."
             )
-        self.labels = sorted(everywhere)
-        self.files = {name: [places[label] for label in self.labels] for name, places in by_place.items()}
-        self.views: tuple[View, ...] = tuple(view for view in VIEWS if view in by_place)
+        if found.left_out:
+            views = [name for name in by_place if name != "google"]
+            lacking = "one" if len(views) == 2 else "all but one"
+            console.print(
+                f"{len(found.left_out)} places lack a picture in {lacking} of {', '.join(views)} and are left out: "
+                f"{named(found.left_out)}.",
+                soft_wrap=True,
+            )
+        for name, without in found.gaps.items():
+            console.print(
+                f"{len(without)} places lack a picture in {name} and are trained on in their other views: {named(without)}.",
+                soft_wrap=True,
+            )
+        self.labels = found.places
+        self.files = _filled(
+            {name: [places.get(label, []) for label in self.labels] for name, places in by_place.items()}
+        )
         self.panoramas = dataset.panoramas
         self.root = dataset.root
         self._cache: dict[Path, UInt8Array] = {}
@@ -89,6 +126,11 @@ class TrainingSet:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The views that are trained."""
+        return tuple(view for view in VIEWS if view in self.files)
 
     def digest(self) -> str:
         """Hash the list of training pictures: a run can be resumed only on the same list."""
@@ -130,8 +172,19 @@ class TrainingSet:
         rest = sorted(set(range(len(self))).difference(out))
         held = {self.labels[i]: {name: places[i] for name, places in self.files.items()} for i in out}
         self.labels = [self.labels[i] for i in rest]
-        self.files = {name: [places[i] for i in rest] for name, places in self.files.items()}
+        self.files = _filled({name: [places[i] for i in rest] for name, places in self.files.items()})
         return held
+
+    def drawn_from(self) -> dict[str, list[list[Path]]]:
+        """Return `files` for batches with a picture of every set of each place: street and google stand in for each other.
+
+        A place lacks one view at most then.
+        """
+        made = dict(self.files)
+        for name, other in (("street", "google"), ("google", "street")):
+            if name in self.files and other in self.files:
+                made[name] = [own or also for own, also in zip(self.files[name], self.files[other], strict=True)]
+        return made
 
     def pictures(self) -> dict[str, list[tuple[Path, int]]]:
         """List all pictures of each set, each with the class of its place."""
@@ -153,6 +206,21 @@ class TrainingSet:
         return picture
 
 
+def _check_sets(by_place: Mapping[str, object], root: Path) -> None:
+    """Raise DataError without tiles, or without pictures of another view."""
+    if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
+        found = ", ".join(f"train/{name}" for name in by_place) or "none"
+        raise DataError(
+            f"{root.name} has pictures in {found}; training needs train/satellite and at least one of train/drone, "
+            "train/street, as in University-1652."
+        )
+
+
+def _filled(files: dict[str, list[list[Path]]]) -> dict[str, list[list[Path]]]:
+    """Return the sets that have pictures of any place."""
+    return {name: places for name, places in files.items() if any(places)}
+
+
 def _leave_out_broken(by_place: dict[str, dict[int, list[Path]]], root: Path, console: Console) -> None:
     """Remove broken pictures from each set, and places without any picture left."""
     files = [file for places in by_place.values() for of_place in places.values() for file in of_place]
@@ -168,6 +236,8 @@ def _leave_out_broken(by_place: dict[str, dict[int, list[Path]]], root: Path, co
             places[label] = [file for file in of_place if file not in broken]
             if not places[label]:
                 del places[label]
+    for name in [name for name, places in by_place.items() if not places]:
+        del by_place[name]
 
 
 def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
@@ -175,3 +245,31 @@ def _by_label(pictures: list[Picture]) -> dict[int, list[Path]]:
     for picture in pictures:
         places.setdefault(picture.label, []).append(picture.path)
     return places
+
+
+def named(labels: Sequence[int]) -> str:
+    """Return the first few places by their numbers, and how many more there are."""
+    return first_few([f"{label:04d}" for label in labels], 12)
+
+
+def paired_pictures(held: Mapping[int, Mapping[str, Sequence[Path]]]) -> dict[View, list[Picture]]:
+    """Return the drone pictures of places, or without any their street pictures, and the tiles of the same places.
+
+    Args:
+        held: the files of each set of each place, see `TrainingSet.hold_out`.
+
+    Raises:
+        InputError: if no place has both.
+    """
+    views: tuple[View, ...] = ("drone", "street")
+    for view in views:
+        both = {label: sets for label, sets in held.items() if sets.get(view) and sets.get("satellite")}
+        if both:
+            pair: tuple[View, ...] = (view, "satellite")
+            return {
+                name: [Picture(file, label, file.name) for label, sets in both.items() for file in sets[name]]
+                for name in pair
+            }
+    raise InputError(
+        f"None of the {len(held)} places that are held out has a drone or street picture and a tile; hold out more of them."
+    )

@@ -1,0 +1,191 @@
+"""The folder that should have been given as a data set's: above, below, or unpacked from an archive.
+
+Nothing here opens a data set. Each function tells what a person most likely gave instead of its folder.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from lpn.core.errors import DataError
+from lpn.core.files import first_few, printable
+from lpn.core.images import SUFFIXES
+from lpn.datasets.base import hidden_name
+
+# Folders right below a data set's, in any layout; the drone pictures of SUES-200 have a name of the user's.
+_PARTS = frozenset(
+    (
+        *(
+            "train",
+            "test",
+            "Training",
+            "Testing",
+            "satellite-view",
+            "bingmap",
+            "streetview",
+            "splits",
+            "splits__corrected",
+        ),
+        *("satview_polish", "ANU_data_small", "ANU_data_test", "drone", "satellite", "ground"),
+        *("Chicago", "NewYork", "SanFrancisco", "Seattle"),
+    )
+)
+# The deepest list of a split is three folders below (Testing/150/query_drone).
+_LEVELS = 3
+# A search for a data set below looks into so many folders at most.
+_MOST_FOLDERS = 2000
+_TRAIN_SETS = ("satellite", "drone", "street", "google")
+_TEST_LISTS = tuple(f"{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite", "street"))
+_ARCHIVE = re.compile(
+    r"\.(zip|7z|rar|tar|tgz|tbz2?|txz|tzst|(tar\.)?(gz|bz2|xz|zst))(\.(\d{2,3}|[a-z]{2}))?$|\.[zr]\d\d$|\.part\d+\.rar$",
+    re.IGNORECASE,
+)
+# First bytes of zip (also empty and in parts), 7z, rar, gzip, bzip2, xz, and zstandard.
+_MAGIC = (
+    b"PK\x03\x04",
+    b"PK\x05\x06",
+    b"PK\x07\x08",
+    b"7z\xbc\xaf",
+    b"Rar!",
+    b"\x1f\x8b",
+    b"BZh",
+    b"\xfd7zXZ",
+    b"(\xb5/\xfd",
+)
+
+Marked = Callable[[Path], object | None]
+
+
+def no_folder(root: Path) -> DataError:
+    """Return the error about a path that is no folder: an archive, a file of a data set, or nothing."""
+    if root.is_file() and (_ARCHIVE.search(root.name) or _begins_as_archive(root)):
+        return DataError(f"{printable(str(root))} is an archive; unpack it first, and give the folder that it makes.")
+    if root.exists():
+        return DataError(
+            f"{printable(str(root))} is a file; expected a data set's folder, so give --data {printable(str(root.parent))}."
+        )
+    beside = sorted(name for name in _names(root.parent) if name.startswith(root.name) and _ARCHIVE.search(name))
+    if beside:
+        return DataError(
+            f"There is no data set folder at {printable(str(root))}, but {printable(beside[0])} is beside it; unpack it first."
+        )
+    return DataError(f"There is no data set folder at {printable(str(root))}; check the path.")
+
+
+def archives_alone(root: Path) -> DataError | None:
+    """Return the error about a folder whose only files are archives and what systems add, if it is one."""
+    archives = sorted(name for name in _names(root) if not hidden_name(name) and _ARCHIVE.search(name))
+    if not archives:
+        return None
+    shown = first_few([printable(name) for name in archives], 3)
+    return DataError(f"{printable(str(root))} holds {shown}; unpack first, and give the folder with the pictures.")
+
+
+def below(root: Path, marked: Marked) -> DataError | None:
+    """Return the error about a folder around data sets, at any of three levels; it names the folder to give.
+
+    Args:
+        marked: recognises the layout of a folder, else returns None.
+    """
+    level, looked = [root], 0
+    for _ in range(_LEVELS):
+        level = [folder / name for folder in level for name in _folders(folder)][: _MOST_FOLDERS - looked]
+        looked += len(level)
+        if inner := [folder for folder in level if marked(folder) is not None and _is_whole(folder)]:
+            shown = first_few([printable(folder.relative_to(root).as_posix()) for folder in inner], 5)
+            return DataError(
+                f"{printable(str(root))} holds data sets in folders of its own: {shown}; give --data "
+                f"{printable(str(inner[0]))}."
+            )
+    return None
+
+
+def above(root: Path, marked: Marked) -> Path | None:
+    """Return the folder of the data set that a folder is a part of, such as University-Release of University-Release/test."""
+    whole = root.resolve()
+    for depth, folder in enumerate(whole.parents[: _LEVELS + 1], 1):
+        first = whole.parts[-depth]
+        part = first in _PARTS or (depth > 1 and "drone" in first.lower())
+        if part and marked(folder) is not None and _is_whole(folder):
+            near = os.path.relpath(folder)
+            return folder if root.is_absolute() or near.startswith("..") else Path(near)
+    return None
+
+
+def part_of(root: Path, folder: Path) -> DataError:
+    """Return the error about a folder that is a part of the data set in another one."""
+    inside = root.resolve().relative_to(folder.resolve()).as_posix()
+    return DataError(
+        f"{printable(str(root))} is the part {printable(inside)} of a data set; give --data {printable(str(folder))}."
+    )
+
+
+def misplaced(root: Path) -> DataError | None:
+    """Return the error about a folder that holds the lists of one split, or splits in another case."""
+    folders = _folders(root)
+    for name in folders:
+        split = name.lower()
+        if name != split and split in ("train", "test") and _lists_of(root / name) == split:
+            return DataError(f"{printable(str(root))} has the folder {name}; expected {split}, so rename it.")
+    split = _lists_of(root)
+    if split is None:
+        return None
+    lists = first_few([name for name in folders if name in (*_TRAIN_SETS, *_TEST_LISTS)], 3)
+    shown = printable(str(root))
+    if root.name.lower() == split:
+        return DataError(f"{shown} holds {lists}; rename it to {split}, and give --data {printable(str(root.parent))}.")
+    return DataError(
+        f"{shown} holds {lists}, which belong into a folder {split}; move them into {shown}/{split}, and give --data {shown}."
+    )
+
+
+def holds_pictures(root: Path) -> bool:
+    """Return whether pictures lie right in a folder."""
+    return any(not hidden_name(name) and name.lower().endswith(SUFFIXES) for name in _names(root))
+
+
+def _is_whole(folder: Path) -> bool:
+    """Return whether a folder whose layout is recognised is more than a folder that happens to hold one named test."""
+    names = set(_folders(folder))
+    splits = names & {"train", "test"}
+    if not splits or names & (_PARTS - {"train", "test"}):
+        return True
+    return any(_lists_of(folder / split) or _folders(folder / split)[:1] == ["150"] for split in splits)
+
+
+def _lists_of(folder: Path) -> str | None:
+    """Return the split, train or test, whose lists are the folders right in a folder."""
+    names = _folders(folder)
+    if any(name in _TEST_LISTS for name in names):
+        return "test"
+    sets = [name for name in names if name in _TRAIN_SETS]
+    numbered = [name for name in sets if any(place.isdecimal() for place in _folders(folder / name))]
+    return "train" if len(numbered) > 1 else None
+
+
+def _folders(folder: Path) -> list[str]:
+    """Return the names of the folders in a folder, sorted, without those that systems add."""
+    try:
+        with os.scandir(folder) as entries:
+            return sorted(entry.name for entry in entries if not hidden_name(entry.name) and entry.is_dir())
+    except OSError:
+        return []
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)  # noqa: PTH208 (names are enough)
+    except OSError:
+        return []
+
+
+def _begins_as_archive(file: Path) -> bool:
+    try:
+        with file.open("rb") as opened:
+            head = opened.read(512)
+    except OSError:
+        return False
+    return head.startswith(_MAGIC) or head[257:262] == b"ustar"
