@@ -94,7 +94,7 @@ def below(root: Path, marked: Marked) -> DataError | None:
     for _ in range(_LEVELS):
         level = [folder / name for folder in level for name in _folders(folder)][: _MOST_FOLDERS - looked]
         looked += len(level)
-        if inner := [folder for folder in level if marked(folder) is not None and _is_whole(folder)]:
+        if inner := [folder for folder in level if _recognised(folder, marked)]:
             shown = first_few([printable(folder.relative_to(root).as_posix()) for folder in inner], 5)
             return DataError(
                 f"{printable(str(root))} holds data sets in folders of its own: {shown}; give --data "
@@ -108,8 +108,8 @@ def above(root: Path, marked: Marked) -> Path | None:
     whole = root.resolve()
     for depth, folder in enumerate(whole.parents[: _LEVELS + 1], 1):
         first = whole.parts[-depth]
-        part = first in _PARTS or (depth > 1 and "drone" in first.lower())
-        if part and marked(folder) is not None and _is_whole(folder):
+        part = first in _PARTS or ("drone" in first.lower() and (folder / "satellite-view").is_dir())
+        if part and _recognised(folder, marked):
             near = os.path.relpath(folder)
             return folder if root.is_absolute() or near.startswith("..") else Path(near)
     return None
@@ -147,8 +147,13 @@ def holds_pictures(root: Path) -> bool:
     return any(not hidden_name(name) and name.lower().endswith(SUFFIXES) for name in _names(root))
 
 
-def _is_whole(folder: Path) -> bool:
-    """Return whether a folder whose layout is recognised is more than a folder that happens to hold one named test."""
+def _recognised(folder: Path, marked: Marked) -> bool:
+    """Return whether a folder has a layout, and is more than a folder that happens to hold one named test."""
+    try:
+        if marked(folder) is None:
+            return False
+    except OSError:  # a folder that this user may not read
+        return False
     names = set(_folders(folder))
     splits = names & {"train", "test"}
     if not splits or names & (_PARTS - {"train", "test"}):

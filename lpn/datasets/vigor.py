@@ -25,7 +25,7 @@ from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.datasets.areas import AREAS, Area, choose_area
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, read_lines, warn_left_out
-from lpn.datasets.listed_paths import FilesBelow, listed_path, name_of
+from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
 
 CITIES = ("Chicago", "NewYork", "SanFrancisco", "Seattle")
 _SPLITS = ("splits", "splits__corrected")
@@ -182,14 +182,14 @@ def _folder(root: Path, city: str, inner: str, outer: str) -> str:
 
 
 def _tiles(root: Path, splits: Path, city: str) -> dict[str, str]:
-    """Return the path of each tile of a city by its name."""
+    """Return the path of each tile of a city by the key of its name; see `fold`."""
     name = f"{splits.name}/{city}/{_TILES}"
     folder = _folder(root, city, "satellite", "satellite")
     found = {}
     for number, line in enumerate(read_lines(splits / city / _TILES, name), 1):
         if line.strip():
             tile = name_of(listed_path(line, f"Line {number} of {name}"))
-            found[tile] = f"{folder}/{tile}"
+            found[fold(tile)] = f"{folder}/{tile}"
     return found
 
 
@@ -206,8 +206,8 @@ def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> list[tuple[st
                 f"{where} has {len(values)} values; expected a panorama, and a tile with two numbers up to four times."
             )
         listed = [name_of(tile) for tile in values[1::3]]
-        missing = [tile for tile in listed if tile not in tiles]
+        missing = [tile for tile in listed if fold(tile) not in tiles]
         if missing:
             raise DataError(f"{where} names the tile {printable(missing[0])}, which is not in {_TILES} of its city.")
-        found.append((name_of(listed_path(values[0], where)), [tiles[tile] for tile in listed]))
+        found.append((name_of(listed_path(values[0], where)), [tiles[fold(tile)] for tile in listed]))
     return found

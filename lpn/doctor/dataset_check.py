@@ -345,8 +345,9 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines += _some("are left out, being broken in the published data set too", known)
     for item in report.lacking:
         lines += _some(f"of {item.of} {item.what}", item.names)
-    for item in report.gaps:
-        lines += [f"{line} This is no damage." for line in _some(f"of {item.of} {item.what}", item.names, 12)]
+    if report.gaps:
+        lines.append("Gaps, which are no damage: a place is used in the views that it has.")
+        lines += [f"  {line}" for item in report.gaps for line in _some(f"of {item.of} {item.what}", item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
     lines += _some("groups of files in one list are equal", [" = ".join(g) for g in report.duplicates])
     lines += [text for text in (report.gap or report.positions,) if text]

@@ -170,15 +170,16 @@ class Trainer:
         """Say in one sentence what `run` trains on, and the steps and updates that it makes."""
         recipe, done = self.recipe, len(self.history)
         if isinstance(self.places, MapWindows):
-            what, rows = f"{len(self.places):,} windows of {self.name} an epoch", "windows"
+            what, rows = f"{_counted(len(self.places), 'window')} of {self.name} an epoch", "windows"
         else:
             what = f"{len(self.places):,} places in {', '.join(self.places.files)}"
             rows = "places" if recipe.sampling == "places" else "pictures of each set"
-        ends = f" (it ends with the pictures of {self.loader.shortest})" if self.loader.shortest else ""
+        ends = f" ({self.loader.shortest} has the fewest and ends it)" if self.loader.shortest else ""
         resumed = f", of which {self.updates:,} are left" if done else ""
+        steps, epochs = _counted(self.steps, "step"), _counted(recipe.epochs, "epoch")
         return (
-            f"Training on {what}: {self.steps:,} steps an epoch{ends} of {recipe.batch} {rows}, so {recipe.epochs} epochs make "
-            f"{self.steps * recipe.epochs:,} updates{resumed}."
+            f"Training on {what}: {steps} of {recipe.batch} {rows} an epoch{ends}, {epochs}, so "
+            f"{_counted(self.steps * recipe.epochs, 'update')}{resumed}."
         )
 
     def run(self) -> Path:
@@ -385,6 +386,10 @@ class Trainer:
                 soft_wrap=True,
             )
         self.console.print(f"Resuming after epoch {len(self.history)} of {self.recipe.epochs}.")
+
+
+def _counted(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def check_start(init: Path | None, from_scratch: bool) -> None:

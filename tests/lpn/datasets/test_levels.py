@@ -1,0 +1,163 @@
+"""What people give in place of a data set's folder, and the folder that the message names."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import tarfile
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lpn.cli import main
+from lpn.core.errors import DataError
+from lpn.datasets import levels, open_dataset
+from tools.fixtures import layouts, small_worlds
+
+
+def refusal(root: Path | str) -> str:
+    with pytest.raises(DataError) as caught:
+        open_dataset(root)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "part"),
+    [
+        (layouts.university_gaps, "test"),
+        (layouts.university_gaps, "train"),
+        (layouts.university_gaps, "test/query_drone"),
+        (layouts.university_gaps, "train/google"),
+        (layouts.sues, "Testing"),
+        (layouts.sues, "Testing/150"),
+        (layouts.sues, "Testing/150/query_drone"),
+        (layouts.sues, "Training"),
+        (layouts.denseuav, "test"),
+        (layouts.denseuav, "train/drone"),
+        (layouts.cvusa, "splits"),
+        (layouts.cvusa, "streetview"),
+        (layouts.vigor, "Chicago"),
+        (layouts.vigor, "splits/Seattle"),
+        (layouts.gta, "drone"),
+    ],
+)
+def test_a_part_of_a_data_set_names_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[Path], Path], part: str
+) -> None:
+    root = make(tmp_path / "release")
+    assert refusal(root / part) == f"{root / part} is the part {part} of a data set; give --data {root}."
+    monkeypatch.chdir(tmp_path)
+    assert refusal(f"release/{part}") == f"release/{part} is the part {part} of a data set; give --data release."
+    monkeypatch.chdir(root / part)
+    assert refusal(".") == f". is the part {part} of a data set; give --data {root}."
+
+
+def test_the_raw_drone_folder_of_sues_names_its_folder(tmp_path: Path) -> None:
+    root = layouts.sues_raw(tmp_path / "sues")
+    (drone,) = (folder.name for folder in root.iterdir() if "drone" in folder.name)
+    assert refusal(root / drone).endswith(f"give --data {root}.")
+
+
+@pytest.mark.parametrize("around", ["", "University-Release", "downloads/University-Release"])
+def test_a_folder_around_a_data_set_names_the_one_inside(tmp_path: Path, around: str) -> None:
+    top = tmp_path / "data"
+    root = layouts.university_gaps(top / around / "University-Release")
+    for folder, name in (("__MACOSX/University-Release/test/query_drone/0001", "._a.jpg"), ("empty", ".DS_Store")):
+        (top / folder).mkdir(parents=True)
+        (top / folder / name).write_bytes(b"\0")
+    for name in ("Thumbs.db", "desktop.ini", "._University-Release", "readme.txt"):
+        (top / name).write_bytes(b"\0")
+    inside = root.relative_to(top).as_posix()
+    assert refusal(top) == f"{top} holds data sets in folders of its own: {inside}; give --data {root}."
+
+
+def test_what_systems_leave_in_a_data_set_is_no_part_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root = layouts.university_gaps(tmp_path / "University-Release")
+    before = open_dataset(root).lists()
+    for folder in (".", "train", "train/drone", "train/drone/0001", "test/gallery_street", "test/query_drone/0004"):
+        for junk in ("__MACOSX", "@eaDir", "$RECYCLE.BIN", ".ipynb_checkpoints"):
+            small_worlds.write(root / folder / junk / "a.jpg", layouts.small(1))
+        for name in (".DS_Store", "Thumbs.db", "desktop.ini", "._image-01.jpg"):
+            (root / folder / name).write_bytes(b"\0\5\26\7")
+    (root / "extra").mkdir()
+    assert open_dataset(root).lists() == before
+    assert main.main(["doctor", "--data", str(root)]) == 0
+    assert "Nothing is broken." in capsys.readouterr().out
+
+
+def test_the_lists_of_a_split_alone_are_told_where_they_belong(tmp_path: Path) -> None:
+    release = layouts.university_gaps(tmp_path / "release")
+    for split, lists in (
+        ("test", "gallery_drone, gallery_satellite, gallery_street, and 3 more"),
+        ("train", "drone, google"),
+    ):
+        alone = tmp_path / f"{split} alone" / "mine"
+        shutil.copytree(release / split, alone)
+        assert refusal(alone).startswith(f"{alone} holds {lists}")
+        assert refusal(alone).endswith(
+            f"into a folder {split}; move them into {alone}/{split}, and give --data {alone}."
+        )
+        upper = alone.rename(alone.with_name(split.title()))
+        assert refusal(upper).endswith(f"rename it to {split}, and give --data {upper.parent}.")
+        assert refusal(upper.parent) == f"{upper.parent} has the folder {upper.name}; expected {split}, so rename it."
+
+
+def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    root = layouts.university_gaps(tmp_path / "release")
+    with caplog.at_level(logging.WARNING):
+        assert open_dataset(root / "test" / "query_drone" / "0004").kind == "folder"
+    assert f"the data set that it is a part of is {root}" in caplog.text
+    small_worlds.write(tmp_path / "photos" / "a" / "1.jpg", layouts.small(1))
+    assert open_dataset(tmp_path / "photos").kind == "folder"
+
+
+def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path) -> None:
+    def marked(folder: Path) -> None:
+        raise PermissionError(13, "Permission denied", str(folder))
+
+    (tmp_path / "drone" / "a").mkdir(parents=True)
+    assert levels.above(tmp_path / "drone", marked) is None
+    assert levels.below(tmp_path, marked) is None
+
+
+@pytest.mark.parametrize("command", [["doctor"], ["train", "--out", "OUT", "--recipe", "small", "--from-scratch"]])
+@pytest.mark.parametrize(
+    "name", ["x.zip", "x.tar", "x.tar.gz", "x.tgz", "x.7z", "x.rar", "x.zip.001", "x.part1.rar", "x"]
+)
+def test_an_archive_is_to_be_unpacked_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], name: str
+) -> None:
+    file = tmp_path / name
+    if "tar" in name or name.endswith("tgz"):
+        with tarfile.open(file, "w") as made:
+            made.add(__file__, "test.py")
+    else:
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.write(__file__, "test.py")
+    command = [word.replace("OUT", str(tmp_path / "run")) for word in command]
+    assert main.main([*command, "--data", str(file)]) == 2
+    said = capsys.readouterr().err
+    assert said == f"lpn: {file} is an archive; unpack it first, and give the folder that it makes.\n"
+
+
+def test_a_file_or_a_folder_of_archives_is_told_too(tmp_path: Path) -> None:
+    root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
+    assert (
+        refusal(root / "pairs.csv")
+        == f"{root / 'pairs.csv'} is a file; expected a data set's folder, so give --data {root}."
+    )
+    downloads = tmp_path / "downloads"
+    downloads.mkdir()
+    (downloads / "University-Release.zip").write_bytes(b"PK\3\4")
+    (downloads / "Thumbs.db").write_bytes(b"")
+    assert refusal(downloads) == (
+        f"{downloads} holds University-Release.zip; unpack first, and give the folder with the pictures."
+    )
+    absent = downloads / "University-Release"
+    assert refusal(absent) == (
+        f"There is no data set folder at {absent}, but University-Release.zip is beside it; unpack it first."
+    )

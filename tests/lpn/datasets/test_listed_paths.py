@@ -1,0 +1,291 @@
+"""Lists and tables as other systems write them, read like their own."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import unicodedata
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from lpn.analysis.notes import read_notes
+from lpn.core.errors import DataError
+from lpn.core.tables import decode_text, delimited
+from lpn.datasets import open_dataset
+from lpn.datasets.geo import Position, Positions, read_positions
+from lpn.datasets.listed_paths import FilesBelow, NamesBelow, checked_path, listed_path, name_of, plain_path
+from lpn.datasets.metadata import columns
+from tools.fixtures import layouts, small_worlds
+
+OTHER_MACHINES = ("C:\\Users\\x\\University-Release\\", "/home/x/University-Release/", "\\\\server\\share\\data\\")
+
+
+@pytest.mark.parametrize(
+    ("text", "plain"),
+    [
+        ("a/b.jpg", "a/b.jpg"),
+        ("a\\b.jpg", "a/b.jpg"),
+        (".\\a\\.\\b.jpg", "a/b.jpg"),
+        ("./a//b.jpg  ", "a/b.jpg"),
+        ("\ufeffa/b.jpg", "a/b.jpg"),
+        ("C:\\data\\a.jpg", "C:/data/a.jpg"),
+        ("\\\\server\\share\\a.jpg", "/server/share/a.jpg"),
+        ("id,40.1,-80.5,.jpg", "id,40.1,-80.5,.jpg"),
+        ("", ""),
+    ],
+)
+def test_a_path_of_any_system_has_one_form(text: str, plain: str) -> None:
+    assert plain_path(text) == plain
+    assert name_of(text) == plain.rpartition("/")[2]
+
+
+@pytest.mark.parametrize(
+    "text", ["../a.jpg", "a/../b.jpg", "a\\..\\b.jpg", "", " / ", "a\nb.jpg", "C:a.jpg", "x:y/a.jpg"]
+)
+def test_a_path_that_may_lead_elsewhere_is_refused(text: str) -> None:
+    with pytest.raises(DataError, match=r"Line 3 of list names the file .*without '\.\.'"):
+        listed_path(text, "Line 3 of list")
+
+
+@pytest.mark.parametrize("text", ["/etc/passwd", "C:\\a.jpg", "\\\\server\\a.jpg"])
+def test_an_absolute_path_is_looked_up_and_never_opened(text: str, tmp_path: Path) -> None:
+    assert listed_path(text, "List") == plain_path(text)
+    with pytest.raises(DataError, match="List names the file"):
+        checked_path(text, "List")
+    assert FilesBelow(tmp_path).find(plain_path(text)) is None
+    with pytest.raises(DataError, match="list names the file"):
+        FilesBelow(tmp_path).resolve([plain_path(text)], "list")
+
+
+def test_files_are_found_in_another_case_and_with_letters_composed_otherwise(tmp_path: Path) -> None:
+    decomposed = unicodedata.normalize("NFD", "Zürich")
+    for name in ("Test/A.JPG", f"{decomposed}/1.jpg", "two/a.jpg", "two/A.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    below = FilesBelow(tmp_path)
+    assert below.find("test/a.jpg") == "Test/A.JPG"
+    assert below.find("zürich/1.JPG") == f"{decomposed}/1.jpg"
+    assert (below.find("two/a.jpg"), below.find("two/A.jpg"), below.find("two/a.JPG")) == (
+        "two/a.jpg",
+        "two/A.jpg",
+        None,
+    )
+    assert below.find("absent/a.jpg") is None
+
+
+def test_the_end_of_a_path_of_another_machine_is_found_and_said(caplog: pytest.LogCaptureFixture) -> None:
+    names = NamesBelow(["test/q/0005/1.jpeg", "test/g/0005/1.jpeg"])
+    listed = [
+        plain_path(f"{OTHER_MACHINES[0]}test\\{name}") for name in ("q\\0005\\1.jpeg", "g\\0005\\1.JPEG", "q\\6\\2.jpg")
+    ]
+    found = names.resolve(listed, "geo.csv")
+    assert found == {listed[0]: "test/q/0005/1.jpeg", listed[1]: "test/g/0005/1.jpeg"}
+    assert "geo.csv names 2 files by paths of another folder" in caplog.text
+    assert "C:/Users/x/University-Release/" in caplog.text
+    # Relative paths lose their folders only if none is right as it is.
+    assert names.resolve(["data/test/q/0005/1.jpeg"], "geo.csv") == {"data/test/q/0005/1.jpeg": "test/q/0005/1.jpeg"}
+    assert set(names.resolve(["data/test/q/0005/1.jpeg", "test/g/0005/1.jpeg"], "geo.csv")) == {"test/g/0005/1.jpeg"}
+
+
+def test_two_paths_whose_ends_are_one_file_are_refused() -> None:
+    with pytest.raises(
+        DataError, match=r"pairs\.csv names both /x/1/a\.jpg and /x/2/a\.jpg, and only a\.jpg fits both"
+    ):
+        NamesBelow(["a.jpg"]).resolve(["/x/1/a.jpg", "/x/2/a.jpg"], "pairs.csv")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("lines", ["\n", "\r\n"])
+def test_text_of_any_editor_is_decoded(encoding: str, lines: str) -> None:
+    text = f"path;latitude{lines}test/ä.jpg;30,25{lines}{lines};{lines}"
+    table = delimited(decode_text(text.encode(encoding)))
+    assert (table.decimal_comma, list(table.rows)) == (True, [(1, ["path", "latitude"]), (2, ["test/ä.jpg", "30,25"])])
+    assert list(delimited(f"sep=\t{lines}a,b\tc{lines}").rows) == [(2, ["a,b", "c"])]
+
+
+Change = Callable[[str], str]
+# What other systems make of a list's path; a place in it that is no path stays as it is.
+CHANGES: dict[str, Change] = {
+    "backslashes": lambda path: path.replace("/", "\\"),
+    "a dot first": lambda path: f"./{path}",
+    "spaces": lambda path: f"{path}  ",
+    "another case": lambda path: path.rpartition(".")[0] + path[path.rfind(".") :].upper(),
+    "another Windows": lambda path: OTHER_MACHINES[0] + path.replace("/", "\\"),
+    "another Linux": lambda path: OTHER_MACHINES[1] + path,
+    "a server": lambda path: OTHER_MACHINES[2] + path.replace("/", "\\"),
+}
+BOTH = pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+
+
+@BOTH
+def test_geo_csv_of_another_system_has_the_same_positions(tmp_path: Path, change: Change) -> None:
+    root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=1, test=3))
+    pictures = open_dataset(root).queries("drone")
+    right = Positions(root).of(pictures)
+    header, *lines = (root / "geo.csv").read_text().splitlines()
+    changed = [",".join([change(line.split(",")[0]), *line.split(",")[1:]]) for line in lines]
+    for encoding in ("utf-8-sig", "utf-16"):
+        (root / "geo.csv").write_bytes("\r\n".join([header, *changed, ""]).encode(encoding))
+        assert Positions(root).of(pictures) == right
+        described = [f"{picture.path.parent.name}/{picture.path.name}" for picture in pictures]
+        assert Positions(root).match(["test/query_drone/" + name for name in described]) == right
+
+
+def test_geo_csv_with_decimal_commas_is_read_where_they_cannot_be_separators() -> None:
+    text = "path;latitude;longitude;altitude\r\ntest\\q\\1.jpg;30,25;120,5;1,5\r\n"
+    assert read_positions(text.encode("utf-16")) == {"test/q/1.jpg": Position(30.25, 120.5, 1.5)}
+    with pytest.raises(DataError, match=r"Line 2 of geo\.csv has the latitude '30,25'"):
+        read_positions(b'path,latitude,longitude\na.jpg,"30,25",120.5\n')
+    with pytest.raises(DataError, match=r"gives test/q/1\.jpg a second position"):
+        read_positions(b"path,latitude,longitude\ntest/q/1.jpg,1,2\ntest\\q\\1.jpg,1,3\n")
+
+
+@BOTH
+def test_metadata_of_another_system_has_the_same_columns(tmp_path: Path, change: Change) -> None:
+    paths = ["test/query_drone/0001/a.jpg", "test/query_drone/0002/b.jpg"]
+    lines = [f"{change(path)},{weather}" for path, weather in zip(paths, ("rain", "sun"), strict=True)]
+    (tmp_path / "metadata.csv").write_bytes("\r\n".join(["path,weather", *lines]).encode("utf-16"))
+    (column,) = columns(tmp_path, paths)
+    assert column.values.tolist() == ["rain", "sun"]
+    (tmp_path / "metadata.csv").write_text("path,weather\n/x/1/b.jpg,rain\n/x/2/b.jpg,sun\n")
+    with pytest.raises(DataError, match=r"only b\.jpg fits both"):
+        columns(tmp_path, ["b.jpg"])
+
+
+def test_notes_of_another_system_keep_their_queries(tmp_path: Path) -> None:
+    text = "path,tags,note\r\n.\\test\\query_drone\\0005\\1.jpg,night,=1+1\r\n"
+    (tmp_path / "notes.csv").write_bytes(text.encode("utf-16"))
+    notes = read_notes(tmp_path / "notes.csv")
+    assert {path: (note.tags, note.text) for path, note in notes.items()} == {
+        "test/query_drone/0005/1.jpg": (("night",), "=1+1")
+    }
+
+
+def contents(root: Path) -> dict[str, list[tuple[str, int, str]]]:
+    """What a data set gives, by list: the file, place, and group of each picture."""
+    lists = open_dataset(root).lists()
+    return {
+        name: [(picture.path.relative_to(root).as_posix(), picture.label, picture.group) for picture in of]
+        for name, of in lists.items()
+    }
+
+
+def rewrite(file: Path, text: str) -> None:
+    file.write_bytes(text.encode("utf-16"))
+
+
+@BOTH
+def test_pairs_of_another_system_are_the_same(tmp_path: Path, change: Change) -> None:
+    rows = [
+        ("tiles/a.jpg", "drones/1.jpg", "train"),
+        ("tiles/a.jpg", "drones/2.jpg", "train"),
+        ("b.jpg", "3.jpg", "test"),
+    ]
+    header = "satellite,drone,split\n"
+    root = layouts.pairs(tmp_path / "mine", header + "".join(f"{','.join(row)}\n" for row in rows))
+    right = contents(root)
+    changed = "".join(f"{change(tile)},{change(photo)},{split}\n" for tile, photo, split in rows)
+    rewrite(root / "pairs.csv", header + changed)
+    assert contents(root) == right
+    # Two spellings of one tile are one place.
+    spelt = f"tiles/a.jpg,drones/1.jpg,train\n{CHANGES['another case']('tiles/a.jpg')},drones/2.jpg,train\n"
+    rewrite(root / "pairs.csv", header + spelt)
+    assert len({label for _, label, _ in contents(root)["train/drone"]}) == 1
+
+
+@BOTH
+def test_cvusa_of_another_system_is_the_same(tmp_path: Path, change: Change) -> None:
+    root = layouts.cvusa(tmp_path / "cvusa")
+    right = contents(root)
+    for file in (root / "splits").iterdir():
+        rows = [line.split(",") for line in file.read_text().splitlines()]
+        rewrite(file, "".join(f"{change(a)},{change(b)},{c}\n" for a, b, c in rows))
+    assert contents(root) == right
+
+
+def test_cvact_finds_pictures_in_another_case(tmp_path: Path) -> None:
+    root = layouts.cvact(tmp_path / "cvact")
+    right = contents(root)
+    for file in [*root.rglob("*.jpg")]:
+        file.rename(file.with_suffix(".JPG"))
+    assert [len(of) for of in contents(root).values()] == [len(of) for of in right.values()]
+
+
+@BOTH
+def test_vigor_of_another_system_is_the_same(tmp_path: Path, change: Change) -> None:
+    root = layouts.vigor(tmp_path / "vigor")
+    right = contents(root)
+    truth = [(of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("street-to-satellite") or ()]
+    for file in (root / "splits").rglob("*.txt"):
+        city = file.parent.name
+        rows = [line.split() for line in file.read_text().splitlines()]
+        whole = file.name == "satellite_list.txt"
+        folders = [f"{city}/satellite/" if whole or at % 3 == 1 else f"{city}/panorama/" for at in range(13)]
+        names = [
+            [
+                change(folders[at] + word).strip() if whole or at in (0, 1, 4, 7, 10) else word
+                for at, word in enumerate(row)
+            ]
+            for row in rows
+        ]
+        rewrite(file, "".join(f"{' '.join(row)}\n" for row in names))
+    assert contents(root) == right
+    assert [
+        (of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("street-to-satellite") or ()
+    ] == truth
+
+
+@BOTH
+def test_gta_uav_of_another_system_is_the_same(tmp_path: Path, change: Change) -> None:
+    root = layouts.gta(tmp_path / "gta")
+    right = contents(root)
+    truth = [(of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("drone-to-satellite") or ()]
+    for file in root.glob("*.json"):
+        entries = json.loads(file.read_text())
+        for entry in entries:
+            for key in ("drone_img_dir", "sate_img_dir"):
+                entry[key] = re.split(r"[\\/]x\.", change(f"{entry[key]}/x.png"))[0]
+            entry["drone_img_name"] = name_of(change(entry["drone_img_name"]))
+            for key in ("pair_pos_sate_img_list", "pair_pos_semipos_sate_img_list"):
+                entry[key] = [change(f"satellite/{name}") for name in entry[key]]
+        file.write_text(json.dumps(entries))
+    assert contents(root) == right
+    assert [
+        (of.good.tolist(), of.semi.tolist()) for of in open_dataset(root).truth("drone-to-satellite") or ()
+    ] == truth
+
+
+@BOTH
+def test_denseuav_of_another_system_has_the_same_positions(tmp_path: Path, change: Change) -> None:
+    root = layouts.denseuav(tmp_path / "denseuav")
+    dataset = open_dataset(root)
+    right = dataset.coordinates(dataset.queries("drone")).tolist()
+    lines = [line.partition(" ") for line in (root / "Dense_GPS_ALL.txt").read_text().splitlines()]
+    rewrite(root / "Dense_GPS_ALL.txt", "\r\n".join(f"{change(path)} {rest}" for path, _, rest in lines))
+    again = open_dataset(root)
+    assert again.coordinates(again.queries("drone")).tolist() == right
+
+
+def test_a_list_of_another_machine_never_reads_beyond_the_data_set(tmp_path: Path) -> None:
+    outside = tmp_path / "secret" / "a.jpg"
+    small_worlds.write(outside, layouts.small(1))
+    root = layouts.pairs(tmp_path / "mine", "satellite,drone\ntiles/b.jpg,drones/1.jpg\n")
+    text = f"satellite,drone\n/home/x/tiles/b.jpg,{outside}\n"
+    (root / "pairs.csv").write_text(text)
+    dataset = open_dataset(root)
+    assert [item.why for item in dataset.left_out] == ["is not there"]
+    assert all(root in picture.path.parents for of in dataset.lists().values() for picture in of)
+
+
+def test_what_is_said_names_the_list_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    root = layouts.pairs(tmp_path / "mine", "satellite,drone\ntiles/b.jpg,drones/1.jpg\n")
+    (root / "pairs.csv").write_text("satellite,drone\nD:\\mine\\tiles\\b.jpg,D:\\mine\\drones\\1.jpg\n")
+    with caplog.at_level(logging.WARNING):
+        open_dataset(root)
+    assert [record.getMessage() for record in caplog.records] == [
+        "pairs.csv names 2 files by paths of another folder, such as D:/mine/tiles/b.jpg; without D:/mine/ they are below this "
+        "one (tiles/b.jpg)."
+    ]

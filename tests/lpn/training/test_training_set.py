@@ -1,0 +1,281 @@
+"""Places with gaps, as University-1652's release has them: each is trained on in the views that it has."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from rich.console import Console
+
+from lpn.core import images
+from lpn.core.errors import DataError, InputError
+from lpn.datasets import open_dataset
+from lpn.models.checkpoints import load_torch
+from lpn.training.learner import Learner
+from lpn.training.loader import Loader
+from lpn.training.losses import total_loss
+from lpn.training.model_selection import HeldOut
+from lpn.training.recipes import RECIPES, Recipe, find
+from lpn.training.trainer import Trainer
+from lpn.training.training_set import Fold, TrainingSet, paired_pictures, trainable
+from tools.fixtures import layouts, small_worlds
+from tools.fixtures.trainings import QUICK
+
+SETS = ("satellite", "street", "drone", "google")
+# Pictures as they are, so that a batch tells which files it has.
+PLAIN = {"size": 32, "padding": 0, "satellite_rotation": 0.0, "flip": "none", "precision": "float32"}
+BY_PLACE = replace(RECIPES["released"], sampling="places", batch=4, **PLAIN)
+BY_PICTURE = replace(RECIPES["released"], batch=4, **PLAIN)
+# Place 1 has no google, 2 no street, 3 no drone, 4 no satellite, 5 google as its only street, 6 one view, 7 street and google.
+GAPS = {1: ["google"], 2: ["street", "google"], 3: ["drone"], 4: ["satellite"], 5: ["street"]}
+GAPS |= {6: ["satellite", "street", "google"], 7: ["satellite", "drone"]}
+TRAINED = [1, 2, 3, 4, 5, 8, 9, 10, 11, 12]
+
+
+def make_gaps(root: Path, places: int = 12) -> Path:
+    for number, name in enumerate(SETS):
+        for label in range(1, places + 1):
+            if name not in GAPS.get(label, []):
+                for picture in range(1 if name == "satellite" else 2):
+                    small_worlds.write(
+                        root / "train" / name / f"{label:04d}" / f"{picture}.png",
+                        small_worlds.place(1000 * number + 100 * picture + label)[:32, :32],
+                    )
+    return root
+
+
+@pytest.fixture(scope="module")
+def gaps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_gaps(tmp_path_factory.mktemp("gaps") / "places")
+
+
+def training_set(root: Path, **options: Any) -> tuple[TrainingSet, str]:
+    said = io.StringIO()
+    made = TrainingSet(open_dataset(root), Console(file=said, width=200), **options)
+    return made, said.getvalue()
+
+
+def test_a_place_needs_pictures_of_two_views_and_no_more(gaps: Path) -> None:
+    places, said = training_set(gaps)
+    assert places.labels == TRAINED
+    assert places.views == ("satellite", "street", "drone")
+    assert said.splitlines() == [
+        "2 places lack a picture in all but one of satellite, street, drone and are left out: 0006, 0007.",
+        "1 places lack a picture in satellite and are trained on in their other views: 0004.",
+        "2 places lack a picture in street and are trained on in their other views: 0002, 0005.",
+        "1 places lack a picture in drone and are trained on in their other views: 0003.",
+        "2 places lack a picture in google and are trained on in their other views: 0001, 0002.",
+    ]
+    counts = {name: [len(of) for of in files] for name, files in places.files.items()}
+    assert counts["google"] == [0, 0, *[2] * 8]
+    assert counts["satellite"] == [1, 1, 1, 0, *[1] * 6]
+    # Without google, place 5 has no street picture, and satellite and drone all the same.
+    assert training_set(gaps, google=False)[0].labels == TRAINED
+
+
+def test_labels_alone_tell_which_places_are_trained_on() -> None:
+    found = trainable({"satellite": {1, 2, 3}, "street": {2, 4}, "google": {3, 4}})
+    assert (found.places, found.left_out) == ([2, 3], [1, 4])
+    assert found.gaps == {"street": [3], "google": [2]}
+
+
+def test_the_release_with_its_gaps_keeps_every_place(tmp_path: Path) -> None:
+    places, said = training_set(layouts.university_gaps(tmp_path))
+    assert places.labels == [0, 1, 2]
+    assert said == "1 places lack a picture in google and are trained on in their other views: 0001.\n"
+    full = {name: set(range(701)) for name in SETS} | {"google": set(range(12, 701))}
+    found = trainable(full)
+    assert (len(found.places), found.left_out, len(found.gaps["google"])) == (701, [], 12)
+
+
+def test_sets_without_any_place_that_is_trained_on_are_none(tmp_path: Path) -> None:
+    root = make_gaps(tmp_path)
+    for label in (*range(1, 6), *range(8, 13)):
+        for name in ("street", "google"):
+            shutil.rmtree(root / "train" / name / f"{label:04d}", ignore_errors=True)
+    places, _ = training_set(root)
+    assert (places.labels, places.views) == ([1, 2, 5, *range(8, 13)], ("satellite", "drone"))
+    assert set(places.files) == {"satellite", "drone"}
+    shutil.rmtree(root / "train" / "drone")
+    with pytest.raises(DataError, match=r"No place of .* has pictures in two of satellite, street, google"):
+        training_set(root)
+    for file in (root / "train" / "satellite").rglob("*.png"):
+        file.write_bytes(b"")
+    with pytest.raises(DataError, match="has pictures in train/street, train/google; training needs train/satellite"):
+        training_set(root)
+
+
+def drawn(loader: Loader, epochs: int) -> list[tuple[str, int, int]]:
+    """Return the set, the label of the row, and the place of the picture in it, of every row."""
+    places = loader.places
+    assert isinstance(places, TrainingSet)
+    known = {
+        images.normalise(images.resize(images.load_picture(file), 32, 32)).tobytes(): place
+        for files in places.files.values()
+        for place, of in enumerate(files)
+        for file in of
+    }
+    return [
+        (name, int(label), known[picture.contiguous().numpy().tobytes()])
+        for batch in loader.stream(0, epochs)
+        for name, pictures in batch.sets.items()
+        for label, picture in zip(batch.labels[name], pictures, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("recipe", [BY_PLACE, BY_PICTURE], ids=["places", "pictures"])
+def test_every_row_shows_the_place_of_its_label(gaps: Path, recipe: Recipe) -> None:
+    loader = Loader(training_set(gaps)[0], recipe, torch.device("cpu"), workers=1)
+    assert loader.steps == {"places": 10 // 4, "pictures": 9 // 4}[recipe.sampling]
+    rows = drawn(loader, 40)
+    assert len(rows) == 40 * loader.steps * 4 * len(SETS)
+    assert all(label == place for _, label, place in rows)
+    # Each place is seen in every set that it has, or that stands in for it.
+    seen = {name: {loader.places.labels[label] for of, label, _ in rows if of == name} for name in SETS}  # type: ignore[union-attr]
+    by_picture = recipe.sampling == "pictures"
+    assert seen["satellite"] == set(TRAINED) - {4}
+    assert seen["drone"] == set(TRAINED) - {3}
+    assert seen["street"] == set(TRAINED) - ({2, 5} if by_picture else {2})
+    assert seen["google"] == set(TRAINED) - ({1, 2} if by_picture else {2})
+
+
+def test_rows_of_a_place_agree_but_in_the_view_that_it_lacks(gaps: Path) -> None:
+    places = training_set(gaps)[0]
+    one, two = (list(Loader(places, BY_PLACE, torch.device("cpu"), workers=n).stream(0, 5)) for n in (1, 4))
+    own: set[int] = set()
+    for batch, again in zip(one, two, strict=True):
+        assert all(torch.equal(batch.labels[name], again.labels[name]) for name in SETS)
+        assert all(torch.equal(batch.sets[name], again.sets[name]) for name in SETS)
+        rows = np.stack([batch.labels[name].numpy() for name in SETS], axis=1)
+        for row in rows:
+            values, counts = np.unique(row, return_counts=True)
+            place = int(values[counts.argmax()])
+            own.add(place)
+            lacking = [name for name, label in zip(SETS, row, strict=True) if label != place]
+            expected = {2: ["street", "google"], 3: ["drone"], 4: ["satellite"]}.get(places.labels[place], [])
+            assert lacking == expected or places.labels[place] == 2
+    assert len(own) > 8
+    share = [Loader(places, BY_PLACE, torch.device("cpu"), rows, 1) for rows in (slice(0, 2), slice(2, 4))]
+    first, second = (next(iter(loader.stream(0, 1))) for loader in share)
+    for name in SETS:
+        assert torch.equal(torch.cat([first.sets[name], second.sets[name]]), one[0].sets[name])
+
+
+def test_pair_losses_compare_the_rows_of_one_place_only() -> None:
+    recipe = replace(QUICK, infonce=1.0, instance=0.0, label_smoothing=0.0)
+    rng = np.random.default_rng(0)
+    outputs = {
+        name: (torch.from_numpy(rng.standard_normal((4, 2, 3))).float(), torch.zeros(4, 2, 9))
+        for name in ("satellite", "drone")
+    }
+    labels = {"satellite": torch.tensor([0, 1, 2, 3]), "drone": torch.tensor([0, 7, 2, 3])}
+    rows = [0, 2, 3]
+    kept = {name: (parts[rows], scores[rows]) for name, (parts, scores) in outputs.items()}
+    for changes in ({}, {"metric": "triplet", "infonce": 0.0}, {"metric": "contrastive", "infonce": 0.0}):
+        changed = replace(recipe, **changes)
+        alone = total_loss(kept, {name: torch.tensor([0, 2, 3]) for name in labels}, changed)
+        torch.testing.assert_close(total_loss(outputs, labels, changed), alone)
+    labels["drone"] = torch.tensor([0, 7, 8, 6])
+    outputs["drone"][0].requires_grad_()
+    loss = total_loss(outputs, labels, recipe)
+    assert float(loss.detach()) == 0
+    loss.backward()
+    assert outputs["drone"][0].grad is not None
+    assert not outputs["drone"][0].grad.any()
+
+
+def trainings() -> dict[str, Recipe]:
+    """A recipe of each sampling, method, and loss that a training set with gaps meets."""
+    tiny = {
+        "backbone": "resnet18",
+        "last_layer": "layer3",
+        "n_parts": 4,
+        "size": 32,
+        "width": 0,
+        "batch": 3,
+        "epochs": 2,
+    }
+    tiny |= {"lr": 1e-5, "warmup_epochs": 0, "precision": "float32"}
+    named = {name: RECIPES[name] for name in ("paper", "released", "cvusa-released", "small", "world")}
+    named |= {f"released by {name}": find("released", name) for name in ("instance", "contrastive", "triplet-0.3")}
+    named |= {"soft-margin": find("small", "soft-margin"), "memory": replace(RECIPES["small"], memory=True)}
+    named["without google"] = replace(RECIPES["released"], google=False)
+    return {name: replace(recipe, **tiny) for name, recipe in named.items()}
+
+
+@pytest.mark.parametrize("recipe", trainings().values(), ids=trainings())
+def test_the_updates_that_are_announced_are_those_that_run(
+    gaps: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recipe: Recipe
+) -> None:
+    steps: list[int] = []
+    step = Learner.step
+    monkeypatch.setattr(Learner, "step", lambda self, *rest: (steps.append(rest[1]), step(self, *rest))[1])
+    said = io.StringIO()
+    console = Console(file=said, width=300)
+    run = Trainer(open_dataset(gaps), tmp_path / "run", recipe, console=console, from_scratch=True)
+    assert load_torch(run.run()).spec.classes == 10
+    (found,) = re.findall(
+        r"Training on (\d+) places in [a-z, ]+: (\d+) steps of 3 .* an epoch.*, 2 epochs, so (\d+) updates\.",
+        said.getvalue(),
+    )
+    assert [int(number) for number in found] == [10, len(steps) // 2, len(steps)]
+    assert steps == list(range(6))
+    assert said.getvalue().index("Training on") < said.getvalue().index("Epoch 1/2")
+    # One more epoch, resumed: the sentence tells what is left.
+    again = Trainer(
+        open_dataset(gaps), tmp_path / "run", recipe, console=Console(quiet=True), from_scratch=True, resume=True
+    )
+    assert again.updates == 0
+    assert ", so 6 updates, of which 0 are left." in again.plan()
+
+
+def test_a_run_on_places_with_gaps_is_resumed_to_the_same_losses(gaps: Path, tmp_path: Path) -> None:
+    recipe = replace(RECIPES["small"], memory=True, size=32, batch=3, epochs=3, precision="float32")
+
+    def trainer(out: str, resume: bool = False) -> Trainer:
+        quiet = Console(quiet=True)
+        return Trainer(open_dataset(gaps), tmp_path / out, recipe, console=quiet, from_scratch=True, resume=resume)
+
+    whole = trainer("whole")
+    whole.run()
+    cut = trainer("cut")
+    epoch = cut._epoch
+
+    def killed(number: int, *rest: Any) -> dict[str, float]:
+        if number == 2:
+            raise KeyboardInterrupt
+        return epoch(number, *rest)
+
+    cut._epoch = killed  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        cut.run()
+    resumed = trainer("cut", resume=True)
+    assert resumed.updates == 3
+    resumed.run()
+    assert [row["loss"] for row in resumed.history] == [row["loss"] for row in whole.history]
+
+
+def test_folds_and_held_out_places_may_have_gaps(gaps: Path) -> None:
+    held: dict[int, dict[str, list[Path]]] = {}
+    for number in range(3):
+        places, _ = training_set(gaps)
+        out = places.hold_out(Fold(number, 3), 0)
+        assert sorted([*out, *places.labels]) == TRAINED
+        assert all(len(files) == len(places.labels) for files in places.files.values())
+        held |= out
+    assert sorted(held) == TRAINED
+    validator = HeldOut(held)
+    assert validator.description == "R@1 of drone-to-satellite on 8 places held out of the training"
+    for pictures in validator.pictures.values():
+        assert {picture.label for picture in pictures} == set(TRAINED) - {3, 4}
+    alone = {3: held[3], 4: held[4]}
+    assert set(paired_pictures(alone)) == {"street", "satellite"}
+    with pytest.raises(InputError, match="None of the 1 places that are held out"):
+        paired_pictures({4: held[4]})
