@@ -129,3 +129,55 @@ def test_files_named_and_not_there_are_damage_but_what_is_published_broken_is_no
 def test_a_folder_that_is_none_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["doctor", "--data", str(tmp_path / "absent")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_the_gaps_of_the_published_release_are_named_and_are_no_damage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """layumi/University1652-Baseline issues 36 and 34: an empty train/google, and empty street folders of the test split."""
+    root = layouts.university_gaps(tmp_path / "University-Release")
+    status, found = doctor(root, tmp_path)
+    assert (status, found["healthy"], found["lacking"], found["broken"]) == (0, True, [], [])
+    assert [(gap["name"], gap["names"], gap["of"]) for gap in found["gaps"]] == [
+        ("train/google", ["0001"], 3),
+        ("test/query_street", ["0004"], 3),
+        ("test/gallery_street", ["0004"], 3),
+        ("satellite-to-street", ["0004"], 3),
+        ("drone-to-street", ["0004"], 3),
+    ]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "Gaps, which are no damage: a place is used in the views that it has." in said
+    assert "1 of 3 places have no picture in train/google: 0001." in said
+    assert "1 of 3 queries of drone-to-street have no true match: 0004." in said
+    assert "lpn train, on 3 places with satellite, drone, street, google" in said
+    assert "Nothing is broken." in said
+
+
+@pytest.mark.parametrize(
+    ("remove", "lacking"),
+    [
+        ("test/gallery_satellite/0003", [("drone-to-satellite", ["0003"]), ("street-to-satellite", ["0003"])]),
+        ("test/gallery_drone/0003", [("satellite-to-drone", ["0003"]), ("street-to-drone", ["0003"])]),
+        ("train/street/0001", []),
+        ("train/drone/0001", []),
+        ("train/satellite/0001", []),
+        ("train/*/0001/image*", []),
+        ("train/[ds][rt]*/0001", [("train/street", ["0001"]), ("train/drone", ["0001"])]),
+    ],
+)
+def test_a_lost_view_is_damage_only_where_nothing_stands_in_for_it(
+    tmp_path: Path, remove: str, lacking: list[tuple[str, list[str]]]
+) -> None:
+    root = layouts.university_gaps(tmp_path / "University-Release")
+    for path in root.glob(remove):
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    status, found = doctor(root, tmp_path)
+    ordered = sorted((item["name"], item["names"]) for item in found["lacking"])
+    assert (ordered, status) == (sorted(lacking), 1 if lacking else 0)
+
+
+def test_unreadable_pictures_are_damage_beside_gaps(tmp_path: Path) -> None:
+    root = layouts.university_gaps(tmp_path / "University-Release")
+    (root / "train" / "google" / "0002" / "image-01.jpg").write_bytes(b"\xff\xd8\xff")
+    status, found = doctor(root, tmp_path)
+    assert (status, [item["file"] for item in found["broken"]]) == (1, ["train/google/0002/image-01.jpg"])
