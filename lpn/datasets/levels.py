@@ -37,6 +37,11 @@ _PARTS = frozenset(
 _LEVELS = 3
 # A search for a data set below looks into so many folders at most.
 _MOST_FOLDERS = 2000
+# The folders of a data set whose lists are files of their own, and these files.
+_LISTED = {
+    ("bingmap", "streetview"): "CVUSA's pictures and no splits/train-19zl.csv or splits/val-19zl.csv",
+    ("satview_polish", "streetview"): "CVACT's pictures and no ACT_data.mat",
+}
 _TRAIN_SETS = ("satellite", "drone", "street", "google")
 _TEST_LISTS = tuple(f"{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite", "street"))
 _ARCHIVE = re.compile(
@@ -124,12 +129,17 @@ def part_of(root: Path, folder: Path) -> DataError:
 
 
 def misplaced(root: Path) -> DataError | None:
-    """Return the error about a folder that holds the lists of one split, or splits in another case."""
+    """Return the error about a folder that holds the lists of one split, splits in another case, or pictures without lists."""
     folders = _folders(root)
     for name in folders:
         split = name.lower()
         if name != split and split in ("train", "test") and _lists_of(root / name) == split:
             return DataError(f"{printable(str(root))} has the folder {name}; expected {split}, so rename it.")
+    for needed, found in _LISTED.items():
+        if set(needed) <= set(folders):
+            return DataError(
+                f"{printable(str(root))} has {found}; its authors give such a list with the pictures, so put it there."
+            )
     split = _lists_of(root)
     if split is None:
         return None

@@ -161,3 +161,32 @@ def test_a_file_or_a_folder_of_archives_is_told_too(tmp_path: Path) -> None:
     assert refusal(absent) == (
         f"There is no data set folder at {absent}, but University-Release.zip is beside it; unpack it first."
     )
+
+
+@pytest.mark.parametrize(
+    ("make", "lost", "said"),
+    [
+        (layouts.cvusa, "splits", "has CVUSA's pictures and no splits/train-19zl.csv"),
+        (layouts.cvact, "ACT_data.mat", "has CVACT's pictures and no ACT_data.mat"),
+        (layouts.vigor, "splits", "has VIGOR's pictures and no folder splits"),
+    ],
+)
+def test_pictures_without_the_lists_of_their_data_set_are_told(
+    tmp_path: Path, make: Callable[[Path], Path], lost: str, said: str
+) -> None:
+    root = make(tmp_path / "release")
+    shutil.rmtree(root / lost) if (root / lost).is_dir() else (root / lost).unlink()
+    assert said in refusal(root)
+
+
+def test_a_release_in_a_folder_with_spaces_and_further_files_is_read(tmp_path: Path) -> None:
+    root = layouts.cvusa(tmp_path / "CVPR subset-selected")
+    (root / "all.csv").write_text("1,2\n")
+    assert open_dataset(root).kind == "CVUSA"
+    assert refusal(tmp_path).endswith(f"give --data {root}.")
+
+
+def test_a_list_in_another_encoding_is_refused(tmp_path: Path) -> None:
+    root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
+    (root / "pairs.csv").write_bytes("satellite,drone\nZürich.jpg,1.jpg\n".encode("cp1252"))
+    assert refusal(root) == "pairs.csv is not text in UTF-8 or UTF-16; expected a list of pictures."
