@@ -123,7 +123,7 @@ def stores(folder: Path) -> list[FuzzCase]:
 def tables(folder: Path) -> list[FuzzCase]:
     """geo.csv, pairs.csv, metadata.csv, and the lists of the published data sets."""
     from lpn.datasets import open_dataset
-    from lpn.datasets.geo import read_positions
+    from lpn.datasets.geo import find_positions, match, read_positions
     from lpn.datasets.metadata import columns
     from tools.fixtures import layouts, small_worlds
 
@@ -137,6 +137,13 @@ def tables(folder: Path) -> list[FuzzCase]:
     ground = small_worlds.make_cvusa(folder / "cvusa", 3, 8, 32)
     oxford = layouts.oxford(folder / "oxford")
     lists = sorted(oxford.rglob("all_souls_1_*.txt"))
+
+    of_queries = "path,latitude,longitude\n" + "".join(f"C:\\x\\{q},30.{i},120.5\n" for i, q in enumerate(queries))
+    foreign = "satellite,drone\n/home/x/tiles/a.png,D:\\tiles\\B.PNG  \n"
+
+    def placed(data: bytes) -> None:
+        found = read_positions(data)
+        _ = match(found, queries), find_positions(found, queries)
 
     def own(data: bytes) -> None:
         (world / "metadata.csv").write_bytes(data)
@@ -159,8 +166,13 @@ def tables(folder: Path) -> list[FuzzCase]:
     split = ground / "splits" / "val-19zl.csv"
     cases = [
         FuzzCase([(world / "geo.csv").read_bytes()], read_positions),
-        FuzzCase([metadata.encode()], own),
-        FuzzCase([listed], dataset(pairs, pairs / "pairs.csv")),
+        # Tables of other systems, and positions by the names of known pictures.
+        FuzzCase([of_queries.encode("utf-16"), of_queries.replace(",", ";").encode()], placed),
+        FuzzCase([metadata.encode(), metadata.replace("/", "\\").encode("utf-16-le")], own),
+        FuzzCase(
+            [listed, listed.replace(b",", b";"), foreign.encode("utf-16"), foreign.encode()],
+            dataset(pairs, pairs / "pairs.csv"),
+        ),
         FuzzCase([split.read_bytes()], dataset(ground, split)),
     ]
     cases += [FuzzCase([file.read_bytes()], dataset(oxford, file)) for file in lists]

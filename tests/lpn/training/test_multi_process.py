@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import shutil
 import subprocess
 import sys
@@ -12,8 +13,8 @@ from safetensors.torch import load_file
 from lpn.core.errors import InputError
 from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import Recipe
-from tests.lpn.training.two_processes import INDEPENDENT, TAUGHT, trainer
-from tools.fixtures import small_worlds
+from tests.lpn.training.two_processes import GAPS, INDEPENDENT, TAUGHT, trainer
+from tools.fixtures import layouts, small_worlds
 from tools.fixtures.trainings import losses
 
 ROOT = Path(__file__).parents[3]
@@ -27,7 +28,9 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return small_worlds.make_dataset(tmp_path_factory.mktemp("shared") / "places", train=16, test=3)
+    root = tmp_path_factory.mktemp("shared")
+    layouts.training_gaps(root / "gaps")
+    return small_worlds.make_dataset(root / "places", train=16, test=3)
 
 
 @pytest.fixture(scope="module")
@@ -52,15 +55,16 @@ def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "recipe"), [("independent", INDEPENDENT), ("taught", TAUGHT)])
+@pytest.mark.parametrize(("name", "recipe"), [("independent", INDEPENDENT), ("gaps", GAPS), ("taught", TAUGHT)])
 def test_two_processes_train_as_one_does_by_other_recipes(
     places: Path, shared: Path, tmp_path: Path, name: str, recipe: Recipe
 ) -> None:
-    """Sets that are shuffled on their own, and similarities of a teacher."""
+    """Sets that are shuffled on their own, places with gaps, and similarities of a teacher."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     teachers = [shared / "whole" / "last.safetensors"] if recipe.distillation else []
-    trainer(places, tmp_path / "alone", recipe=recipe, teachers=teachers).run()
+    data = places.with_name("gaps") if name == "gaps" else places
+    trainer(data, tmp_path / "alone", recipe=recipe, teachers=teachers).run()
     torch.set_num_threads(threads)
     assert losses(shared / name) == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
 
@@ -77,6 +81,19 @@ def test_a_shared_run_is_resumed_to_the_same_losses(shared: Path) -> None:
     assert losses(shared / "cut") == losses(shared / "whole")
     one, two = (load_file(shared / run / "last.safetensors") for run in ("cut", "whole"))
     assert all(torch.equal(one[name], two[name]) for name in one)
+
+
+@pytest.mark.slow
+def test_two_processes_make_the_updates_that_are_announced(places: Path, tmp_path: Path) -> None:
+    quick = ("--recipe", "small", "--size", 32, "--batch", 4, "--epochs", 2, "--from-scratch")
+    done = torchrun("-m", "lpn", "train", "--data", places.with_name("gaps"), "--out", tmp_path / "run", *quick)
+    assert done.returncode == 0, done.stderr
+    announced = "Training on 10 places in satellite, street, drone, google: 2 steps of 4 places an epoch, 2 epochs, so 4 updates."
+    assert done.stdout.count(announced) == 1
+    with (tmp_path / "run" / "log.csv").open() as file:
+        pictures = [float(row["seconds"]) * float(row["images_per_second"]) for row in csv.DictReader(file)]
+    # Each step has four pictures of each of four sets.
+    assert pictures == pytest.approx([2 * 4 * 4, 2 * 4 * 4], rel=1e-3)
 
 
 @pytest.mark.slow

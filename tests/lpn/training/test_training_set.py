@@ -25,35 +25,20 @@ from lpn.training.model_selection import HeldOut
 from lpn.training.recipes import RECIPES, Recipe, find
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold, TrainingSet, paired_pictures, trainable
-from tools.fixtures import layouts, small_worlds
+from tools.fixtures import layouts
 from tools.fixtures.trainings import QUICK
 
-SETS = ("satellite", "street", "drone", "google")
+SETS = layouts.TRAIN_SETS
 # Pictures as they are, so that a batch tells which files it has.
 PLAIN = {"size": 32, "padding": 0, "satellite_rotation": 0.0, "flip": "none", "precision": "float32"}
 BY_PLACE = replace(RECIPES["released"], sampling="places", batch=4, **PLAIN)
 BY_PICTURE = replace(RECIPES["released"], batch=4, **PLAIN)
-# Place 1 has no google, 2 no street, 3 no drone, 4 no satellite, 5 google as its only street, 6 one view, 7 street and google.
-GAPS = {1: ["google"], 2: ["street", "google"], 3: ["drone"], 4: ["satellite"], 5: ["street"]}
-GAPS |= {6: ["satellite", "street", "google"], 7: ["satellite", "drone"]}
 TRAINED = [1, 2, 3, 4, 5, 8, 9, 10, 11, 12]
-
-
-def make_gaps(root: Path, places: int = 12) -> Path:
-    for number, name in enumerate(SETS):
-        for label in range(1, places + 1):
-            if name not in GAPS.get(label, []):
-                for picture in range(1 if name == "satellite" else 2):
-                    small_worlds.write(
-                        root / "train" / name / f"{label:04d}" / f"{picture}.png",
-                        small_worlds.place(1000 * number + 100 * picture + label)[:32, :32],
-                    )
-    return root
 
 
 @pytest.fixture(scope="module")
 def gaps(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_gaps(tmp_path_factory.mktemp("gaps") / "places")
+    return layouts.training_gaps(tmp_path_factory.mktemp("gaps") / "places")
 
 
 def training_set(root: Path, **options: Any) -> tuple[TrainingSet, str]:
@@ -96,7 +81,7 @@ def test_the_release_with_its_gaps_keeps_every_place(tmp_path: Path) -> None:
 
 
 def test_sets_without_any_place_that_is_trained_on_are_none(tmp_path: Path) -> None:
-    root = make_gaps(tmp_path)
+    root = layouts.training_gaps(tmp_path)
     for label in (*range(1, 6), *range(8, 13)):
         for name in ("street", "google"):
             shutil.rmtree(root / "train" / name / f"{label:04d}", ignore_errors=True)

@@ -26,6 +26,9 @@ INDEPENDENT = replace(
     RECIPE, epochs=1, sampling="pictures", infonce=0.0, flip="picture", place_rotation=0.0, joint_views=False
 )
 
+# On places with gaps: some rows of a batch show another place.
+GAPS = replace(RECIPE, memory=True)
+
 # Taught by a trained network.
 TAUGHT = replace(RECIPE, epochs=1, distillation=2.0)
 
@@ -64,6 +67,7 @@ def main(data: Path, out: Path) -> None:
     run.run()
     torch.save(dict(run.network.named_parameters()), out / f"weights{group.rank}.pt")
     trainer(data, out / "independent", group, recipe=INDEPENDENT).run()
+    trainer(data.with_name("gaps"), out / "gaps", group, recipe=GAPS).run()
     trainer(data, out / "taught", group, recipe=TAUGHT, teachers=[out / "whole" / "last.safetensors"]).run()
     run = trainer(data, out / "cut", group)
     original = Trainer._epoch
