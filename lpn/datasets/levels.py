@@ -132,9 +132,9 @@ def misplaced(root: Path) -> DataError | None:
     """Return the error about a folder that holds the lists of one split, splits in another case, or pictures without lists."""
     folders = _folders(root)
     for name in folders:
-        split = name.lower()
-        if name != split and split in ("train", "test") and _lists_of(root / name) == split:
-            return DataError(f"{printable(str(root))} has the folder {name}; expected {split}, so rename it.")
+        lower = name.lower()
+        if name != lower and lower in ("train", "test") and _lists_of(root / name) == lower:
+            return DataError(f"{printable(str(root))} has the folder {name}; expected {lower}, so rename it.")
     for needed, found in _LISTED.items():
         if set(needed) <= set(folders):
             return DataError(

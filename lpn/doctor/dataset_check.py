@@ -223,7 +223,8 @@ def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[Missi
             without = [query for query, of in zip(queries, truth, strict=True) if not len(of.good)]
         answered |= {query.path for query in queries}.difference(query.path for query in without)
         found[task] = without, len(queries)
-    damage, gaps = [], []
+    damage: list[MissingCounterparts] = []
+    gaps: list[MissingCounterparts] = []
     for task, (without, total) in found.items():
         by_street = [query for query in without if views_of(task)[1] == "street" and query.path in answered]
         missed = [query for query in without if query not in by_street]
