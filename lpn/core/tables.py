@@ -42,7 +42,8 @@ _OPERATOR = re.compile(r"<=|>=|!=|!~|=|<|>|~")
 _OPERATOR_CHARACTERS = frozenset('<>=!~"')
 _MAX_LENGTH = 1000
 Kind = Literal["number", "text"]
-_DELIMITERS = ",;\t"
+# A table in UTF-16 that Excel saves has tabs. Semicolons are refused unless the file names them.
+_DELIMITERS = ",\t"
 # Excel's first line that names the delimiter.
 _NAMED_DELIMITER = re.compile(r"\"?sep=([,;\t])\"?\r?\n", re.IGNORECASE)
 
@@ -78,7 +79,7 @@ class Delimited(NamedTuple):
 
 
 def delimited(text: str, strict: bool = False) -> Delimited:
-    """Split a text at commas, semicolons, or tabs, whichever its first line has most of, or at those that `sep=;` names.
+    """Split a text at commas or tabs, whichever its first line has more of, or at what a first line such as `sep=;` names.
 
     Args:
         strict: refuse quotes that are not closed, as a file that was cut short has.

@@ -248,11 +248,12 @@ def _read_parquet(file: Path, side: Side) -> AnyArray:
 
     try:
         table = pq.read_table(file)
-    except (OSError, pa.ArrowException) as error:
+        names = table.column_names
+    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
         raise DataError(
             f"{_name(file)} is no Parquet file ({printable(str(error).splitlines()[0])}); save it again."
         ) from error
-    lists = [name for name in table.column_names if _is_list(table.schema.field(name).type, pa)]
+    lists = [name for name in names if _is_list(table.schema.field(name).type, pa)]
     if len(lists) == 1:
         column = table.column(lists[0]).combine_chunks()
         lengths = pc.unique(pc.list_value_length(column)).to_pylist()

@@ -100,7 +100,7 @@ def test_two_paths_whose_ends_are_one_file_are_refused() -> None:
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 @pytest.mark.parametrize("lines", ["\n", "\r\n"])
 def test_text_of_any_editor_is_decoded(encoding: str, lines: str) -> None:
-    text = f"path;latitude{lines}test/ä.jpg;30,25{lines}{lines};{lines}"
+    text = f"path\tlatitude{lines}test/ä.jpg\t30,25{lines}{lines}\t{lines}"
     table = delimited(decode_text(text.encode(encoding)))
     assert (table.decimal_comma, list(table.rows)) == (True, [(1, ["path", "latitude"]), (2, ["test/ä.jpg", "30,25"])])
     assert list(delimited(f"sep=\t{lines}a,b\tc{lines}").rows) == [(2, ["a,b", "c"])]
@@ -135,7 +135,7 @@ def test_geo_csv_of_another_system_has_the_same_positions(tmp_path: Path, change
 
 
 def test_geo_csv_with_decimal_commas_is_read_where_they_cannot_be_separators() -> None:
-    text = "path;latitude;longitude;altitude\r\ntest\\q\\1.jpg;30,25;120,5;1,5\r\n"
+    text = "sep=;\r\npath;latitude;longitude;altitude\r\ntest\\q\\1.jpg;30,25;120,5;1,5\r\n"
     assert read_positions(text.encode("utf-16")) == {"test/q/1.jpg": Position(30.25, 120.5, 1.5)}
     with pytest.raises(DataError, match=r"Line 2 of geo\.csv has the latitude '30,25'"):
         read_positions(b'path,latitude,longitude\na.jpg,"30,25",120.5\n')
