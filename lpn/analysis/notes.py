@@ -17,11 +17,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lpn.core.csv_cells import csv_bytes, unescape
+from lpn.core.csv_cells import csv_bytes, decode_text, delimited, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.own_files import OwnFileFormat
-from lpn.core.tables import Column, decode_text, delimited, text_column
+from lpn.core.tables import Column, text_column
 from lpn.datasets.listed_paths import plain_path
 from lpn.datasets.metadata import NOTE, TAGS
 

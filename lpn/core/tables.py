@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -42,55 +42,6 @@ _OPERATOR = re.compile(r"<=|>=|!=|!~|=|<|>|~")
 _OPERATOR_CHARACTERS = frozenset('<>=!~"')
 _MAX_LENGTH = 1000
 Kind = Literal["number", "text"]
-# A table in UTF-16 that Excel saves has tabs. Semicolons are refused unless the file names them.
-_DELIMITERS = ",\t"
-# Excel's first line that names the delimiter.
-_NAMED_DELIMITER = re.compile(r"\"?sep=([,;\t])\"?\r?\n", re.IGNORECASE)
-
-
-def decode_text(data: bytes, errors: str = "strict") -> str:
-    """Decode a text in UTF-8 or UTF-16, with or without a byte order mark.
-
-    Args:
-        errors: of UTF-8; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
-
-    Raises:
-        UnicodeDecodeError: if it is neither.
-    """
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16")
-    # Every other byte of a list in UTF-16 is 0, as its letters are mostly ASCII.
-    head = data[:1000]
-    if len(head) > 1 and head.count(0) > len(head) // 3:
-        return data.decode("utf-16-le" if head[1::2].count(0) > head[::2].count(0) else "utf-16-be")
-    return data.decode("utf-8-sig", errors)
-
-
-class Delimited(NamedTuple):
-    """A text of separated values.
-
-    Attributes:
-        decimal_comma: True if numbers may be written with a comma, as nothing else is separated by one.
-        rows: the rows that are not blank, each with its line number from 1; raises csv.Error.
-    """
-
-    decimal_comma: bool
-    rows: Iterator[tuple[int, list[str]]]
-
-
-def delimited(text: str, strict: bool = False) -> Delimited:
-    """Split a text at commas or tabs, whichever its first line has more of, or at what a first line such as `sep=;` names.
-
-    Args:
-        strict: refuse quotes that are not closed, as a file that was cut short has.
-    """
-    named = _NAMED_DELIMITER.match(text)
-    first = text.lstrip("\r\n").partition("\n")[0]
-    delimiter = max(_DELIMITERS, key=first.count) if named is None else named[1]
-    lines = csv.reader(io.StringIO(text[named.end() if named else 0 :], newline=""), delimiter=delimiter, strict=strict)
-    skipped = 0 if named is None else 1
-    rows = ((lines.line_num + skipped, values) for values in lines if any(value.strip() for value in values))
-    return Delimited(delimiter != ",", rows)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,11 @@ from typing import Literal
 import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
+from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
-from lpn.core.tables import Column, decode_text, delimited, number_column, text_column
+from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import views_of
 from lpn.datasets import geo
 
@@ -372,7 +373,7 @@ def read_text(path: Path, name: str, errors: str = "strict") -> str:
 def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a CSV file that are not blank, each with its line number from 1.
 
-    Values are separated by commas or tabs; see `lpn.core.tables.delimited`.
+    Values are separated by commas or tabs; see `lpn.core.csv_cells.delimited`.
 
     Args:
         errors: of the decoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.

@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
-from lpn.core.tables import decode_text, delimited
 from lpn.datasets.listed_paths import by_name, fold, plain_path
 
 if TYPE_CHECKING:

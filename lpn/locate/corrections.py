@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.csv_cells import csv_bytes, csv_rows, unescape
+from lpn.core.csv_cells import csv_bytes, delimited, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
@@ -115,7 +115,7 @@ def set_correction(file: Path, name: str, correction: Correction | None) -> dict
 def _decode(content: bytes, file: Path) -> dict[str, Correction]:
     text = content.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
     try:
-        rows = [[unescape(value) for value in values] for _, values in csv_rows(text, strict=True)]
+        rows = [[unescape(value) for value in values] for _, values in delimited(text, strict=True).rows]
     except csv.Error as error:
         raise DataError(f"{file} is not a CSV file; correct it, or move it away.") from error
     if not rows or rows[0] != _HEADER:

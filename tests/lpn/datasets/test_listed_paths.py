@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from lpn.analysis.notes import read_notes
+from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError
-from lpn.core.tables import decode_text, delimited
 from lpn.datasets import open_dataset
 from lpn.datasets.geo import Position, Positions, read_positions
 from lpn.datasets.listed_paths import FilesBelow, NamesBelow, checked_path, listed_path, name_of, plain_path
