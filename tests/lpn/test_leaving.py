@@ -1,0 +1,241 @@
+"""Texts of other people in every file that leaves the program, read by a reader of the format and, where there is one, by ours."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import re
+import shutil
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import msgspec
+import numpy as np
+import pytest
+
+from lpn.analysis import notes
+from lpn.analysis.named_views import ChosenQueries, NamedView, read_views, save_view
+from lpn.cli import main
+from lpn.core.csv_cells import unescape
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.flights import Flight, Frame, open_flight, write_flight
+from lpn.locate.corrections import Correction, read_corrections, set_correction
+from lpn.locate.tracks import TrackPoint, write_track
+from tools.fixtures import small_worlds
+
+# Names that Linux allows, and notes.
+TEXTS = [
+    "<script>alert(1)<&script>",
+    "<img src=x onerror=alert(1)>",
+    "]]>",
+    "Rock & Roll &amp; &#60;b&#62;",
+    "\"both\" 'quotes'",
+    "a,b;c",
+    "=HYPERLINK(1)",
+    "+41 79",
+    "-2+3+cmd|' &C calc'!A0",
+    "@SUM(1)",
+    "'=1",
+    "-5.5",
+    "a;=1+1",
+    "two\nlines",
+    "two\r\nlines",
+    "\r=1",
+    "\t=1",
+    "bell\x07 and escape\x1b[31m",
+    "unit\x1cseparators\x0b\x0c\x85",
+    "line\u2028and\u2029paragraph",
+    "turned\u202egpj",
+    "not UTF-8 \udce9",
+    "\u753b\u50cf\u30001 at 10.15\u202fPM",
+    "\ufffe\uffff",
+]
+GPX, KML = "{http://www.topografix.com/GPX/1/1}", "{http://www.opengis.net/kml/2.2}"
+
+
+class _Text(HTMLParser):
+    """The text that HTML shows, and its elements."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.text, self.tags, self.handlers = "", set[str](), set[str]()
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.handlers |= {name for name, _ in attrs if name.startswith("on")}
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def _table(data: bytes) -> list[list[str]]:
+    return list(csv.reader(io.StringIO(data.decode(), newline=""), strict=True))
+
+
+def _no_formula(cells: list[str]) -> bool:
+    number = re.compile(r"-?[0-9.]+(e-?[0-9]+)?")
+    return not [cell for cell in cells if cell.startswith(tuple("=+-@\t\r")) and not number.fullmatch(cell)]
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_a_track_is_read_by_a_reader_of_its_format(text: str, tmp_path: Path) -> None:
+    point = TrackPoint(text, "retrieval", "accepted", text, 1.7e9, -1e-5, 2e-5, radius=float("nan"))
+    for suffix in (".csv", ".geojson", ".gpx", ".kml"):
+        write_track(tmp_path / f"track{suffix}", text, [point])
+    utf8 = text.encode("utf-8", "replace").decode()
+    header, row = _table((tmp_path / "track.csv").read_bytes())
+    assert _no_formula(row)
+    assert [unescape(row[header.index(name)]) for name in ("frame", "reason")] == [utf8, utf8]
+    assert [float(row[header.index(name)]) for name in ("latitude", "longitude")] == [-1e-5, 2e-5]
+    found = msgspec.json.decode((tmp_path / "track.geojson").read_bytes())  # stricter than that of Python
+    assert (found["name"], found["features"][0]["properties"]["frame"]) == (utf8, utf8)
+    track = ElementTree.parse(tmp_path / "track.gpx").getroot()
+    entry = track.find(f".//{GPX}trkpt")
+    assert entry is not None
+    assert (entry.get("lat"), entry.get("lon")) == ("-0.00001", "0.00002")
+    assert track.findtext(f".//{GPX}trk/{GPX}name") == f"{printable(text)}: retrieval"
+    assert (entry.findtext(f"{GPX}name"), entry.findtext(f"{GPX}desc")) == (printable(text), printable(text))
+    mark = ElementTree.parse(tmp_path / "track.kml").getroot().find(f".//{KML}Placemark")
+    assert mark is not None
+    assert mark.findtext(f"{KML}name") == printable(text)
+    assert mark.findtext(f".//{KML}coordinates") == "0.00002,-0.00001"
+    # Viewers take a description for HTML.
+    shown = _Text(mark.findtext(f"{KML}description") or "")
+    assert shown.text == f"{printable(text)} The position is the middle of the picture on the ground."
+    assert not shown.tags
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_what_a_person_wrote_is_read_back(text: str, tmp_path: Path) -> None:
+    corners = np.array([(-33.0, -70.001), (-33.0, -70.0), (-33.001, -70.0), (-33.001, -70.001)])
+    set_correction(tmp_path / "corrections.csv", text, Correction(np.array([-33.0005, -70.0005]), corners))
+    (stored,) = read_corrections(tmp_path / "corrections.csv").items()
+    assert stored[0] == text
+    np.testing.assert_array_equal(stored[1].corners, corners)
+    cells = (tmp_path / "corrections.csv").read_bytes().decode("utf-8", "replace")
+    assert all(_no_formula(row) for row in _table(cells.encode()))
+    flight = Flight(text, (Frame(text, tmp_path / "photos" / text, 4, 3, roll=-1.5),), (text,))
+    write_flight(flight, tmp_path / "flight")
+    again = open_flight(tmp_path / "flight")
+    assert again.frames == flight.frames
+    utf8 = text.encode("utf-8", "replace").decode()
+    assert (again.name, again.notes) == (utf8, (utf8,))
+    written = (tmp_path / "flight" / "flight.csv").read_bytes().decode("utf-8", "replace").encode()
+    assert all(_no_formula(row) for row in _table(written))
+    file = tmp_path / "notes.csv"
+    notes.set_note(file, "a.jpg", "night", f"{text}!")
+    kept = notes.read_notes(file)["a.jpg"].text
+    assert _no_formula(_table(file.read_bytes())[1])
+    assert kept == notes.read_notes(file)["a.jpg"].text
+    if printable(text) == text:
+        assert kept == f"{text}!"
+        notes.set_note(file, text, "", "a path of this name")
+        assert notes.read_notes(file)[text].text == "a path of this name"
+    else:
+        with pytest.raises(InputError, match="so rename the file"):
+            notes.set_note(file, text, "", "a path of this name")
+
+
+def test_a_note_keeps_all_that_people_type(tmp_path: Path) -> None:
+    """Also the spaces of French and Japanese, the joiners of Persian and of emoji, the marks of Hebrew, and bullets."""
+    typed = "Attention\u00a0! \u753b\u50cf\u30001 \u0645\u06cc\u200c\u062e \U0001f468\u200d\U0001f33e \u200f(1)\n- one\n\n\t- two"
+    notes.set_note(tmp_path / "notes.csv", "a.jpg", "", typed + "\x07")
+    assert notes.read_notes(tmp_path / "notes.csv")["a.jpg"].text == typed
+
+
+def test_notes_of_earlier_versions_are_read(tmp_path: Path) -> None:
+    (tmp_path / "notes.csv").write_text('path,tags,note\n=a.jpg,night,=1+1\nb.jpg,,"- one\n- two"\n')
+    assert notes.read_notes(tmp_path / "notes.csv") == {
+        "=a.jpg": notes.Note(("night",), "=1+1"),
+        "b.jpg": notes.Note((), "- one\n- two"),
+    }
+
+
+def test_a_note_that_somebody_else_changed_is_not_replaced_unseen(tmp_path: Path) -> None:
+    file = tmp_path / "notes.csv"
+    notes.set_note(file, "a.jpg", "night", "mine")
+    notes.set_note(file, "a.jpg", "", "theirs")
+    with pytest.raises(notes.ChangedNoteError, match="it is now 'theirs'; save again to replace it") as refused:
+        notes.set_note(file, "a.jpg", "night", "mine, too", notes.Note(("night",), "mine"))
+    assert notes.read_notes(file)["a.jpg"].text == "theirs"
+    notes.set_note(file, "a.jpg", "night", "mine, too", refused.value.stored)
+    notes.set_note(file, "a.jpg", "night", "mine, too", notes.Note())  # saved twice, as after a lost answer
+    assert notes.read_notes(file)["a.jpg"].text == "mine, too"
+
+
+def test_a_view_of_files_that_are_not_utf8_is_refused_in_words(tmp_path: Path) -> None:
+    view = NamedView("dark", "task", chosen=(ChosenQueries("rows", "by hand", ("caf\udce9.jpg",)),))
+    with pytest.raises(InputError, match=r"views\.json cannot hold 'caf\?\.jpg', which is not UTF-8; rename the file"):
+        save_view(tmp_path / "views.json", view)
+    assert read_views(tmp_path / "views.json") == ()
+
+
+NAMES = [name for name in TEXTS if "\r" not in name][:20] + TEXTS[-3:]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set whose queries have the texts as names, with notes and metadata."""
+    if sys.platform != "linux":
+        pytest.skip("other systems allow few of these names")
+    root = small_worlds.make_dataset(tmp_path_factory.mktemp("leaving") / "=places <b>", train=1, test=4)
+    queries = sorted((root / "test" / "query_drone").rglob("*.png"))
+    for number, query in enumerate(queries):
+        query.rename(query.with_name(f"{TEXTS[number]}.png"))
+    rest = queries[-1].with_name(f"{TEXTS[len(queries) - 1]}.png")
+    for number, name in enumerate(NAMES):
+        target = rest.with_name(f"{number} {name}.png")
+        shutil.copy(rest, target)
+    for query in (root / "test" / "query_drone").rglob("*.png"):
+        path = query.relative_to(root).as_posix()
+        if printable(path) == path:
+            notes.set_note(root / "notes.csv", path, "night", TEXTS[6])
+    return root
+
+
+def test_tables_and_reports_of_such_names(
+    places: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["--data", str(places), "--model", str(model_file)]
+    assert main.main(["failures", *given, "--csv", str(tmp_path / "a.csv")]) == 0
+    rows = _table((tmp_path / "a.csv").read_bytes())
+    assert {len(row) for row in rows} == {len(rows[0])}
+    assert all(_no_formula(row) for row in rows)
+    paths = {query.relative_to(places).as_posix().encode("utf-8", "replace").decode() for query in places.glob("test/query_drone/*/*")}
+    assert {unescape(row[0]) for row in rows[1:]} == paths
+    assert {unescape(row[rows[0].index("note")]) for row in rows[1:]} == {"", TEXTS[6]}
+    model = tmp_path / "=1+1 <b>|&.onnx"
+    shutil.copy(model_file, model)
+    assert main.main(["report", "--data", str(places), "--model", str(model), "--out", str(tmp_path / "a.html")]) == 0
+    page = _Text((tmp_path / "a.html").read_text("utf-8"))
+    assert "script" not in page.tags
+    assert not page.handlers
+    assert TEXTS[6] in page.text
+    files = {kind: tmp_path / f"a.{kind}" for kind in ("json", "markdown", "csv")}
+    options = [part for kind, file in files.items() for part in (f"--{kind}", str(file))]
+    capsys.readouterr()
+    assert main.main(["compare", str(model), str(model_file), "--data", str(places), *options]) == 0, capsys.readouterr().err
+    assert msgspec.json.decode(files["json"].read_bytes())["models"][0]["name"] == model.name
+    assert _table(files["csv"].read_bytes())[1][0] == f"'{model.name}"
+    assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in files["markdown"].read_text("utf-8")
+
+
+def test_json_of_a_name_that_is_not_utf8(places: Path, model_file: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "caf\udce9"
+    folder.mkdir()
+    picture = folder / "a.png"
+    small_worlds.write(tmp_path / "a.png", small_worlds.place(1))
+    os.replace(tmp_path / "a.png", picture)
+    given = ["--model", str(model_file), "--query", str(picture), "--match", str(picture)]
+    views = ["--view-query", "drone", "--view-match", "satellite"]
+    assert main.main(["explain", *given, *views, "--json", str(tmp_path / "a.json")]) == 0
+    data = (tmp_path / "a.json").read_bytes()
+    assert msgspec.json.decode(data) == json.loads(data)
+    assert json.loads(data)["query"].endswith("caf?/a.png")
