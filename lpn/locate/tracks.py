@@ -158,8 +158,9 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
                 continue
             mark = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
             ElementTree.SubElement(mark, f"{{{_KML}}}name").text = printable(point.frame) + _remark(point.state)
-            known = point.radius is not None and math.isfinite(point.radius)
-            radius = f" The 1-sigma radius is {point.radius:.1f} m." if known else ""
+            radius = ""
+            if point.radius is not None and math.isfinite(point.radius):
+                radius = f" The 1-sigma radius is {point.radius:.1f} m."
             description = html.escape(printable(point.reason + _shown(point) + radius).strip(), quote=False)
             ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:

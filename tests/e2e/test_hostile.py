@@ -12,12 +12,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import urlencode, urlsplit
 
 import pytest
 from PIL import Image, PngImagePlugin
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
+from explorer.failure_lab.service import FailureLab
+from explorer.flight_window.service import FlightService
+from explorer.opening import open_model
+from explorer.stories import exported
+from explorer.stories.story import Step, Story
+from explorer.stories.windows import WindowSources
+from explorer.url_state import UrlState
+from lpn.cli import main
+from lpn.core.files import printable
+from lpn.locate.tracks import TrackPoint, write_track
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
 from tools.fixtures.chromium import returning
@@ -180,6 +190,94 @@ def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(walk: Walk) -> 
     assert walk.page.evaluate("window.hurt") is None
     assert not walk.alarms
     assert walk.seen >= set(NAMES)
+
+
+@pytest.fixture
+def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
+    """A page for files, and what must not happen in it: requests for anything else, dialogs, and errors."""
+    context = browser.new_context()
+    page, alarms = context.new_page(), list[str]()
+    page.on(
+        "request",
+        lambda request: alarms.append(request.url) if not request.url.startswith(("file:", "data:")) else None,
+    )
+    page.on("dialog", lambda dialog: (alarms.append(dialog.message), dialog.dismiss()))
+    page.on("pageerror", lambda error: alarms.append(str(error)))
+    yield page, alarms
+    context.close()
+
+
+@pytest.mark.slow
+def test_no_text_runs_in_the_files_that_leave(
+    places: Path, model_file: Path, tmp_path: Path, file_page: tuple[Page, list[str]]
+) -> None:
+    """The report and an exported story as a browser shows them."""
+    page, alarms = file_page
+    report = [
+        "report",
+        "--data",
+        str(places),
+        "--model",
+        str(model_file),
+        "--out",
+        str(tmp_path / "report.html"),
+        "--where",
+        "rank > 0",
+    ]
+    assert main.main(report) == 0
+    workspace = open_model(places, model_file)
+    sources = WindowSources(workspace, FailureLab(workspace), FlightService(workspace))
+    first = next(iter(workspace.tasks.values())).query_names[0]
+    shows = urlencode({"query": first, "lab": "1", "columns": "weather,note"})
+    told = Story(NAMES[0], tuple(Step(shows if number else "", f"{TEXT} {name}") for number, name in enumerate(NAMES)))
+    _, story = exported.export(sources, UrlState(workspace), told, dark=True)
+    (tmp_path / "story.html").write_bytes(story)
+    for name in ("report", "story"):
+        page.goto((tmp_path / f"{name}.html").as_uri())
+        page.wait_for_load_state("networkidle")
+        shown = page.locator("body").inner_text()
+        if name == "report":
+            assert all(text in shown for text in NAMES)
+        else:
+            for number, text in enumerate(NAMES):
+                expect(page.locator(".slide:not([hidden]) .caption")).to_have_text(f"{TEXT} {text}")
+                if number + 1 < len(NAMES):
+                    page.keyboard.press("ArrowRight")
+            assert page.title() == NAMES[0]
+        assert TEXT[:40] in page.locator("body").inner_text()
+        page.evaluate("document.querySelectorAll('*').forEach(e => e.click && e.tagName !== 'A' && e.click())")
+        assert page.evaluate("window.hurt") is None
+        assert page.evaluate("document.querySelectorAll('iframe').length") == 0
+    assert not alarms
+
+
+@pytest.mark.slow
+def test_a_browser_reads_tracks_of_such_names_and_runs_none(tmp_path: Path, file_page: tuple[Page, list[str]]) -> None:
+    """KML and GPX by the browser's XML parser; a viewer shows the description of KML as HTML."""
+    page, alarms = file_page
+    names = [*NAMES, TEXT, "]]> & \x07 \ufffe \udce9 \u2028"]
+    points = [TrackPoint(name, "retrieval", "accepted", name, None, 46.0, 7.0) for name in names]
+    for suffix in (".kml", ".gpx"):
+        write_track(tmp_path / f"track{suffix}", NAMES[0], points)
+        entries = page.evaluate(
+            """text => {
+                const file = new DOMParser().parseFromString(text, "application/xml");
+                if (file.querySelector("parsererror")) return file.querySelector("parsererror").textContent;
+                return [...file.querySelectorAll("Placemark:has(Point), trkpt")].map(entry => {
+                    const balloon = document.body.appendChild(document.createElement("div"));
+                    balloon.innerHTML = entry.querySelector("description")?.textContent || "";
+                    return [entry.querySelector("name").textContent, balloon.textContent];
+                });
+            }""",
+            (tmp_path / f"track{suffix}").read_text("utf-8"),
+        )
+        assert [name for name, _ in entries] == [printable(name) for name in names]
+        if suffix == ".kml":
+            where = " The position is the middle of the picture on the ground."
+            assert [text for _, text in entries] == [printable(name) + where for name in names]
+    page.wait_for_timeout(300)
+    assert page.evaluate("window.hurt") is None
+    assert not alarms
 
 
 @pytest.mark.slow

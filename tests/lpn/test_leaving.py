@@ -1,4 +1,4 @@
-"""Texts of other people in every file that leaves the program, read by a reader of the format and, where there is one, by ours."""
+"""Texts of other people in every file that leaves the program, read by a reader of the format, and by our own."""
 
 from __future__ import annotations
 
@@ -208,7 +208,10 @@ def test_tables_and_reports_of_such_names(
     rows = _table((tmp_path / "a.csv").read_bytes())
     assert {len(row) for row in rows} == {len(rows[0])}
     assert all(_no_formula(row) for row in rows)
-    paths = {query.relative_to(places).as_posix().encode("utf-8", "replace").decode() for query in places.glob("test/query_drone/*/*")}
+    paths = {
+        query.relative_to(places).as_posix().encode("utf-8", "replace").decode()
+        for query in places.glob("test/query_drone/*/*")
+    }
     assert {unescape(row[0]) for row in rows[1:]} == paths
     assert {unescape(row[rows[0].index("note")]) for row in rows[1:]} == {"", TEXTS[6]}
     model = tmp_path / "=1+1 <b>|&.onnx"
@@ -221,13 +224,16 @@ def test_tables_and_reports_of_such_names(
     files = {kind: tmp_path / f"a.{kind}" for kind in ("json", "markdown", "csv")}
     options = [part for kind, file in files.items() for part in (f"--{kind}", str(file))]
     capsys.readouterr()
-    assert main.main(["compare", str(model), str(model_file), "--data", str(places), *options]) == 0, capsys.readouterr().err
+    assert main.main(["compare", str(model), str(model_file), "--data", str(places), *options]) == 0, (
+        capsys.readouterr().err
+    )
     assert msgspec.json.decode(files["json"].read_bytes())["models"][0]["name"] == model.name
     assert _table(files["csv"].read_bytes())[1][0] == f"'{model.name}"
     assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in files["markdown"].read_text("utf-8")
 
 
-def test_json_of_a_name_that_is_not_utf8(places: Path, model_file: Path, tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems allow no such name")
+def test_json_of_a_name_that_is_not_utf8(model_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "caf\udce9"
     folder.mkdir()
     picture = folder / "a.png"
