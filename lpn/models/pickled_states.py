@@ -230,7 +230,7 @@ def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:
     return cast("dict[str, Tensor]", items)
 
 
-def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> tuple[list[str], dict[Any, Any]]:
+def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> tuple[list[Any], dict[Any, Any]]:
     """Return the state dict in what a training saved, with its keys there; or what was saved as it is, without keys."""
     states = _states(loaded, depth)
     named = next(iter(states), None)
@@ -240,7 +240,7 @@ def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> tuple[list[str], 
     return [], loaded
 
 
-def _states(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> dict[Any, tuple[list[str], dict[Any, Any]]]:
+def _states(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> dict[Any, tuple[list[Any], dict[Any, Any]]]:
     """Return the state dicts among the values of a dictionary, those of the usual names first."""
     if not depth:
         return {}

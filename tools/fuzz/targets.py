@@ -6,9 +6,11 @@ seeds are the contents, which the reader packs into a whole file again; otherwis
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import os
+import pickle
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -311,6 +313,7 @@ def pth(folder: Path) -> list[FuzzCase]:
     """Published checkpoints, the options beside them, and the state of a training."""
 
     from lpn.models.checkpoints import load_torch
+    from lpn.models.file_contents import check_trained_file, names_in_pickle
     from lpn.training.recipes import RECIPES
     from lpn.training.resume_state import ResumeState, read_state
     from tools.fixtures.small_models import pth_file, state_dict
@@ -338,9 +341,34 @@ def pth(folder: Path) -> list[FuzzCase]:
         (folder / "state.pt").write_bytes(data)
         read_state(folder / "state.pt", recipe, "0" * 16)
 
+    pickled = [
+        pth_file({"epoch": 3, "state_dict": state_dict(), "best": best}) for best in (np.float64(0.5), np.ones(2))
+    ]
+    named = pth_file({"state_dict": state_dict(), "args": argparse.Namespace(lr=0.1), "out": Path("runs")})
+    foreign = [
+        b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12\n",
+        b"<!DOCTYPE html><html><head><title>Virus scan warning</title></head></html>",
+        b'{"error": "Entry not found"}',
+        b"\x81\xa6params\x83\xa7encoder",
+        whole[:4096],
+        pickle.dumps({"args": argparse.Namespace(lr=0.1)}),
+    ]
+    tagged = b"!!python/object:argparse.Namespace\nh: '64'\nw: 64\nb: !!python/tuple [0.9, 0.999]\nn: \"a\\q\"\n"
+
+    def contents(data: bytes) -> None:
+        file.write_bytes(data)
+        names_in_pickle(file)
+        check_trained_file(file)
+
     return [
         FuzzCase([whole], model),
         FuzzCase([_entry(whole, "data.pkl")], lambda data: model(_with_entry(whole, "data.pkl", data))),
+        FuzzCase(
+            [_entry(one, "data.pkl") for one in (*pickled, named)],
+            lambda data: model(_with_entry(pickled[0], "data.pkl", data)),
+        ),
+        FuzzCase(foreign, contents),
+        FuzzCase([tagged], lambda data: model(whole, data)),
         FuzzCase([text], lambda data: model(whole, data)),
         FuzzCase([state], training),
         FuzzCase([_entry(state, "data.pkl")], lambda data: training(_with_entry(state, "data.pkl", data))),
