@@ -105,10 +105,10 @@ def set_note(
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
 
     def change(notes: dict[str, Note]) -> dict[str, Note]:
-        stored = notes.pop(path, Note())
+        stored = notes.pop(plain_path(path), Note())
         if before is not None and stored not in (Note(before.tags, _clean(before.text)), note):
             raise ChangedNoteError(stored)
-        return notes if note == Note() else notes | {path: note}
+        return notes if note == Note() else notes | {plain_path(path): note}
 
     return _FORMAT.change(file, change)
 
@@ -131,7 +131,7 @@ def add_tags(file: Path, paths: Sequence[str], tags: str | Iterable[str]) -> dic
         )
 
     def change(notes: dict[str, Note]) -> dict[str, Note]:
-        for path in paths:
+        for path in map(plain_path, paths):
             before = notes.get(path, Note())
             notes[path] = Note(parse_tags((*before.tags, *added)), before.text)
         return notes
@@ -160,7 +160,7 @@ def parse_tags(tags: str | Iterable[str]) -> tuple[str, ...]:
 
 def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:
     """Return the columns `tags` and `note` for a table with these rows."""
-    rows = [notes.get(path, Note()) for path in paths]
+    rows = [notes.get(plain_path(path), Note()) for path in paths]
     return [text_column(TAGS, [" ".join(note.tags) for note in rows]), text_column(NOTE, [note.text for note in rows])]
 
 

@@ -93,6 +93,9 @@ def fold(path: str) -> str:
 class _Below(ABC):
     """What lies below a folder, looked up by listed paths."""
 
+    # What is looked up is opened then, so that a path outside of the folder is an error even among others.
+    _opens = True
+
     @abstractmethod
     def find(self, path: str) -> str | None:
         """Return what a plain path names as it is, or in another case if only one differs from it so; None for nothing."""
@@ -100,22 +103,23 @@ class _Below(ABC):
     def resolve(self, paths: Iterable[str], where: str) -> dict[str, str]:
         """Return what each of the plain paths of a list names; those that name nothing are absent.
 
-        The folders that stand before it on another machine are left out of an absolute path. If no path of the list names
-        anything as it is, they are left out of relative paths, too. A warning says so.
+        The folders that stand before them on another machine are left out of absolute paths. If no path of the list names
+        anything as it is, they are left out of relative paths, too. They are the same for the whole list: those by which most
+        paths name something, and of several the shortest. A warning says so.
 
         Args:
             where: the list, for messages.
 
         Raises:
-            DataError: if two paths name the same by their ends, or absolute paths name nothing.
+            DataError: if two paths name the same, if several folders fit equally many paths, or if absolute paths name nothing.
         """
         paths = list(dict.fromkeys(paths))
         found = {path: name for path in paths if not is_absolute(path) and (name := self.find(path)) is not None}
         rest = [path for path in paths if path not in found and (is_absolute(path) or not found)]
-        ends = {path: end for path in rest if (end := self._end(path)) is not None}
-        names = _unique(found, {path: name for path, (_, name) in ends.items()}, where)
+        folders, ends = self._ends(rest, where)
+        names = _unique(found, ends, where)
         if ends:
-            first, (folders, name) = next(iter(ends.items()))
+            first, name = next(iter(ends.items()))
             log.warning(
                 "%s names %d files by paths of another folder, such as %s; without %s they are below this one (%s).",
                 where,
@@ -124,19 +128,31 @@ class _Below(ABC):
                 printable(folders),
                 printable(name),
             )
-        absolute = next((path for path in rest if path not in ends and is_absolute(path)), None)
-        if absolute is not None and not ends:
+        absolute = next((path for path in rest if is_absolute(path)), None)
+        if absolute is not None and not ends and (self._opens or not names):
             raise _outside(where, absolute)
         return names
 
-    def _end(self, path: str) -> tuple[str, str] | None:
-        """Return the folders before the longest end of a path that names something, and what it names."""
-        parts = path.strip("/").split("/")
-        for depth in range(0 if path.startswith("/") else 1, len(parts)):
-            if (name := self.find("/".join(parts[depth:]))) is not None:
-                folders = path[: path.index("/".join(parts[depth:]))] if depth else "/"
-                return folders, name
-        return None
+    def _ends(self, paths: Iterable[str], where: str) -> tuple[str, dict[str, str]]:
+        """Return the folders without which most paths name something, and what those paths name."""
+        by_folders: dict[str, dict[str, str]] = {}
+        for path in paths:
+            begin = path.find("/") + 1
+            while begin:
+                if (name := self.find(path[begin:])) is not None:
+                    by_folders.setdefault(fold(path[:begin]), {})[path] = name
+                begin = path.find("/", begin) + 1
+        if not by_folders:
+            return "", {}
+        best = min(by_folders, key=lambda folders: (-len(by_folders[folders]), len(folders)))
+        for other, ends in by_folders.items():
+            if len(ends) == len(by_folders[best]) and not other.startswith(best):
+                raise DataError(
+                    f"{where} names as many files without {printable(best)} as without {printable(other)}, and only one of them "
+                    "can be this folder; give paths below the data set's folder."
+                )
+        first = next(iter(by_folders[best]))
+        return first[: len(best)], by_folders[best]
 
 
 class FilesBelow(_Below):
@@ -176,6 +192,8 @@ class FilesBelow(_Below):
 
 class NamesBelow(_Below):
     """Known pictures below a folder, by their paths."""
+
+    _opens = False
 
     def __init__(self, names: Collection[str]) -> None:
         self._names = {plain_path(name): name for name in names}

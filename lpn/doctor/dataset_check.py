@@ -226,8 +226,9 @@ def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[Missi
     damage: list[MissingCounterparts] = []
     gaps: list[MissingCounterparts] = []
     for task, (without, total) in found.items():
-        by_street = [query for query in without if views_of(task)[1] == "street" and query.path in answered]
-        missed = [query for query in without if query not in by_street]
+        is_street = views_of(task)[1] == "street"
+        by_street = [query for query in without if is_street and query.path in answered]
+        missed = [query for query in without if not (is_street and query.path in answered)]
         for queries, kind in ((missed, damage), (by_street, gaps)):
             if queries:
                 names = tuple(query.name for query in queries)

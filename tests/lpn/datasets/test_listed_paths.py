@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from lpn.analysis.notes import read_notes
+from lpn.analysis.notes import Note, add_tags, read_notes, set_note
+from lpn.analysis.notes import columns as note_columns
 from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
@@ -90,11 +91,22 @@ def test_the_end_of_a_path_of_another_machine_is_found_and_said(caplog: pytest.L
     assert set(names.resolve(["data/test/q/0005/1.jpeg", "test/g/0005/1.jpeg"], "geo.csv")) == {"test/g/0005/1.jpeg"}
 
 
-def test_two_paths_whose_ends_are_one_file_are_refused() -> None:
-    with pytest.raises(
-        DataError, match=r"pairs\.csv names both /x/1/a\.jpg and /x/2/a\.jpg, and only a\.jpg fits both"
-    ):
-        NamesBelow(["a.jpg"]).resolve(["/x/1/a.jpg", "/x/2/a.jpg"], "pairs.csv")
+def test_a_list_comes_from_one_folder() -> None:
+    names = NamesBelow(["1.jpg", "2.jpg", "3.jpg"])
+    assert names.resolve(["/d/A/1.jpg", "/d/B/3.jpg", "/d/A/2.jpg"], "geo.csv") == {
+        "/d/A/1.jpg": "1.jpg",
+        "/d/A/2.jpg": "2.jpg",
+    }
+    for listed in (["/d/A/1.jpg", "/d/B/2.jpg"], ["A/1.jpg", "B/2.jpg"], ["/d/A/1.jpg", "/d/B/1.jpg"]):
+        with pytest.raises(DataError, match=r"geo\.csv names as many files without .*/?a/ as without .*/?b/"):
+            names.resolve(listed, "geo.csv")
+
+
+def test_an_absolute_path_of_another_picture_is_no_error_among_names() -> None:
+    names = NamesBelow(["test/q/1.jpg", "test/q/2.jpg"])
+    assert names.resolve(["/z/n.jpg", "test/q/2.jpg"], "metadata.csv") == {"test/q/2.jpg": "test/q/2.jpg"}
+    with pytest.raises(DataError, match="/z/n.jpg"):
+        names.resolve(["/z/n.jpg"], "metadata.csv")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
@@ -151,8 +163,17 @@ def test_metadata_of_another_system_has_the_same_columns(tmp_path: Path, change:
     (column,) = columns(tmp_path, paths)
     assert column.values.tolist() == ["rain", "sun"]
     (tmp_path / "metadata.csv").write_text("path,weather\n/x/1/b.jpg,rain\n/x/2/b.jpg,sun\n")
-    with pytest.raises(DataError, match=r"only b\.jpg fits both"):
+    with pytest.raises(DataError, match="as many files without /x/1/ as without /x/2/"):
         columns(tmp_path, ["b.jpg"])
+
+
+def test_a_note_of_a_file_name_with_a_backslash_is_read_back(tmp_path: Path) -> None:
+    for text in ("hello", "again"):
+        set_note(tmp_path / "notes.csv", "a\\b.jpg", "x", text)
+    add_tags(tmp_path / "notes.csv", ["a\\b.jpg"], "y")
+    stored = read_notes(tmp_path / "notes.csv")
+    assert list(stored.values()) == [Note(("x", "y"), "again")]
+    assert [column.values.tolist() for column in note_columns(stored, ["a\\b.jpg"])] == [["x y"], ["again"]]
 
 
 def test_notes_of_another_system_keep_their_queries(tmp_path: Path) -> None:
