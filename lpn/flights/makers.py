@@ -82,6 +82,8 @@ _SENTERA = "https://github.com/SenteraLLC/py-image-metadata-parser tests/data"
 _FLIR = "https://github.com/MikeKovarik/exifr test/fixtures/issue-exif-js-124.tiff"
 _TEAL = "https://github.com/Theta-Limited/OpenAthenaIOS OpenAthenaIOS/examples/teal2_img_eo_00015.jpg"
 _GPANO = "https://developers.google.com/streetview/spherical-metadata"
+_MINI_5 = "https://github.com/hotosm/drone-tm/issues/777"
+_OSX = "https://github.com/RhetTbull/osxphotos/issues/269"
 _EXIF = "XMP Specification Part 2, Exif schema"
 
 ROWS: tuple[XmpRow, ...] = (
@@ -154,6 +156,8 @@ ROWS: tuple[XmpRow, ...] = (
     XmpRow("FLIR", "MAVRelativeAltitude", "height_above_takeoff", "metres, 0 if unknown", "", _FLIR),
     XmpRow("exif", "GPSLatitude", "latitude", "degrees and minutes", "", _EXIF),
     XmpRow("exif", "GPSLongitude", "longitude", "degrees and minutes", "", _EXIF),
+    XmpRow("exif", "GPSLatitudeRef", "latitude reference", "text", "", _OSX),
+    XmpRow("exif", "GPSLongitudeRef", "longitude reference", "text", "", _OSX),
     XmpRow("exif", "GPSAltitude", "exif altitude", "metres", "", _EXIF),
     XmpRow("exif", "GPSAltitudeRef", "exif altitude reference", "text", "", _EXIF),
     XmpRow("exif", "GPSImgDirectionRef", "direction reference", "text", "", _EXIF),
@@ -176,6 +180,7 @@ ROWS: tuple[XmpRow, ...] = (
     XmpRow("exif", "PixelYDimension", "EXIF ExifImageHeight", "pixels", "", _EXIF),
     XmpRow("exif", "DigitalZoomRatio", "EXIF DigitalZoomRatio", "pixels", "", _EXIF),
     XmpRow("exif", "DateTimeOriginal", "EXIF DateTimeOriginal", "text", "", _EXIF),
+    XmpRow("xmp", "CreateDate", "EXIF DateTimeOriginal", "text", "", _MINI_5),
     XmpRow("drone-dji", "UTCAtExposure", "utc", "text", "", _DJI_GUIDE),
     XmpRow("sensefly", "UTCTime", "utc", "text", "", _SENSEFLY),
     XmpRow("exif", "GPSTimeStamp", "utc", "text", "", _EXIF),

@@ -6,7 +6,8 @@ heading      the gimbal's, by XMP or DJI's maker note; the camera's, by XMP or E
 pitch, roll  of the gimbal or the camera; of an aircraft without a gimbal, whose camera looks straight down in level flight
 fov          XMP CalibratedFocalLength; FocalPlaneXResolution and FocalLength; XMP Camera:PerspectiveFocalLength;
              FocalLengthIn35mmFilm
-time         XMP UTCAtExposure, sensefly:UTCTime; EXIF DateTimeOriginal with OffsetTimeOriginal; GPSDateStamp and GPSTimeStamp
+time         XMP UTCAtExposure, sensefly:UTCTime; EXIF DateTimeOriginal with OffsetTimeOriginal; GPSDateStamp and GPSTimeStamp.
+             XMP CreateDate and EXIF DateTimeDigitized stand in for a missing DateTimeOriginal, before DateTime
 
 `lpn.flights.makers` lists the properties of XMP. A tag or property that is there and cannot be read is an oddity of the photo.
 
@@ -70,13 +71,18 @@ _ANGLES = tuple(dict.fromkeys((row.namespace, row.convention) for row in ROWS if
 _PLACES = tuple(dict.fromkeys(row.namespace for row in ROWS if row.field == "latitude"))
 # Tags of DJI's maker note: yaw, pitch, roll of the gimbal and of the aircraft (exiftool, lib/Image/ExifTool/DJI.pm).
 _DJI_GIMBAL, _DJI_AIRCRAFT = (10, 9, 11), (7, 6, 8)
-_TURNING_WORDS = re.compile(r"\b(?:yaw|pitch|roll)\b", re.IGNORECASE)
+# Angles in the tags of text in which programs for phones write them.
+_ANGLES_IN_TEXT = re.compile(r"(?:\b(?:yaw|pitch|roll)|heading)\b\W{0,4}[0-9]", re.IGNORECASE)
+_TEXT_TAGS = (ExifTags.Base.UserComment, ExifTags.Base.ImageDescription)
 _LENS_TAGS = ("FocalLength", "FocalPlaneXResolution", "FocalLengthIn35mmFilm")
 _AERIALVL = re.compile(r"@(?:([0-9.]+)@)?([-+]?[0-9.]+)@([-+]?[0-9.]+)@\.\w+")
 # EXIF has colons between all numbers; programs write other marks, blanks for zeros, and zones.
 _TIME = re.compile(
     r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)[ T]+(\d\d?):([\d ]\d):([\d ]\d)(\.\d+)? *(Z|[-+]\d\d:?\d\d)?", re.ASCII
 )
+# Some phones write 24:08:19 for eight minutes after midnight of the day that they name.
+_MIDNIGHT = re.compile(r"(?<=[ T])24(?=:)")
+_TIME_TAGS = (ExifTags.Base.DateTimeOriginal, ExifTags.Base.DateTimeDigitized)
 _FRACTION = re.compile(r"(\.\d{6})\d+")
 _RANK: Mapping[HeadingSource, int] = {source: i for i, source in enumerate(get_args(HeadingSource))}
 _NAMED = 12
@@ -159,7 +165,8 @@ def photo_of(data: bytes, file: Path) -> Photo:
     if frame.latitude is None and (named := _AERIALVL.fullmatch(file.name)) is not None:
         frame, utc = _named_frame(frame, named, known, utc)
     _name_the_rest(known)
-    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), known.xmp.heading_unread)
+    unread = known.xmp.heading_unread or bool(_text_with_angles(known))
+    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), unread)
 
 
 def _metadata(picture: Image.Image) -> _Metadata:
@@ -256,9 +263,7 @@ def _turns(known: _Metadata) -> int:
 def _position(known: _Metadata) -> tuple[float | None, float | None]:
     """Return latitude and longitude in degrees, both None if unknown."""
     doubts: list[str] = []
-    found = [
-        (known.xmp.first("latitude", "", space), known.xmp.first("longitude", "", space), space) for space in _PLACES
-    ]
+    found = [(_in_xmp(known, "latitude", space), _in_xmp(known, "longitude", space), space) for space in _PLACES]
     inside = [
         _exif_degrees(known.gps, tag, signs, doubts)
         for tag, signs in ((ExifTags.GPS.GPSLatitude, "NS"), (ExifTags.GPS.GPSLongitude, "EW"))
@@ -287,6 +292,13 @@ def _position(known: _Metadata) -> tuple[float | None, float | None]:
     if name == "EXIF GPS":
         _doubt_fix(known)
     return latitude, longitude
+
+
+def _in_xmp(known: _Metadata, axis: str, space: str) -> float | None:
+    """Return latitude or longitude of a namespace in degrees; a reference of EXIF gives its sign to one without a sign."""
+    degrees = known.xmp.first(axis, "", space)
+    opposite = space == "exif" and known.xmp.text(f"{axis} reference").strip().upper()[:1] in ("S", "W")
+    return -abs(degrees) if degrees is not None and opposite else degrees
 
 
 def _doubt_fix(known: _Metadata) -> None:
@@ -576,11 +588,15 @@ def _possible(fov: float) -> float | None:
 
 def _times(known: _Metadata) -> tuple[float | None, float | None]:
     """Return the time of exposure in UTC and on the camera's clock, in seconds since 1970-01-01."""
-    stamp = _text(known.exif.get(ExifTags.Base.DateTimeOriginal) or known.main.get(ExifTags.Base.DateTime))
+    # A program that edits a photo sets DateTime to its own time.
+    taken = next((text for tag in _TIME_TAGS if (text := _text(known.exif.get(tag)))), "")
+    stamp = taken or _text(known.main.get(ExifTags.Base.DateTime))
     fraction = _text(known.exif.get(ExifTags.Base.SubsecTimeOriginal)).strip()
     local, zone = _local_time(stamp)
     if local is None and re.search("[1-9]", stamp):
         known.oddities.append("has a DateTimeOriginal that cannot be read")
+    if local is not None and _MIDNIGHT.search(stamp):
+        known.oddities.append("has a time with the hour 24, which was taken for the hour 0 of the same day")
     if local is not None and fraction.isascii() and fraction.isdecimal():
         local += float(f"0.{fraction}")
     for row in known.xmp.all_of("utc"):
@@ -609,7 +625,7 @@ def _gps_time(known: _Metadata) -> float | None:
 
 def _local_time(stamp: str) -> tuple[float | None, float | None]:
     """Return the seconds of a time as EXIF or ISO 8601 write it, and those of its zone, if it has one."""
-    found = _TIME.fullmatch(stamp.strip())
+    found = _TIME.fullmatch(_MIDNIGHT.sub("00", stamp.strip()))
     if found is None:
         return None, None
     day, clock = ":".join(found.group(1, 2, 3)), ":".join(found.group(4, 5, 6))
@@ -623,7 +639,7 @@ def _local_time(stamp: str) -> tuple[float | None, float | None]:
 def _name_the_rest(known: _Metadata) -> None:
     """Note properties that were not read, cannot be read, or contradict themselves."""
     xmp = known.xmp
-    unread = [*xmp.unread, *(["EXIF UserComment"] if _TURNING_WORDS.search(_comment(known)) else [])]
+    unread = [*xmp.unread, *_text_with_angles(known)]
     for names, predicate in (
         (unread, "has values that look like a position, height, or angle and were not read"),
         (xmp.unreadable, "has values that cannot be read"),
@@ -633,10 +649,16 @@ def _name_the_rest(known: _Metadata) -> None:
             known.oddities.append(f"{predicate}: {first_few([printable(name)[:60] for name in names], _NAMED)}")
 
 
-def _comment(known: _Metadata) -> str:
-    """Return the comment of the user, in which some programs for phones write the camera's angles."""
-    raw = known.exif.get(ExifTags.Base.UserComment)
-    return raw[:400].decode("ascii", "ignore").replace("\x00", "") if isinstance(raw, bytes) else str(raw or "")[:400]
+def _text_with_angles(known: _Metadata) -> list[str]:
+    """Return the names of EXIF's texts in which a program wrote the camera's angles."""
+    names = []
+    for tag in _TEXT_TAGS:
+        raw = known.exif.get(tag, known.main.get(tag))
+        text = (
+            raw[:400].decode("ascii", "ignore").replace("\x00", "") if isinstance(raw, bytes) else str(raw or "")[:400]
+        )
+        names += [f"EXIF {tag.name}"] if _ANGLES_IN_TEXT.search(text) else []
+    return names
 
 
 def _exif_number(known: _Metadata, tags: Mapping[int, Any], tag: ExifTags.GPS) -> float | None:

@@ -235,6 +235,25 @@ def test_times_as_programs_write_them(stamp: str, local: float | None, utc: floa
     assert (photo.local, photo.utc, photo.oddities) == (local, utc, ())
 
 
+def test_the_hour_24_is_the_hour_0_of_the_same_day() -> None:
+    photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: "2015:08:22 24:08:19"})), Path("a.jpg"))
+    assert photo.local == 1440202099.0
+    assert photo.oddities == ("has a time with the hour 24, which was taken for the hour 0 of the same day",)
+
+
+def test_the_time_of_an_edit_is_no_time_of_a_photo() -> None:
+    edited = {BASE.DateTime: "2024:06:09 09:09:09"}
+    digitized = exif(main=edited, camera={BASE.DateTimeDigitized: "2024:05:01 14:00:00"})
+    assert photo_of(photo_bytes(digitized), Path("a.jpg")).local == 1714572000.0
+    # A program that made a JPEG of a DNG kept XMP alone.
+    packet = xmp_packet(
+        "", {"xmp": "http://ns.adobe.com/xap/1.0/"},
+        'xmp:ModifyDate="2024-06-09T09:09:09+03:00" xmp:CreateDate="2024-05-01T14:00:00+03:00"',
+    )  # fmt: skip
+    photo = photo_of(photo_bytes(exif(main=edited), packet), Path("a.jpg"))
+    assert (photo.local, photo.utc, photo.oddities) == (1714572000.0, 1714561200.0, ())
+
+
 def test_a_time_that_cannot_be_read_is_named() -> None:
     photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: "1999:99:99 99:99:99"})), Path("a.jpg"))
     assert (photo.local, photo.oddities) == (None, ("has a DateTimeOriginal that cannot be read",))
