@@ -604,7 +604,10 @@ def _times(known: _Metadata) -> tuple[float | None, float | None]:
         if "T" in text and (utc := _iso_seconds(_FRACTION.sub(r"\1", text))) is not None:
             return utc, local
         known.oddities.append(f"has a time that cannot be read in {known.xmp.names[row]}")
-    zone = _zone(_text(known.exif.get(ExifTags.Base.OffsetTimeOriginal))) if zone is None else zone
+    offset = _text(known.exif.get(ExifTags.Base.OffsetTimeOriginal))
+    zone = _zone(offset) if zone is None else zone
+    if zone is None and re.search(r"\w", offset):
+        known.oddities.append("has an OffsetTimeOriginal that cannot be read")
     if local is not None and zone is not None:
         return local - zone, local
     return _gps_time(known), local
@@ -633,7 +636,7 @@ def _local_time(stamp: str) -> tuple[float | None, float | None]:
     if seconds is not None and found[7]:
         seconds += float(found[7])
     zone = found[8] or ""
-    return seconds, 0.0 if zone == "Z" else _zone(zone if ":" in zone else f"{zone[:3]}:{zone[3:]}")
+    return seconds, 0.0 if zone == "Z" else _zone(zone)
 
 
 def _name_the_rest(known: _Metadata) -> None:
@@ -688,8 +691,8 @@ def _iso_seconds(text: str) -> float | None:
 
 
 def _zone(text: str) -> float | None:
-    """Return the seconds of a zone such as "+02:00"."""
-    found = re.fullmatch(r"([+-])(\d\d):(\d\d)", text.strip(), re.ASCII)
+    """Return the seconds of a zone such as "+02:00", "-5:00", or "+0200"."""
+    found = re.fullmatch(r"([+-])(\d\d?):?(\d\d)", text.strip(), re.ASCII)
     if found is None or int(found[2]) > 14 or int(found[3]) > 59:
         return None
     offset = timezone(timedelta(hours=int(found[2]), minutes=int(found[3]))).utcoffset(None)

@@ -226,6 +226,7 @@ def test_times_without_a_zone_are_from_the_first_photo_and_order_the_flight(tmp_
         ("2024:05:01 14:00:00", 1714572000.0, None), ("2024-05-01 14:00:00", 1714572000.0, None),
         ("2024-05-01T14:00:00Z", 1714572000.0, 1714572000.0), ("2024:05:01 14:00:00 +0200", 1714572000.0, 1714564800.0),
         ("2024/05/01 4:00:00 +0200", 1714536000.0, 1714528800.0), ("2024:05:01 14:00: 7", 1714572007.0, None),
+        ("2024:05:01 14:00:00-0300", 1714572000.0, 1714582800.0),
         ("2024:05:01 14:00:00.25", 1714572000.25, None), ("2024:05:01 14:00:00\x00\x00", 1714572000.0, None),
         ("0000:00:00 00:00:00", None, None), ("    :  :     :  :  ", None, None),
     ],
@@ -233,6 +234,19 @@ def test_times_without_a_zone_are_from_the_first_photo_and_order_the_flight(tmp_
 def test_times_as_programs_write_them(stamp: str, local: float | None, utc: float | None) -> None:
     photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: stamp})), Path("a.jpg"))
     assert (photo.local, photo.utc, photo.oddities) == (local, utc, ())
+
+
+@pytest.mark.parametrize(
+    ("offset", "utc", "oddities"),
+    [
+        ("-05:00", 1714590000.0, ()), ("-5:00", 1714590000.0, ()), ("-0500", 1714590000.0, ()), ("   :  ", None, ()),
+        ("EST", None, ("has an OffsetTimeOriginal that cannot be read",)),
+        ("+25:00", None, ("has an OffsetTimeOriginal that cannot be read",)),
+    ],
+)  # fmt: skip
+def test_zones_as_cameras_write_them(offset: str, utc: float | None, oddities: tuple[str, ...]) -> None:
+    photo = photo_of(photo_bytes(exif(camera=NOON | {BASE.OffsetTimeOriginal: offset})), Path("a.jpg"))
+    assert (photo.local, photo.utc, photo.oddities) == (1714572000.0, utc, oddities)
 
 
 def test_the_hour_24_is_the_hour_0_of_the_same_day() -> None:
@@ -371,6 +385,22 @@ def test_the_course_does_not_stand_in_for_a_heading_that_was_not_read(
     rows, printed = written(tmp_path, capsys)
     assert [(row["heading"], row["heading_source"]) for row in rows] == [("90.0", "course"), ("", ""), ("", "")]
     assert "2 of 3 frames have no heading, and did not get the course over ground" in " ".join(printed.split())
+
+
+@pytest.mark.parametrize("name", ["the comment of a telephone", "a heading in the description of a phone's program"])
+def test_the_course_does_not_stand_in_for_a_heading_in_a_text(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    for i in range(3):
+        told = exif(47.301234, 8.501234 + 0.0002 * i, camera={BASE.DateTimeOriginal: f"2024:05:01 10:00:{2 * i:02d}"})
+        for tag in (BASE.UserComment, BASE.ImageDescription):
+            with Image.open(io.BytesIO(FIELD[name][0])) as picture:
+                found = picture.getexif()
+            if (text := found.get_ifd(ExifTags.IFD.Exif).get(tag) or found.get(tag)) is not None:
+                told[tag] = text
+        write_photo(tmp_path / f"{i}.jpg", told)
+    rows, _ = written(tmp_path, capsys)
+    assert [(row["heading"], row["heading_source"]) for row in rows] == [("", "")] * 3
 
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP", "TIFF"])
