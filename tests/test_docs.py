@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
@@ -33,6 +33,27 @@ def test_tests_that_the_pages_name_exist() -> None:
             if name and (file not in functions or (function and function not in functions[file])):
                 missing.append(f"{page.name}: {name}")
     assert not missing
+
+
+def test_the_page_of_field_files_counts_its_rows() -> None:
+    page = (ROOT / "docs" / "field.md").read_text("utf-8")
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line.startswith("| ")
+    ]
+    rows = [cells for cells in rows if cells[0] != "what people have"]
+    assert not [cells for cells in rows if len(cells) != 6 or "" in cells]
+    assert not [cells for cells in rows if not re.search(r"`(?:tests/[\w/]+/)?test_\w+\.py::", cells[5])]
+    outcomes = Counter(
+        next((name for name in ("right at once", "mended", "refused") if cells[4].startswith(f"*{name}*")), cells[4])
+        for cells in rows
+        if not cells[0].startswith("known: ")
+    )
+    known = sum(cells[0].startswith("known: ") for cells in rows)
+    total = outcomes.total()
+    assert total >= 60
+    counts = ", ".join(f"{outcomes.pop(name, 0)} {name}" for name in ("right at once", "mended", "refused"))
+    assert f"**{total} tries: {counts}.** {known} further rows are cases" in page
+    assert not outcomes
 
 
 def test_only_equations_and_sections_of_the_paper_are_cited() -> None:

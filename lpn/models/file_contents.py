@@ -195,7 +195,7 @@ def pickle_entry(entries: Sequence[str]) -> str | None:
 
 
 def save_again(path: Path, expression: str, prelude: str = "", where: str = "") -> str:
-    """Return what to do, as the end of a sentence: the line of Python that saves weights alone.
+    """Return what to do, as the end of a sentence: the line of Python that saves weights alone, where it is safe to paste.
 
     Args:
         expression: the weights, with `{}` for the file's name.
@@ -208,6 +208,9 @@ def save_again(path: Path, expression: str, prelude: str = "", where: str = "") 
         for file in (path, path.with_name(f"{path.stem}-weights.pth"))
     )
     line = f"{prelude}import torch; torch.save({expression.format(source)}, {target})"
+    # A name in the file, or of it, must not become a command of the shell that the line is pasted into.
+    if any(letter in line for letter in '"$`!') or not line.isprintable():
+        return f"save its weights alone{where}, by torch.save of its state_dict"
     return printable(f'save its weights alone{where}: python -c "{line}"')
 
 

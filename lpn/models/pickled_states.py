@@ -267,7 +267,12 @@ def _no_state(loaded: object, path: Path) -> ModelFileError:
     expected = "expected a state_dict of named tensors"
     if not isinstance(loaded, dict):
         return ModelFileError(f"{path.name} holds a {type(loaded).__name__}; {expected}.")
-    if states := _states(loaded):
+    states = _states(loaded)
+    if len(states) == 1:
+        return ModelFileError(
+            f"{path.name} holds a state dict as {printable(str(next(iter(states))))[:40]} whose names are no texts; {expected}."
+        )
+    if states:
         named = first_few([printable(str(key))[:40] for key in states], 4)
         expression = "torch.load({}, 'cpu')" + _subscript([next(iter(states))])
         return ModelFileError(

@@ -105,7 +105,7 @@ def test_a_list_comes_from_one_folder() -> None:
 def test_an_absolute_path_of_another_picture_is_no_error_among_names() -> None:
     names = NamesBelow(["test/q/1.jpg", "test/q/2.jpg"])
     assert names.resolve(["/z/n.jpg", "test/q/2.jpg"], "metadata.csv") == {"test/q/2.jpg": "test/q/2.jpg"}
-    with pytest.raises(DataError, match="/z/n.jpg"):
+    with pytest.raises(DataError, match=r"/z/n\.jpg"):
         names.resolve(["/z/n.jpg"], "metadata.csv")
 
 

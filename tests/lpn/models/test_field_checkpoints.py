@@ -268,6 +268,14 @@ FIELD: dict[str, FieldFile] = {
         saved(lambda state: {"a": state, "b": state}, "id_00070000.pt"),
         "holds several state dicts (a, b), and no name tells",
     ),
+    "several, whose names a shell would run": FieldFile(
+        saved(lambda state: {"a$(touch b)": state, "b`id`": state}, "it's.pt"),
+        "no name tells which is the model; save its weights alone, by torch.save of its state_dict.",
+    ),
+    "numbers as names": FieldFile(
+        saved(lambda state: {"state_dict": dict(enumerate(state.values()))}),
+        "holds a state dict as state_dict whose names are no texts; expected a state_dict of named tensors.",
+    ),
     "pth as safetensors": FieldFile(saved(lambda state: {"state_dict": state}, "model.safetensors")),
     "bfloat16": FieldFile(saved(lambda state: state)),
     "two in an archive": FieldFile(mixed, "is a ZIP archive that holds latest_net_D.pth; unpack it"),
