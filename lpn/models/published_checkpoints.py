@@ -203,7 +203,9 @@ def read_options(path: Path) -> dict[str, Any]:
 
 
 def _invalid(key: str, value: Any, expected: str) -> ModelFileError:
-    return ModelFileError(f"The opts.yaml beside the model says {key}: {value}; expected {expected}, so correct it.")
+    return ModelFileError(
+        f"The opts.yaml beside the model says {key}: {printable(str(value)[:80])}; expected {expected}, so correct it."
+    )
 
 
 def _parsed(data: bytes) -> Any:

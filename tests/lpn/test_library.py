@@ -36,9 +36,10 @@ def test_every_public_name_is_there(name: str) -> None:
     ("name", "content", "message"),
     [
         ("a.pth", None, "There is no model file at .*a.pth"),
-        ("a.pth", b"random", "a.pth is not a PyTorch file or is truncated"),
-        ("a.safetensors", b"random bytes", "a.safetensors is not a .safetensors file or is truncated"),
-        ("a.pth", b"PK\x03\x04", "Opening a.pth needs the package"),
+        ("a.pth", b"random", "a.pth is a text that begins 'random'"),
+        ("a.safetensors", b"random bytes", "a.safetensors is a text that begins 'random bytes'"),
+        ("a.pth", b"PK\x03\x04", "a.pth is truncated"),
+        ("a.pth", b"\x80\x02" + bytes(9) + b".", "Opening a.pth needs the package"),
         ("a.safetensors", b"\x02" + bytes(7) + b"{}", "Opening a.safetensors needs the package"),
     ],
 )
