@@ -12,7 +12,7 @@ import logging
 import re
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from http import HTTPStatus
 from typing import Final
 from urllib.parse import parse_qsl
@@ -164,9 +164,13 @@ class _Circumstances:
     status: str = ""
 
     def fill(self, text: str) -> str:
-        for name, value in asdict(self).items():
-            text = text.replace("{" + name + "}", printable(value)[:_MAX_NAME])
-        return text
+        values = asdict(self)
+        return _FIELD.sub(lambda name: printable(values[name[1]])[:_MAX_NAME], text)
+
+
+_FIELD = re.compile("{(" + "|".join(one.name for one in fields(_Circumstances)) + ")}")
+# What a browser writes as the origin of a page.
+_ORIGIN = re.compile(r"https?://[^\s/]{1,300}|null")
 
 
 @dataclass(frozen=True)
@@ -198,7 +202,7 @@ class ConnectionCheck:
         """
         host, origin = request.only("host"), request.only("origin")
         arrival = _Arrival(
-            host, request.upgrade, bool(request.headers.get("sec-websocket-protocol")), refusal is not None
+            host[:_MAX_NAME], request.upgrade, bool(request.headers.get("sec-websocket-protocol")), refusal is not None
         )
         if number := _check_number(request):
             self._arrivals[number] = arrival
@@ -236,8 +240,8 @@ class ConnectionCheck:
         )
         faults = _faults(page, host, arrival, answered, query.get("saw") or "closed")
         values = _Circumstances(page, host, server, at, query.get("folder", "/"), answered)
-        # Another site could have a browser ask, though not read the answer.
-        if request.only("sec-fetch-site") in ("", "same-origin"):
+        # Another site could have a browser ask, though not read the answer; what is no page names no origin.
+        if request.only("sec-fetch-site") in ("", "same-origin") and _ORIGIN.fullmatch(page):
             self._log(faults, values)
         kinds = _kinds(query.get("proxy", ""))
         lines = {kind: [line for one in faults for line in FAULTS[one].lines.get(kind, ())] for kind in kinds}

@@ -11,6 +11,7 @@ import asyncio
 import functools
 import itertools
 import logging
+import mimetypes
 from collections.abc import Awaitable, Callable, Generator, Iterator, Sequence
 from http import HTTPStatus
 from typing import Any
@@ -354,7 +355,8 @@ def _folder(request: HttpRequest) -> str | None:
     place, mark, query = request.path.partition("?")
     name = place.rpartition("/")[2]
     page = "text/html" in request.only("accept") and request.only("sec-fetch-mode") in ("", "navigate")
-    return f"./{name}/{mark}{query}" if page and name and "." not in name else None
+    is_file = mimetypes.guess_type(name)[0] is not None
+    return f"./{name}/{mark}{query}" if page and name and not is_file else None
 
 
 def _method(connection: ServerConnection) -> bytes:

@@ -205,9 +205,11 @@ _HEADING = frozenset(("yaw", "heading", "bearing", "azimuth", "direction", "orie
 # Words of names that tell those of something else than the camera, or their quality.
 _ELSEWHERE = frozenset((
     "accuracy", "error", "std", "dop", "speed", "velocity", "rate", "climb", "reverse", "home", "target", "lrf", "sun", "solar",
-    "irradiance", "light", "quat", "flu", "gyro", "accel", "initial", "image", "full", "cropped", "area", "pixels", "ref",
+    "irradiance", "light", "gyro", "accel", "initial", "image", "full", "cropped", "area", "pixels", "ref",
     "relatives", "dewarp", "offset", "dest", "track", "status", "mode", "type",
 ))  # fmt: skip
+# Words of names that tell Skydio's angles in other frames, which count where those of the table are missing.
+_SAME_ANGLES = frozenset(("quat", "flu"))
 # Skydio's positions are metres from the place of take-off.
 _LOCAL = ("positionned", "positionflu")
 # Namespaces of programs, of depth maps, of regions, and of the light sensor. Their directions are none of the camera.
@@ -252,18 +254,21 @@ class XmpValues:
         unread: dict[str, None] = {}
         unreadable: dict[str, None] = {}
         contradictory: dict[str, None] = {}
+        others: dict[str, None] = {}
         for item in properties:
             name = item.name.casefold()
             row = _ROWS.get((_space(item) or "", name)) or (_ROWS["drone-dji", name] if name in _COPIED else None)
             if row is None:
                 if _looks_telling(item):
-                    unread.setdefault(str(item))
+                    (others if _words(item.name) & _SAME_ANGLES else unread).setdefault(str(item))
             elif (value := item.text if row.unit == "text" else _value(item.text, row.unit)) is None:
                 unreadable.setdefault(str(item))
             elif row not in self.values:
                 self.values[row], self.names[row] = value, str(item)
             elif self.values[row] != value:
                 contradictory.setdefault(str(item))
+        if not any(row.field == "heading" for row in self.values):
+            unread |= others
         # The table's order is best first.
         self.values = {row: self.values[row] for row in ROWS if row in self.values}
         self.unread, self.unreadable, self.contradictory = list(unread), list(unreadable), list(contradictory)
@@ -292,8 +297,8 @@ class XmpValues:
 
     @property
     def heading_unread(self) -> bool:
-        """Whether a property that was not read looks like a heading."""
-        return any(_words(name.rpartition(":")[2]) & _HEADING for name in self.unread)
+        """Whether a property that was not read, or whose value cannot be read, looks like a heading."""
+        return any(_words(name.rpartition(":")[2]) & _HEADING for name in (*self.unread, *self.unreadable))
 
 
 def number(text: str) -> float | None:

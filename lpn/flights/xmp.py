@@ -1,7 +1,8 @@
 """XMP packets of photos, read as lists of properties. A damaged packet is read as far as it can be.
 
-A well-formed packet is read by expat. Any other is read a second time by tags: attributes with both quotes and texts between
-two tags count, whatever is damaged around them. Entities are never expanded, except for the five of XML and characters by number.
+A well-formed packet is read by expat. Any other is read a second time by tags: attributes with both quotes, or without any, and
+texts between two tags count, whatever is damaged around them. Entities are never expanded, except for the five of XML and
+characters by number.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ _TAG = re.compile(
     r"""(?P<opened>[\w.:-]+)(?P<rest>(?:[^<>"']+|"[^"<]*"|'[^'<]*')*)(?P<whole>>?))""",
     re.DOTALL,
 )
-_ATTRIBUTE = re.compile(r"""([\w.:-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
+_ATTRIBUTE = re.compile(r"""([\w.:-]+)\s*=\s*(?:"([^"]*)"|'([^']*)'|([-+\w.,/]+))""")
 _ENTITY = re.compile(r"&(?:amp|lt|gt|quot|apos|#[0-9]{1,7}|#x[0-9a-fA-F]{1,6});")
 _FLAWS = {
     errors.codes[errors.XML_ERROR_DUPLICATE_ATTRIBUTE]: "an attribute occurs twice",
@@ -193,13 +194,15 @@ def _tree(text: str) -> ElementTree.Element:
                 del stack[i][0][:]
             del stack[opening:]
         elif (opened := token["opened"]) is not None:
-            pairs = [(name, _plain(first or second)) for name, first, second in _ATTRIBUTE.findall(token["rest"])]
+            pairs = [(name, _plain("".join(texts))) for name, *texts in _ATTRIBUTE.findall(token["rest"])]
             inner = {name.removeprefix("xmlns:"): uri for name, uri in pairs if name.startswith("xmlns:")}
             declared = {**declared, **inner} if inner else declared
             child = ElementTree.SubElement(element, _resolved(opened, declared))
             for name, value in pairs:
-                if name != "xmlns" and not name.startswith("xmlns:"):
-                    child.attrib.setdefault(_resolved(name, declared), value)
+                if name == "xmlns" or name.startswith("xmlns:"):
+                    continue
+                if child.attrib.setdefault(key := _resolved(name, declared), value) != value:
+                    ElementTree.SubElement(child, key).text = value  # so that the contradiction is seen
             if not (token["whole"] and token["rest"].rstrip().endswith("/")):
                 stack.append((child, opened, declared))
     return root

@@ -251,6 +251,13 @@ class GdalRaster:
             )
         return Treatment(chosen.bands, chosen.alpha, stretch, tuple(borders))
 
+    @cached_property
+    def _lossy_opaque(self) -> float:
+        """The least opacity of data in a JPEG: half of the largest one, which is 1 where programs write 0 and 1."""
+        columns, rows = overview_size(self.width, self.height)
+        with self._handle() as file:
+            return min(_LOSSY_OPAQUE, float(file.read(self.treatment.alpha, out_shape=(rows, columns)).max()) / 2 or 1.0)
+
     def _varied(self, band: int) -> bool:
         """Return whether most values of a band lie well between 0 and its largest one."""
         columns, rows = overview_size(self.width, self.height)
@@ -281,7 +288,7 @@ class GdalRaster:
                 values = np.stack([file.read(number, out_shape=shape, **options) for number in chosen])
             if alpha is not None:
                 opacity = file.read(alpha, out_shape=shape, **options)
-                valid &= opacity >= _LOSSY_OPAQUE if self._lossy else opacity > 0
+                valid &= opacity >= self._lossy_opaque if self._lossy else opacity > 0
             if self._masked:
                 valid &= (file.read_masks(chosen, out_shape=(len(chosen), *shape), **options) > 0).any(axis=0)
         if self._palette is not None:

@@ -11,7 +11,7 @@
   // A proxy that serves /maps/ may redirect /maps, and a websocket follows no redirect. viser leaves the last slash out of the
   // websocket's address; it is tried with it first. All files of the page are below its folder, so its own address needs the slash.
   const chosen = new URLSearchParams(location.search).get("websocket"); // viser's parameter
-  const slashed = location.pathname.endsWith("/") || location.pathname.split("/").pop().includes(".");
+  const slashed = location.pathname.endsWith("/") || /\.html?$/i.test(location.pathname);
   if (!slashed) history.replaceState(history.state, "", location.pathname + "/" + location.search + location.hash);
   const folder = new URL("./", location.href).pathname;
   const socketAt = (path) => location.origin.replace(/^http/, "ws") + path;

@@ -161,6 +161,22 @@ def test_a_question_of_another_site_is_not_logged(caplog: pytest.LogCaptureFixtu
     assert not caplog.records
 
 
+@pytest.mark.parametrize("page", ["", "evil", "http://evil/{folder}", "http://a b"])
+def test_what_is_no_page_is_not_logged(page: str, caplog: pytest.LogCaptureFixture) -> None:
+    check = ConnectionCheck()
+    check.note(socket(SERVER), SERVER, REFUSED)
+    answer(check, SERVER, page=page)
+    assert not caplog.records
+
+
+def test_values_from_outside_are_not_filled_in_again() -> None:
+    check = ConnectionCheck()
+    check.note(socket("{page}" * 20_000), SERVER, Refusal(403, "", ""))
+    texts = answer(check, SERVER, page="https://{status}", answers="302 302")["texts"]
+    assert any("https://{status}" in text for text in texts)
+    assert max(map(len, texts)) < 2000
+
+
 def test_an_unknown_name_is_logged_for_browsers_only(caplog: pytest.LogCaptureFixture) -> None:
     check = ConnectionCheck()
     check.note_name(request("/", "scanner.example"))

@@ -152,3 +152,16 @@ def test_numbers_as_xmp_writes_them(text: str, value: float | None) -> None:
 )  # fmt: skip
 def test_degrees_as_xmp_writes_them(text: str, value: float | None) -> None:
     assert degrees_of(text) == (None if value is None else pytest.approx(value, abs=2e-6))
+
+
+def test_a_heading_that_cannot_be_read_is_unread() -> None:
+    assert values_of("<p:GimbalYawDegree>-4?.0</p:GimbalYawDegree>", "http://www.dji.com/drone-dji/1.0/").heading_unread
+
+
+def test_angles_in_another_frame_are_named_where_those_of_the_table_are_missing() -> None:
+    uri = f"https://{NAMESPACES['drone-skydio'].uris[0]}/1.0/"
+    other = '<p:CameraOrientationQuatNED rdf:parseType="Resource"><p:W>1.0</p:W></p:CameraOrientationQuatNED>'
+    alone = values_of(other, uri)
+    assert (alone.unread, alone.heading_unread) == (["p:CameraOrientationQuatNED/W"], True)
+    beside = '<p:CameraOrientationNED rdf:parseType="Resource"><p:Yaw>41.0</p:Yaw></p:CameraOrientationNED>'
+    assert values_of(beside + other, uri).unread == []

@@ -157,3 +157,10 @@ def test_damage_beside_properties_changes_none(properties: dict[str, str], damag
     content = f'<s:Outer rdf:parseType="Resource">{content}</s:Outer>' if nested else content
     expected = {f"Outer/{name}" if nested else name: text.strip() for name, text in properties.items() if text.strip()}
     assert values_of(xmp_packet(content + damage, URIS)) == expected
+
+
+def test_attributes_without_quotes_are_read_and_doubled_ones_contradict() -> None:
+    packet = xmp_packet("", {"d": "http://www.dji.com/drone-dji/1.0/"}, 'd:A=-41.0 d:B="1" d:B="2"')
+    properties, flaws = read_xmp(packet)
+    assert [(item.name, item.text) for item in properties] == [("A", "-41.0"), ("B", "1"), ("B", "2")]
+    assert flaws

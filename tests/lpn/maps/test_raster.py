@@ -124,6 +124,9 @@ def test_jpeg_smears_neither_alpha_nor_nodata_into_the_map(tmp_path: Path) -> No
     with rasterio.open(path) as file:
         assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.015
     assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
+    small = np.concatenate([picture, inside[:, :, None]], 2).astype(np.uint8)
+    path = write_geotiff(tmp_path / "small.tif", small, photometric="RGB", alpha="yes", interleave="band", **options)
+    assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.03)
     path = write_geotiff(tmp_path / "nodata.tif", picture, photometric="YCBCR", nodata=0, **options)
     with rasterio.open(path) as file:
         assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.05
