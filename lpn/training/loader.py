@@ -99,9 +99,10 @@ class Loader:
         # An epoch ends with the shortest set.
         self._length = min(map(len, self._pictures.values()), default=len(places))
         if self._length < recipe.batch:
-            what = "pictures in the smallest set" if self._pictures else "places"
+            what = f"pictures in the smallest set, {self.shortest}," if self._pictures else "places"
+            without = ", or leave that set out with --no-google" if self.shortest == "google" else ""
             raise InputError(
-                f"There are {self._length} {what} and a batch of {recipe.batch}; set --batch to at most {self._length}."
+                f"There are {self._length} {what} and a batch of {recipe.batch}; set --batch to at most {self._length}{without}."
             )
         if workers < 0:
             raise InputError(

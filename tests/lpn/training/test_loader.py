@@ -96,7 +96,7 @@ def test_sets_are_shuffled_on_their_own_over_their_pictures_with_their_own_label
 
 
 def test_a_batch_larger_than_the_smallest_set_is_refused(data: Path) -> None:
-    for recipe, what in ((RECIPE, "10 places"), (INDEPENDENT, "10 pictures in the smallest set")):
+    for recipe, what in ((RECIPE, "10 places"), (INDEPENDENT, "10 pictures in the smallest set, satellite,")):
         with pytest.raises(InputError, match=f"There are {what} and a batch of 12; set --batch to at most 10"):
             loader(data, replace(recipe, batch=12))
 
