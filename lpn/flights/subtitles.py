@@ -75,10 +75,25 @@ _LETTERED = {
 _PAIR = re.compile(
     "|".join(rf"{_LETTERED[a]}[\s,;|\[\]]{{0,5}}{_LETTERED[b]}" for a, b in (("NS", "EW"), ("EW", "NS")))
 )
+# Behind a position by letters: the altitude, which has a unit.
+_BEHIND = re.compile(rf"°?[\s,;]{{0,3}}{_NUMBER} ?(m|ft|feet)\b")
+# Positions of others than the drone: in brackets, behind the other's name, or as a pair behind it.
+_OTHER = r"(?<![A-Za-z])(?:home|pilot|operator|rc|remote|controller|phone|mobile|take-?off|launch|target|poi|base|gcs)(?![A-Za-z])"
+_OTHERS = re.compile(
+    rf"\[[^\[\]\n]{{0,30}}{_OTHER}[^\[\]\n]{{0,80}}\]"
+    rf"|{_OTHER}[ _]?(?:point|position|location|pos|gps|coordinates?)? ?[:=]? ?"
+    r"(?:\([^()\n]{0,100}\)|\[[^\[\]\n]{0,100}\])"
+    rf"|{_OTHER}[^\n()\[\]0-9]{{0,16}}?\blat\w{{0,6}}[ .:=]{{0,3}}{_DEGREES}"
+    rf"[^\n0-9]{{0,12}}?\b(?:lon|lng)\w{{0,6}}[ .:=]{{0,3}}{_DEGREES}"
+    rf"|{_OTHER}[ :=_]{{0,4}}(?:{_PAIR.pattern})",
+    re.IGNORECASE,
+)
 # Two numbers of degrees without any name.
 _UNNAMED = re.compile(r"(?<![0-9.,:(])(-?[0-9]{1,3}\.[0-9]{4,}), ?(-?[0-9]{1,3}\.[0-9]{4,})(?![0-9.,])")
 _HOME = re.compile(r"\bHOME ?\(([^()\n]{3,100})\)")
-_DISTANCE, _HEIGHT = (re.compile(rf"(?<![A-Za-z.]){letter} ?[:=]? ?{_NUMBER} ?(m|ft)\b") for letter in "DH")
+_DISTANCE, _HEIGHT = (
+    re.compile(rf"(?<![A-Za-z.])(?:{letters}) ?[:=]? ?{_NUMBER} ?(m|ft|feet)\b") for letters in ("D", "ReH|H")
+)
 _ANGLES = re.compile(r"\b([FG])\.PRY ?\(([^()\n]{5,100})\)")
 # The names of a value in lower case without signs, best first.
 _NAMES: Mapping[str, tuple[str, ...]] = {
@@ -205,13 +220,14 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
             continue
         end = max(end, start if block.end is None else block.end)
         texts.append((_OPEN.sub("", text), start, clock))
+    originals, texts = texts, [(_OTHERS.sub(" ", text), start, clock) for text, start, clock in texts]
     named = [_named(text) for text, _, _ in texts]
     lists = [None if all(pair) else _listed(text) for pair, (text, _, _) in zip(named, texts, strict=True)]
     verdicts = [_has_decimal_commas(raw) for raw in lists if raw is not None]
     commas = verdicts.count(True) > verdicts.count(False)
     places = [
-        _of_names(*pair) if all(pair) else _place_of(text, raw, commas)
-        for pair, (text, _, _), raw in zip(named, texts, lists, strict=True)
+        _of_names(*pair) if all(pair) else _place_of(text, raw, commas, original)
+        for pair, (text, _, _), raw, (original, _, _) in zip(named, texts, lists, originals, strict=True)
     ]
     if not any(place.written for place in places):
         places = [_unnamed(text) for text, _, _ in texts]
@@ -221,7 +237,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     if not any(_tells(entry) for entry in entries) and not any(place.written for place in places):
         raise DataError(
             f"{name} holds no telemetry of DJI or Autel in a known dialect; expected subtitles such as [latitude: 59.30], "
-            f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(texts)}."
+            f"GPS(18.2,59.3,16), or GPS(E: 18.2, N: 59.3, 45.0m){_a_line(originals)}."
         )
     notes = []
     if triples:
@@ -234,7 +250,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     if any(verdicts) or any("," in place.written for place in places):
         notes.append(f"The commas within numbers of {name} count as decimal commas: 47,301 is 47.301.")
     if missing := sum(entry.latitude is None for entry in entries):
-        unread = "" if any(place.written for place in places) else _a_line(texts)
+        unread = "" if any(place.written for place in places) else _a_line(originals)
         notes.append(f"{missing} of {len(entries)} entries of {name} have no position{unread}.")
     return Subtitles(tuple(entries), end, tuple(notes))
 
@@ -304,16 +320,20 @@ def _named(text: str) -> tuple[str, str]:
     return "" if latitude is None else latitude[1], "" if longitude is None else longitude[1]
 
 
-def _of_names(latitude: str, longitude: str) -> _Place:
+def _of_names(latitude: str, longitude: str, altitude: float | None = None) -> _Place:
     """Return the position of a written latitude and longitude."""
     degrees = values.angle(latitude, "NS", True), values.angle(longitude, "EW", True)
-    return _Place() if None in degrees else _Place(*_place(*degrees), written=latitude)
+    return _Place() if None in degrees else _Place(*_place(*degrees), altitude, written=latitude)
 
 
-def _place_of(text: str, raw: str | None, commas: bool) -> _Place:
-    """Return the position of a subtitle: by GPS or RTK and a list, or by letters of hemispheres alone."""
+def _place_of(text: str, raw: str | None, commas: bool, original: str) -> _Place:
+    """Return the position of a subtitle: by GPS or RTK and a list, or by letters of hemispheres alone.
+
+    Args:
+        original: the text with the positions of others, such as HOME.
+    """
     if raw is not None:
-        place = _of_list(_items(raw, commas), text, commas)
+        place = _of_list(_items(raw, commas), original, commas)
         if place is not None:
             return place
     if pair := _PAIR.search(text):
@@ -321,7 +341,8 @@ def _place_of(text: str, raw: str | None, commas: bool) -> _Place:
         columns = re.findall("|".join(f"({pattern})" for pattern in _LETTERED.values()), pair[0])
         if len(columns) == 2:
             texts = ["".join(column) for column in zip(*columns, strict=True)]
-            return _of_names(*texts)
+            behind = _BEHIND.match(text, pair.end())
+            return _of_names(*texts, None if behind is None else values.number(behind[1] + behind[2], commas))
     return _Place()
 
 
@@ -332,6 +353,8 @@ def _of_list(items: Sequence[str], text: str, commas: bool) -> _Place | None:
     third = items[2] if len(items) > 2 else ""
     letters = [values.letter_of(item) for item in items[:2]]
     if any(letters):
+        if {"NS" if letter in ("N", "S") else "EW" for letter in letters if letter} != {"NS", "EW"}:
+            return None
         north_first = letters[0] in ("N", "S") or letters[1] in ("E", "W")
         north, east = items[:2] if north_first else items[1::-1]
         degrees = values.angle(north, "NS"), values.angle(east, "EW")

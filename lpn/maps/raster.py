@@ -256,7 +256,9 @@ class GdalRaster:
         """The least opacity of data in a JPEG: half of the largest one, which is 1 where programs write 0 and 1."""
         columns, rows = overview_size(self.width, self.height)
         with self._handle() as file:
-            return min(_LOSSY_OPAQUE, float(file.read(self.treatment.alpha, out_shape=(rows, columns)).max()) / 2 or 1.0)
+            return min(
+                _LOSSY_OPAQUE, float(file.read(self.treatment.alpha, out_shape=(rows, columns)).max()) / 2 or 1.0
+            )
 
     def _varied(self, band: int) -> bool:
         """Return whether most values of a band lie well between 0 and its largest one."""

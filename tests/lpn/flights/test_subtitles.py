@@ -394,3 +394,28 @@ def test_real_samples_are_read() -> None:
             continue
         assert any(entry.latitude is not None for entry in found.entries), file.stem
     assert refused == {"mavic_air", "broken_empty2"}
+
+
+@pytest.mark.parametrize(
+    ("text", "latitude", "longitude", "altitude", "takeoff"),
+    [
+        ("Home: lat: 47.3 lon: 8.5\nGPS (8.6, 47.4, 15)", 47.4, 8.6, None, None),
+        ("[home latitude: 47.3] [home longitude: 8.5] [latitude: 47.4] [longitude: 8.6]", 47.4, 8.6, None, None),
+        ("HOME(W: 70.5, S: 33.4) ISO:100\nGPS (W: 70.6 S: 33.5 812.5m)", -33.5, -70.6, 812.5, None),
+        ("HOME(lat: 47.3, lon: 8.5)\nlat: 47.4 lon: 8.6", 47.4, 8.6, None, None),
+        ("Pilot lat: 47.3 lon: 8.5 Drone lat: 47.4 lon: 8.6", 47.4, 8.6, None, None),
+        ("Home N 47.3, E 8.5 N 47.4, E 8.6", 47.4, 8.6, None, None),
+        ("HOME(W: 70.5, S: 33.4) ReH 40.0m\nGPS (N/A)", None, None, None, 40.0),
+        ("GPS 15 47.3N 8.5E", 47.3, 8.5, None, None),
+        ("RTK_GPS (W: 70.5, S: 33.4, 812.5m)", -33.4, -70.5, 812.5, None),
+        ("RTK(FIXED) GPS(W: 70.5, S: 33.4, 812.5m) H 131.2 feet", -33.4, -70.5, 812.5, 39.98976),
+        ("GPS: W 70.5°, S 33.4°, 812.5 m", -33.4, -70.5, 812.5, None),
+    ],
+)
+def test_the_position_is_the_drone_s_and_no_other_s(
+    text: str, latitude: float | None, longitude: float | None, altitude: float | None, takeoff: float | None
+) -> None:
+    content = "".join(f"{i}\n00:00:0{i},000 --> 00:00:0{i},900\n{text}\n\n" for i in (1, 2, 3))
+    for entry in parse_subtitles(blocks_of(content.encode()), "a.SRT").entries:
+        assert (entry.latitude, entry.longitude, entry.altitude) == (latitude, longitude, altitude)
+        assert entry.height_above_takeoff == (None if takeoff is None else pytest.approx(takeoff))
