@@ -38,7 +38,7 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
         "gimbal_heading": "gimballyaw", "gimbal_pitch": "gimballpitch", "gimbal_roll": "gimballroll", "heading": "flightyaw",
     },
     "https://github.com/IntelliSensing/UAV-VisLoc": {
-        "height_above_takeoff": "height", "heading": "phi1 phi", "nose": "omega", "bank": "kappa",
+        "height_above_takeoff": "height", "heading": "phi1", "nose": "omega", "bank": "kappa",
     },
     "https://app.airdata.com/wiki/Help/Downloadable+Flight+Data+CSV": {
         "height_above_ground": "heightabovegroundatdronelocation", "heading": "compassheading",
@@ -56,10 +56,10 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
         "latitude_letter": "gpslatituderef latituderef latref ns", "longitude_letter": "gpslongituderef longituderef lonref ew",
         "position": "gpsposition gpscoordinates", "date": "gpsdatetime datetimeoriginal createdate",
         "gimbal_heading": "gimbalyawdegree", "gimbal_pitch": "gimbalpitchdegree", "gimbal_roll": "gimbalrolldegree",
-        "heading": "flightyawdegree",
+        "heading": "flightyawdegree", "direction": "gpsimgdirection", "below": "gpsaltituderef",
     },
     "https://photogrammetrycommunity.github.io/metashape-expert-manual/": {
-        "file": "label camera", "longitude": "xlongitude", "latitude": "ylatitude", "altitude": "zaltitude",
+        "file": "label camera", "longitude": "xlongitude xeast", "latitude": "ylatitude ynorth", "altitude": "zaltitude",
     },
     "https://support.pix4d.com/hc/en-us/articles/360056389172": {
         "latitude": "coordinate1", "longitude": "coordinate2", "altitude": "z",
@@ -186,7 +186,11 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
         del places["height_above_takeoff"]
     elif "height_above_takeoff" in places and plain[places["height_above_takeoff"]] == "height":
         notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
-    nadir_zero = "xlongitude" in plain
+    if "phi1" not in plain and any(places.pop(what, None) is not None for what in ("nose", "bank")):
+        for what in ("nose", "bank"):
+            places.pop(what, None)
+        notes.append(f"The columns omega, phi, and kappa of {name} are angles of photogrammetry, and were not read.")
+    nadir_zero = "xlongitude" in plain or "xeast" in plain
     if nadir_zero:
         places |= {what: plain.index(angle) for what, angle in (("nose", "pitch"), ("bank", "roll")) if angle in plain}
         factors |= {"nose": 1.0, "bank": 1.0}

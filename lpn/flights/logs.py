@@ -344,7 +344,7 @@ def _row(entry: TelemetryEntry, cells: _Cells, line: int) -> LogRow:
         entry,
         height_above_ground=cells.value("height_above_ground"),
         height_above_takeoff=cells.value("height_above_takeoff"),
-        altitude=cells.value("altitude"),
+        altitude=_signed(cells.value("altitude"), cells.text("below")),
         fov=cells.value("fov"),
     )
     entry = _with_angles(entry, cells.value, cells.table.columns.nadir_zero)
@@ -359,11 +359,19 @@ def _with_angles(entry: TelemetryEntry, value: Callable[[str], float | None], na
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
         return replace(entry, heading=yaw % 360.0, heading_source="gimbal", pitch=pitch, roll=roll)
     flown, nose, bank = value("heading"), value("nose"), value("bank")
+    if (looked := value("direction")) is not None:
+        return replace(entry, heading=looked % 360.0, heading_source="camera", pitch=pitch or None)
     if flown is None:
-        return entry
+        return replace(entry, pitch=pitch or None)
     pitch = (pitch or None) if nose is None else nose - 90.0
     source: HeadingSource = "camera" if nadir_zero else "aircraft"
     return replace(entry, heading=flown % 360.0, heading_source=source, pitch=pitch, roll=bank)
+
+
+def _signed(altitude: float | None, reference: str) -> float | None:
+    """Return an altitude with the sign that EXIF's GPSAltitudeRef gives it: 1, or "Below Sea Level"."""
+    below = reference.strip() == "1" or reference.strip().casefold().startswith("below")
+    return -abs(altitude) if altitude is not None and below else altitude
 
 
 def _flag(text: str) -> bool | None:

@@ -78,7 +78,9 @@ _PAIR = re.compile(
 # Behind a position by letters: the altitude, which has a unit.
 _BEHIND = re.compile(rf"°?[\s,;]{{0,3}}{_NUMBER} ?(m|ft|feet)\b")
 # Positions of others than the drone: in brackets, behind the other's name, or as a pair behind it.
-_OTHER = r"(?<![A-Za-z])(?:home|pilot|operator|rc|remote|controller|phone|mobile|take-?off|launch|target|poi|base|gcs)(?![A-Za-z])"
+_OTHER = (
+    r"(?<![A-Za-z])(?:home|pilot|operator|rc|remote|controller|phone|mobile|take-?off|target|poi|base|gcs)(?![A-Za-z])"
+)
 _OTHERS = re.compile(
     rf"\[[^\[\]\n]{{0,30}}{_OTHER}[^\[\]\n]{{0,80}}\]"
     rf"|{_OTHER}[ _]?(?:point|position|location|pos|gps|coordinates?)? ?[:=]? ?"

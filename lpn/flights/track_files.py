@@ -1,9 +1,9 @@
 """Tracks as GPX, KML, and KMZ, read as logs of moments; waypoints that are named as pictures are rows of those pictures.
 
 gpxpy reads GPX. KML is read element by element: gx:Track, points with a time (TimeStamp, TimeSpan, or among their data), lines
-with a time for each point, and points that are named as pictures. Other lines have no times, so they fit nothing. A file with a
-DTD is refused before it is parsed, so that no entity is expanded. Points before the place where a file is cut off are used, and
-a note says so.
+with a time for each point, and points that are named as pictures. Other lines have no times, so they fit nothing. Heights count
+as their altitudeMode says; without one they are altitudes, and 0 is none. A file with a DTD is refused before it is parsed, so
+that no entity is expanded. Points before the place where a file is cut off are used, and a note says so.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
 _BARE_AMPERSAND = re.compile(r"&(?!#?\w{1,10};)")
 # Java writes the name of a zone behind its offset: 2022-03-27T15:32:37+02:00[Europe/Brussels].
 _ZONE_NAME = re.compile(r"((?:Z|[-+]\d\d:\d\d))\[[A-Za-z_/+-]{1,40}\](?=\s*<)")
-_COMMA_DEGREES = re.compile(r"""((?:lat|lon)=["'][-+]?\d{1,3}),(\d+["'])""")
+_COMMA_DEGREES = re.compile(r"""((?:(?:lat|lon)=["']|<ele>\s*)[-+]?\d{1,5}),(\d+\s*["'<])""")
 
 
 @dataclass
@@ -49,13 +49,23 @@ class _Points:
     rows: list[LogRow] = field(default_factory=list)
     zoned: bool = False
     untimed: int = 0
+    outside: int = 0
     notes: list[str] = field(default_factory=list)
 
     def add(
-        self, latitude: float, longitude: float, altitude: float | None, time: str | datetime | None, name: str | None
+        self,
+        latitude: float,
+        longitude: float,
+        altitude: float | None,
+        time: str | datetime | None,
+        name: str | None,
+        height: float | None = None,
     ) -> None:
         """Add a point, if it is on the Earth and has a time or a picture's name."""
-        if abs(latitude) > 90 or abs(longitude) > 180 or latitude == longitude == 0:
+        if abs(latitude) > 90 or abs(longitude) > 180:
+            self.outside += 1
+            return
+        if latitude == longitude == 0:
             return
         clock, zoned = seconds_of(time) if isinstance(time, str) else _seconds(time)
         file = picture_name(name or "")
@@ -63,7 +73,7 @@ class _Points:
             self.untimed += 1
             return
         self.zoned |= zoned
-        entry = TelemetryEntry(math.nan, clock, latitude, longitude, altitude=altitude)
+        entry = TelemetryEntry(math.nan, clock, latitude, longitude, height, altitude=altitude)
         self.rows.append(LogRow(entry, file))
 
 
@@ -110,6 +120,8 @@ def parse_track(data: bytes, name: str) -> Log:
         )
     elif not points.rows:
         raise DataError(f"{name} has no point with a position; expected a track.")
+    if points.outside:
+        points.notes.append(f"{points.outside} points of {name} are outside of the Earth's degrees, and were left out.")
     return Log(name, tuple(points.rows), points.zoned, tuple(points.notes))
 
 
@@ -225,7 +237,7 @@ def _add_element(element: ElementTree.Element, points: _Points) -> None:
                 if wanted == "coord"
             ]
         for time, place in pairs:
-            _add(points, place.split(), time, None)
+            _add(points, place.split(), time, None, _mode(element))
         element.clear()
     elif tag == "Placemark":
         inside = list(element.iter())
@@ -238,8 +250,9 @@ def _add_element(element: ElementTree.Element, points: _Points) -> None:
         ]
         # One time is that of a point; a line has one for each of its points, or none that can be told.
         moments = moments if len(moments) == len(located) else [None] * len(located)
+        mode = next((mode for child in inside if (mode := _mode(child))), "")
         for place, moment in zip(located, moments, strict=True):
-            _add(points, place.split(","), moment, name)
+            _add(points, place.split(","), moment, name, mode)
         element.clear()
 
 
@@ -256,13 +269,30 @@ def _time_in_data(inside: list[ElementTree.Element]) -> str | None:
     return None
 
 
-def _add(points: _Points, numbers: list[str], time: str | None, name: str | None) -> None:
-    """Add a point of longitude, latitude, and altitude; one that is no number is left out and counted."""
+def _mode(element: ElementTree.Element) -> str:
+    """Return what the heights of a KML element are measured from: "absolute", "relativeToGround", or other words."""
+    return next(((child.text or "").strip() for child in element if _tag(child) == "altitudeMode"), "")
+
+
+def _add(points: _Points, numbers: list[str], time: str | None, name: str | None, mode: str) -> None:
+    """Add a point of longitude, latitude, and height; one that is no number is left out and counted.
+
+    Raises:
+        DataError: if there are more than three numbers, as decimal commas make.
+    """
+    if len(numbers) > 3:
+        raise DataError(
+            f"A track has the coordinates {printable(','.join(numbers))[:60]}; expected longitude, latitude, and height "
+            "with points as decimal signs, so export it again."
+        )
     found = [values.number(number) for number in numbers[:3]]
     if len(found) < 2 or found[0] is None or found[1] is None:
         points.untimed += 1
         return
-    points.add(found[1], found[0], found[2] if len(found) > 2 else None, time, name)
+    height = found[2] if len(found) > 2 else None
+    altitude = height if mode == "absolute" or (not mode and height) else None
+    above_ground = height if mode == "relativeToGround" else None
+    points.add(found[1], found[0], altitude, time, name, above_ground)
 
 
 def _tag(element: ElementTree.Element) -> str:

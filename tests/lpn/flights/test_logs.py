@@ -544,3 +544,35 @@ def test_text_that_is_no_log_is_left_out_and_the_run_goes_on(tmp_path: Path) -> 
     assert any(
         note.startswith("DJIFlightRecord.txt is no text. A flight record of DJI's app is encrypted") for note in notes
     )
+
+
+def test_east_and_north_of_old_programs_are_degrees(tmp_path: Path) -> None:
+    text = "#Label,X/East,Y/North,Z/Altitude,Yaw,Pitch,Roll\nDJI_1.JPG,8.5012,47.3012,450,40,3,1\n"
+    (row,) = read_log(written(tmp_path, text)).rows
+    entry = row.entry
+    assert (entry.latitude, entry.longitude, entry.altitude) == (47.3012, 8.5012, 450.0)
+    assert (entry.heading, entry.pitch, entry.roll) == (40.0, -87.0, 1.0)
+
+
+def test_exiftool_tells_the_sign_of_an_altitude_and_the_direction(tmp_path: Path) -> None:
+    names = "SourceFile,GPSLatitude,GPSLongitude,GPSImgDirection,GPSAltitude,GPSAltitudeRef\n"
+    text = names + "a.jpg,47.3,8.5,40,100,Below Sea Level\nb.jpg,47.3,8.5,41,100,Above Sea Level\n"
+    entries = [row.entry for row in read_log(written(tmp_path, text)).rows]
+    assert [(entry.altitude, entry.heading, entry.heading_source) for entry in entries] == [
+        (-100.0, 40.0, "camera"),
+        (100.0, 41.0, "camera"),
+    ]
+
+
+def test_angles_of_photogrammetry_are_named_and_not_read(tmp_path: Path) -> None:
+    log = read_log(
+        written(tmp_path, "imageName,latitude,longitude,altitude,omega,phi,kappa\na.jpg,47.3,8.5,450,1,2,40\n")
+    )
+    (row,) = log.rows
+    assert (row.entry.heading, row.entry.pitch, row.entry.roll) == (None, None, None)
+    assert "The columns omega, phi, and kappa of log.csv are angles of photogrammetry, and were not read." in log.notes
+
+
+def test_a_gimbal_s_pitch_needs_no_heading(tmp_path: Path) -> None:
+    (row,) = read_log(written(tmp_path, "file,latitude,longitude,gimbal_pitch\na.jpg,47.3,8.5,-60\n")).rows
+    assert (row.entry.heading, row.entry.pitch) == (None, -60.0)

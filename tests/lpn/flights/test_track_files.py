@@ -291,3 +291,48 @@ def test_an_archive_without_a_track_and_a_missing_file_are_refused(tmp_path: Pat
         parse_track(data.getvalue(), "a.kmz")
     with pytest.raises(DataError, match=r"b\.gpx cannot be read"):
         read_track(tmp_path / "b.gpx")
+
+
+def kml_point(coordinates: str, mode: str = "") -> bytes:
+    """A KML of one point with a time, and what its height is measured from."""
+    told = f"<altitudeMode>{mode}</altitudeMode>" if mode else ""
+    return (
+        '<kml xmlns="http://www.opengis.net/kml/2.2"><Placemark><TimeStamp><when>2024-05-01T10:00:00Z</when></TimeStamp>'
+        f"<Point>{told}<coordinates>{coordinates}</coordinates></Point></Placemark></kml>"
+    ).encode()
+
+
+@pytest.mark.parametrize(
+    ("mode", "height", "altitude", "above_ground"),
+    [
+        ("absolute", "40", 40.0, None),
+        ("absolute", "0", 0.0, None),
+        ("relativeToGround", "40", None, 40.0),
+        ("clampToGround", "40", None, None),
+        ("", "450", 450.0, None),
+        ("", "0", None, None),
+    ],
+)
+def test_a_height_of_kml_is_measured_from_what_it_says(
+    mode: str, height: str, altitude: float | None, above_ground: float | None
+) -> None:
+    (row,) = parse_track(kml_point(f"8.5,47.3,{height}", mode), "a.kml").rows
+    assert (row.entry.latitude, row.entry.longitude) == (47.3, 8.5)
+    assert (row.entry.altitude, row.entry.height_above_ground) == (altitude, above_ground)
+
+
+def test_decimal_commas_of_kml_are_refused_and_those_of_gpx_read() -> None:
+    with pytest.raises(
+        DataError, match=r"coordinates 8,5,47,3,450; expected longitude, latitude, and height with points"
+    ):
+        parse_track(kml_point("8,5,47,3,450"), "a.kml")
+    gpx = (
+        '<gpx version="1.1" creator="a"><trk><trkseg><trkpt lat="47,3" lon="8,5"><ele>450,5</ele>'
+        '<time>2024-05-01T10:00:00Z</time></trkpt><trkpt lat="47,3" lon="8,5"><ele>450,5</ele>'
+        '<time>2024-05-01T10:00:01Z</time></trkpt><trkpt lat="103.8" lon="1"/></trkseg></trk></gpx>'
+    )
+    track = parse_track(gpx.encode(), "a.gpx")
+    assert [(row.entry.latitude, row.entry.longitude, row.entry.altitude) for row in track.rows] == [
+        (47.3, 8.5, 450.5)
+    ] * 2
+    assert "1 points of a.gpx are outside of the Earth's degrees, and were left out." in track.notes
