@@ -342,9 +342,11 @@ def _place_of(text: str, raw: str | None, commas: bool, original: str) -> _Place
         # Letters tell which of the two is the latitude.
         columns = re.findall("|".join(f"({pattern})" for pattern in _LETTERED.values()), pair[0])
         if len(columns) == 2:
-            texts = ["".join(column) for column in zip(*columns, strict=True)]
+            latitude, longitude = ("".join(column) for column in zip(*columns, strict=True))
             behind = _BEHIND.match(text, pair.end())
-            return _of_names(*texts, None if behind is None else values.number(behind[1] + behind[2], commas))
+            return _of_names(
+                latitude, longitude, None if behind is None else values.number(behind[1] + behind[2], commas)
+            )
     return _Place()
 
 
