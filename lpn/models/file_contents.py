@@ -6,6 +6,7 @@ import io
 import pickletools
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -117,6 +118,11 @@ _MARKS = (
 )
 # The parts of a checkpoint of TensorFlow, which have no mark of their own.
 _TENSORFLOW = re.compile(r".*\.(data-\d{5}-of-\d{5}|ckpt(-\d+)?\.(index|meta))|checkpoint")
+# Errors of damaged archives and pickles.
+_UNREADABLE = (
+    *(OSError, ValueError, IndexError, KeyError, EOFError, OverflowError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 # Bytes at the begin of a file that are looked at.
 _READ = 1 << 16
 # Bytes of a pickle, without its tensors, that are looked at.
@@ -140,7 +146,7 @@ def check_contents(path: Path, expected: Contents) -> None:
         ModelFileError: if it does not, with what the file is, as far as that is known, and what to do; or if it is unreadable.
     """
     held = contents_of(path)
-    if held == expected:
+    if held == expected or {held, expected} == {"pytorch", "safetensors"}:
         return
     if held is not None:
         what, suffix = _TITLES[held]
@@ -185,7 +191,9 @@ def check_trained_file(path: Path) -> None:
         ModelFileError: if it does not, or is missing or unreadable.
     """
     if contents_of(path) != "safetensors":
-        check_contents(path, "pytorch")
+        check_contents(path, "safetensors" if path.suffix == ".safetensors" else "pytorch")
+    elif int.from_bytes(_start(path)[:8], "little") > path.stat().st_size - 8:
+        raise ModelFileError(f"{printable(path.name)} is truncated; {_AGAIN}.")
 
 
 def pickle_entry(entries: Sequence[str]) -> str | None:
@@ -223,7 +231,7 @@ def names_in_pickle(path: Path, every: bool = False) -> list[str]:
         every: also those of tensors and NumPy's numbers, which run none.
     """
     names: dict[str, None] = {}
-    with suppress(OSError, ValueError, IndexError, KeyError, zipfile.BadZipFile, RuntimeError, NotImplementedError):
+    with suppress(*_UNREADABLE):
         for name in _names(_pickle_bytes(path)):
             names[name] = None
     return [name for name in names if every or not _HARMLESS.fullmatch(name)]
@@ -231,9 +239,9 @@ def names_in_pickle(path: Path, every: bool = False) -> list[str]:
 
 def pickle_protocol(path: Path) -> int:
     """Return the protocol of a PyTorch file's pickle; 0 if it has none."""
-    with suppress(OSError, ValueError, zipfile.BadZipFile, RuntimeError, NotImplementedError):
+    with suppress(*_UNREADABLE):
         start = _pickle_bytes(path).read(2)
-        return start[1] if start[:1] == b"\x80" else 0
+        return int.from_bytes(start[1:]) if start.startswith(b"\x80") else 0
     return 0
 
 
@@ -242,7 +250,7 @@ def pickled_by(path: Path) -> Literal["torch", "unpacked", "python"]:
     start = _start(path)
     if start.startswith(b"PK") or _LEGACY.to_bytes(10, "little") in start[:40]:
         return "torch"
-    with suppress(ValueError, IndexError):
+    with suppress(*_UNREADABLE):
         if any(operation.name == "BINPERSID" for operation, _, _ in pickletools.genops(start)):
             return "unpacked"
     return "python"
@@ -264,7 +272,7 @@ def _entries(path: Path) -> list[str] | None:
     try:
         with zipfile.ZipFile(path) as archive:
             return archive.namelist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError):
+    except _UNREADABLE:
         return None
 
 

@@ -244,5 +244,9 @@ def test_a_pickle_that_cannot_be_read_names_nothing(tmp_path: Path) -> None:
     assert names_in_pickle(tmp_path / "net.pth") == []
     (tmp_path / "net.pth").write_bytes(b"")
     assert (names_in_pickle(tmp_path / "net.pth"), pickle_protocol(tmp_path / "net.pth")) == ([], 0)
+    (tmp_path / "net.pth").write_bytes(archive({"archive/data.pkl": b"\x80", "archive/version": b"3"}))
+    assert (names_in_pickle(tmp_path / "net.pth"), pickle_protocol(tmp_path / "net.pth")) == ([], 0)
+    with pytest.raises(ModelFileError, match=r"^net\.pth is not a PyTorch file of tensors alone"):
+        lpn.load(tmp_path / "net.pth")
     assert file_contents.is_model_name("net_119.PTH")
     assert not file_contents.is_model_name("._net_119.pth")
