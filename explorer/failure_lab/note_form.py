@@ -24,6 +24,8 @@ class NoteForm:
         self._shown: tuple[str, Note] | None = None
         # Path and name of a query whose note could not be saved, and why.
         self._unsaved: tuple[str, str, str] | None = None
+        # The path and the note that this browser saved last.
+        self._saved: tuple[str, Note] | None = None
         self._revision = 0
 
     def show(self, findings: Findings | None, query: int | None) -> None:
@@ -50,7 +52,7 @@ class NoteForm:
         path = findings.table.paths[message.row]
         try:
             before = None if message.before is None else Note(notes.parse_tags(message.before[0]), message.before[1])
-            self._service.set_note(path, message.tags, message.note, before)
+            self._set_note(path, message, before)
         except LPNError as error:
             stored = error.stored if isinstance(error, notes.ChangedNoteError) else None
             self._unsaved = path, findings.task.queries[message.row].name, str(error)
@@ -60,10 +62,20 @@ class NoteForm:
         if self._unsaved is not None and self._unsaved[0] == path:
             self._unsaved = None
         newest = self._service.findings(message.task)
+        self._saved = None if newest is None else (path, newest.note(message.row))
         if newest is not None and self._shown is not None and self._shown[0] == path:
             self._shown = path, newest.note(message.row)
         self._say(f"Saved in {self._service.notes_place}.", True, path, (message.tags, message.note))
         return True
+
+    def _set_note(self, path: str, message: SaveNote, before: Note | None) -> None:
+        """Store a note, also over what this browser saved while it was sending this one."""
+        try:
+            self._service.set_note(path, message.tags, message.note, before)
+        except notes.ChangedNoteError as error:
+            if self._saved != (path, error.stored):
+                raise
+            self._service.set_note(path, message.tags, message.note, error.stored)
 
     def _say(self, text: str, good: bool, path: str, stored: tuple[str, str] | None) -> None:
         """Show a message, and tell the page which tags and note are stored if that is new to it."""
