@@ -445,6 +445,8 @@ def read_state(path: Path) -> State:
         ModelFileError: if the file is missing, truncated, or holds no named tensors.
     """
     items = _read_tensors(path)[0] if holds_safetensors(path) else find_state(unpickle(path), path)
+    if not items:
+        raise ModelFileError(f"{path.name} holds no tensors; expected a state_dict of named tensors.")
     for key, tensor in items.items():
         if tensor.device.type != "cpu" or tensor.layout != torch.strided or tensor.is_quantized:
             raise ModelFileError(
@@ -473,7 +475,7 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
             _check_real(state, path.name)
             state = _widened(state, path.name)
     except (SafetensorError, OSError, ValueError) as error:
-        raise ModelFileError(f"{path.name} is not a .safetensors file or is truncated ({error}).") from error
+        raise ModelFileError(f"{path.name} is damaged, truncated, or no .safetensors file; {_AGAIN}.") from error
     if SEAL in metadata and not sealed_file:
         raise ModelFileError(f"{path.name} is damaged: its checksum is malformed; {_AGAIN}.")
     return state, metadata

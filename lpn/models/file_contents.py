@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import io
 import pickletools
 import re
@@ -87,7 +88,11 @@ _MARKS = (
         rb"(?is)<(?:Code|Message)>(.*?)</",
     ),
     _Mark(rb"\s*<", "an XML text", _OTHER),
-    _Mark(rb'(?s)\s*\{.*"weight_map"', "the list of a model's files", "give the file itself where there is one"),
+    _Mark(
+        rb'(?s)\s*\{.*"weight_map"',
+        "the list of a model's files",
+        "give one of these, and the line that puts them together is named",
+    ),
     _Mark(
         rb"(?s)\s*[{\[]\s*[\"\]}\[{]",
         "a JSON text",
@@ -118,6 +123,14 @@ _MARKS = (
 )
 # The parts of a checkpoint of TensorFlow, which have no mark of their own.
 _TENSORFLOW = re.compile(r".*\.(data-\d{5}-of-\d{5}|ckpt(-\d+)?\.(index|meta))|checkpoint")
+# A file of a model that is split over several, as libraries of language models write.
+_PART = re.compile(r"(?P<model>.+)-\d{5}-of-(?P<files>\d{5})(?P<ending>\.\w{1,12})")
+# The files that torch.distributed.checkpoint writes into a folder.
+_DISTRIBUTED = re.compile(r".*\.distcp|\.metadata")
+DISTRIBUTED = (
+    "a distributed checkpoint of PyTorch",
+    "make one file of it: python -m torch.distributed.checkpoint.format_utils dcp_to_torch FOLDER weights.pth",
+)
 # Errors of damaged archives and pickles.
 _UNREADABLE = (
     *(OSError, ValueError, IndexError, KeyError, EOFError, OverflowError, RuntimeError),
@@ -163,9 +176,10 @@ def contents_of(path: Path) -> Contents | None:
     """Return the kind of model that a file holds by its first bytes; None if it is of no known kind.
 
     Raises:
-        ModelFileError: if it is missing or unreadable.
+        ModelFileError: if it is missing or unreadable, or by its name one of the several files of a model, with what to do.
     """
     start = _start(path)
+    _check_alone(path)
     if start.startswith(b"PK\x03\x04"):
         entries = _entries(path)
         # Without a list of entries, at the end, the archive is truncated.
@@ -177,6 +191,14 @@ def contents_of(path: Path) -> Contents | None:
         return "pytorch"
     # The version of the format, then the producer, its version, a domain, operators, or the graph.
     return "onnx" if re.match(rb"\x08[\x03-\x1f][\x12\x1a\x22\x3a\x42\x72]", start) else None
+
+
+def part_of(name: str) -> tuple[int, str] | None:
+    """Return the number of a model's files, and a pattern of their names, by the name of one; None if it is the only one."""
+    match = _PART.fullmatch(name)
+    if match is None or int(match["files"]) < 2:
+        return None
+    return int(match["files"]), f"{glob.escape(match['model'])}-*-of-{match['files']}{match['ending']}"
 
 
 def is_model_name(name: str) -> bool:
@@ -202,13 +224,16 @@ def pickle_entry(entries: Sequence[str]) -> str | None:
     return pickles[0] if len(pickles) == 1 else None
 
 
-def save_again(path: Path, expression: str, prelude: str = "", where: str = "") -> str:
+def save_again(
+    path: Path, expression: str, prelude: str = "", where: str = "", aim: str = "save its weights alone"
+) -> str:
     """Return what to do, as the end of a sentence: the line of Python that saves weights alone, where it is safe to paste.
 
     Args:
         expression: the weights, with `{}` for the file's name.
         prelude: statements before it.
         where: the place to do it, as " where PACKAGE can be imported".
+        aim: the begin of what is returned.
     """
     # The line stands in double quotes of a shell, so Python's are single ones.
     source, target = (
@@ -218,8 +243,8 @@ def save_again(path: Path, expression: str, prelude: str = "", where: str = "") 
     line = f"{prelude}import torch; torch.save({expression.format(source)}, {target})"
     # A name in the file, or of it, must not become a command of the shell that the line is pasted into.
     if any(letter in line for letter in '"$`!') or not line.isprintable():
-        return f"save its weights alone{where}, by torch.save of its state_dict"
-    return printable(f'save its weights alone{where}: python -c "{line}"')
+        return f"{aim}{where}, by torch.save of its state_dict"
+    return printable(f'{aim}{where}: python -c "{line}"')
 
 
 def names_in_pickle(path: Path, every: bool = False) -> list[str]:
@@ -266,6 +291,26 @@ def _start(path: Path) -> bytes:
         raise ModelFileError(
             f"{path} cannot be read ({error.strerror or error}); check that it is readable."
         ) from error
+
+
+def _check_alone(path: Path) -> None:
+    """Check by its name that a file is not one of several that make up a model."""
+    if _DISTRIBUTED.fullmatch(path.name):
+        what, remedy = DISTRIBUTED
+        raise ModelFileError(f"{printable(path.name)} is a part of {what}; {remedy}.")
+    if (part := part_of(path.name)) is None:
+        return
+    files, pattern = part
+    names = repr(pattern).replace("{", "{{").replace("}", "}}")
+    safe = path.suffix == ".safetensors"
+    read = "safetensors.torch.load_file(f)" if safe else "torch.load(f, 'cpu')"
+    together = save_again(
+        path,
+        f"{{{{k: v for f in pathlib.Path({{}}).parent.glob({names}) for k, v in {read}.items()}}}}",
+        "import pathlib; " + ("import safetensors.torch; " if safe else ""),
+        aim="put them together",
+    )
+    raise ModelFileError(f"{printable(path.name)} is one of the {files} files of a model; {together}.")
 
 
 def _entries(path: Path) -> list[str] | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import first_few, printable
-from lpn.models.file_contents import UNPACKED, is_model_name
+from lpn.models.file_contents import DISTRIBUTED, UNPACKED, is_model_name, part_of
 
 log = logging.getLogger(__name__)
 
@@ -18,6 +18,10 @@ log = logging.getLogger(__name__)
 _EPOCH = re.compile(r"net_(last|\d{1,9})\.pth")
 # The models of a training of this project, the better one first, beside which it keeps other files.
 _OWN = ("best.safetensors", "last.safetensors")
+# What trainings save beside a model, from which they are resumed.
+_STATE = re.compile(
+    r"state\.pt|(optimizer|scheduler|scaler|sampler|rng_state|random_states|training_args)(_\d{1,6})?\.(pt|pth|bin)"
+)
 # Files of folders that are no run, what such a folder is, and what to do.
 _OTHER = {
     "saved_model.pb": (
@@ -25,6 +29,7 @@ _OTHER = {
         "give weights as PyTorch's state_dict, a .safetensors, or an exported .onnx",
     ),
     "data.pkl": ("the unpacked entries of a PyTorch file", UNPACKED),
+    "*.distcp": DISTRIBUTED,
 }
 # Folders below one that are searched, such as model/NAME in the folder of the released code.
 _MAX_DEPTH = 2
@@ -39,12 +44,11 @@ def file_in(folder: Path) -> Path:
     Raises:
         ModelFileError: if there is none, or if it is not clear which is meant, with their names.
     """
-    for known, (what, remedy) in _OTHER.items():
-        if (folder / known).is_file():
-            raise ModelFileError(f"{printable(str(folder))} holds {what}; {remedy}.")
     level = [folder]
     for _ in range(_MAX_DEPTH + 1):
         runs = {run: files for run in level if (files := _models(run))}
+        if not runs:
+            _check_no_other(level)
         if len(runs) > 1:
             names = first_few([printable(str(run.relative_to(folder))) for run in runs], _SHOWN)
             raise ModelFileError(
@@ -59,10 +63,18 @@ def file_in(folder: Path) -> Path:
     )
 
 
+def _check_no_other(folders: list[Path]) -> None:
+    """Check that folders without a model hold none of another kind."""
+    for folder in folders:
+        for known, (what, remedy) in _OTHER.items():
+            if any(folder.glob(known)):
+                raise ModelFileError(f"{printable(str(folder))} holds {what}; {remedy}.")
+
+
 def _chosen(folder: Path, files: list[str]) -> Path:
     epochs = sorted((name for name in files if _EPOCH.fullmatch(name)), key=_epoch)
     own = [name for name in _OWN if name in files]
-    candidates = own[:1] or epochs[-1:] or _without_groups(files)
+    candidates = own[:1] or epochs[-1:] or _without_parts(_without_groups(files))
     if len(candidates) > 1:
         names = first_few([printable(name) for name in candidates], _SHOWN)
         raise ModelFileError(
@@ -82,6 +94,12 @@ def _without_groups(files: list[str]) -> list[str]:
     ]
 
 
+def _without_parts(files: list[str]) -> list[str]:
+    """Return the files with the first alone of each model that is split over several."""
+    firsts = {part_of(name): name for name in reversed(files)}
+    return [name for name in files if part_of(name) is None or firsts[part_of(name)] == name]
+
+
 def _epoch(name: str) -> tuple[int, str]:
     match = _EPOCH.fullmatch(name)
     assert match is not None
@@ -89,11 +107,10 @@ def _epoch(name: str) -> tuple[int, str]:
 
 
 def _models(folder: Path) -> list[str]:
-    # The state of a training, from which it is resumed, is no model.
     return sorted(
         entry.name
         for entry in _scan(folder)
-        if is_model_name(entry.name) and entry.is_file() and entry.name != "state.pt"
+        if is_model_name(entry.name) and entry.is_file() and not _STATE.fullmatch(entry.name)
     )
 
 

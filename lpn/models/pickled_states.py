@@ -44,6 +44,10 @@ _ATTACK = re.compile(
 )
 # The function by which tensors of a TPU or NPU are saved as arrays of NumPy.
 _OF_DEVICE = re.compile(r"torch\._utils\._rebuild_(xla|device)_tensor.*")
+# Tensors of which each process of a training holds a part.
+_SPREAD = re.compile(r"torch\.distributed\.(_?tensor|_shard)\..*")
+# What holds the values of tensors and of NumPy's arrays.
+_VALUES = re.compile(r"torch\._utils\._rebuild_.*|numpy\..*\.(_reconstruct|_frombuffer)")
 # torch keeps one list of allowed names for the whole process.
 _ALLOWING = threading.Lock()
 _LOAD = "torch.load({}, 'cpu', weights_only=False)"
@@ -143,7 +147,10 @@ def _refusal(path: Path, names: Sequence[str]) -> ModelFileError:
             f"{path.name} is a pickle that torch.save did not write{what}, which may run code, so it was not opened; if you "
             f"trust it, {line}."
         )
-    if any(_OF_DEVICE.fullmatch(name) for name in names_in_pickle(path, every=True)):
+    every = names_in_pickle(path, every=True)
+    if any(_SPREAD.fullmatch(name) for name in every):
+        return _spread(path)
+    if any(_OF_DEVICE.fullmatch(name) for name in every):
         return ModelFileError(
             f"{path.name} holds tensors of a TPU or NPU; save them again where it was trained, on the CPU: "
             "torch.save({k: v.cpu() for k, v in model.state_dict().items()}, 'weights.pth')."
@@ -158,6 +165,11 @@ def _refusal(path: Path, names: Sequence[str]) -> ModelFileError:
             f"{path.name} is not a PyTorch file of tensors alone, so it was not opened further (it may run code); "
             "expected a saved state_dict()."
         )
+    if not any(_VALUES.fullmatch(name) for name in every):
+        return ModelFileError(
+            f"{path.name} holds no tensors, but names {few}, which may run code, so it was not opened; give the file of the "
+            "network's weights."
+        )
     place = _place_of_weights(path, names)
     what = f"holds other things than tensors: it names {few}"
     if place.endswith(".state_dict()"):
@@ -166,6 +178,14 @@ def _refusal(path: Path, names: Sequence[str]) -> ModelFileError:
     return ModelFileError(
         f"{path.name} {what}, which may run code, so it was not opened; if you trust it, "
         f"{save_again(path, _LOAD + place, _prelude(names), _where(names))}."
+    )
+
+
+def _spread(path: Path) -> ModelFileError:
+    return ModelFileError(
+        f"{path.name} holds tensors that are spread over several processes; save them whole where it was trained, as "
+        "get_model_state_dict of torch.distributed.checkpoint.state_dict returns them with StateDictOptions(full_state_dict=True, "
+        "cpu_offload=True)."
     )
 
 
@@ -224,6 +244,8 @@ def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:
     items = {key: value for key, value in state.items() if isinstance(value, Tensor)}
     if not items or not all(isinstance(key, str) for key in items):
         raise _no_state(loaded, path)
+    if any(_SPREAD.fullmatch(f"{type(tensor).__module__}.") for tensor in items.values()):
+        raise _spread(path)
     if state is not loaded and len(others := _states(loaded)) > 1:
         keys = [printable(str(key))[:40] for key in others]
         log.warning("%s holds weights as %s; those of %s are read.", printable(path.name), ", ".join(keys), keys[0])

@@ -5,6 +5,8 @@ docs/field.md names the report of each.
 
 from __future__ import annotations
 
+import datetime
+import functools
 import gzip
 import io
 import pathlib
@@ -22,7 +24,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import yaml
+from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
+from torch.distributed._shard.sharded_tensor import ShardedTensor
 
 import lpn
 from lpn.core.errors import ModelFileError
@@ -198,6 +203,77 @@ def of_device(_: State) -> object:
     return {"a": _Calls(rebuild, np.zeros(2, np.float32), torch.float32, "cpu", False)}
 
 
+def archive(names: tuple[str, ...], name: str) -> Callable[[Path, State], Path]:
+    """A ZIP archive that holds the weights under several names."""
+
+    def make(folder: Path, state: State) -> Path:
+        with zipfile.ZipFile(folder / name, "w") as target:
+            for entry in names:
+                target.writestr(entry, data_of(state))
+        return folder / name
+
+    return make
+
+
+def run_of(model: str, *others: str, given: str = "") -> Callable[[Path, State], Path]:
+    """A folder of a training: the model, and what else it saved; or one file there as the model."""
+
+    def make(folder: Path, state: State) -> Path:
+        for name in others:
+            torch.save({"last_epoch": 1}, folder / name)
+        (folder / model).write_bytes(safetensors_of(state) if model.endswith("safetensors") else data_of(state))
+        return folder / given
+
+    return make
+
+
+def safetensors_of(state: State) -> bytes:
+    return save_tensors({key: value.clone() for key, value in state.items()})
+
+
+def parts(given: str) -> Callable[[Path, State], Path]:
+    """A model that is split over two files."""
+
+    def make(folder: Path, state: State) -> Path:
+        items = list(state.items())
+        for number, part in enumerate((items[:50], items[50:]), 1):
+            (folder / f"model-0000{number}-of-00002.safetensors").write_bytes(safetensors_of(dict(part)))
+        return folder / given
+
+    return make
+
+
+def distributed(given: str) -> Callable[[Path, State], Path]:
+    """The files of torch.distributed.checkpoint, below a folder of the training."""
+
+    def make(folder: Path, state: State) -> Path:
+        run = folder / "step-500"
+        run.mkdir()
+        (run / ".metadata").write_bytes(pickle.dumps({"version": "1"}))
+        (run / "__0_0.distcp").write_bytes(data_of(state))
+        return folder / given
+
+    return make
+
+
+def changed(data: Callable[[State], bytes], name: str) -> Callable[[Path, State], Path]:
+    """Write bytes that are made of the weights."""
+
+    def make(folder: Path, state: State) -> Path:
+        (folder / name).write_bytes(data(state))
+        return folder / name
+
+    return make
+
+
+def diverged(state: State) -> object:
+    return {**state, "model_1.model.conv1.weight": torch.full_like(state["model_1.model.conv1.weight"], np.nan)}
+
+
+def averaged(state: State) -> object:
+    return {"n_averaged": torch.tensor(3), **{f"module.{key}": value for key, value in state.items()}}
+
+
 def named(state: State, config: object) -> object:
     return {"state_dict": state, "config": config}
 
@@ -324,6 +400,97 @@ FIELD: dict[str, FieldFile] = {
         "where pandas_of_another_version can be imported",
     ),
     "DataParallel": FieldFile(saved(lambda state: {f"module.{key}": value for key, value in state.items()})),
+    "date": FieldFile(
+        saved(lambda state: {"model": state, "saved": datetime.datetime(2024, 5, 1)}),
+        "it names datetime.datetime, which may run code",
+    ),
+    "bytes": FieldFile(saved(lambda state: {"model": state, "digest": b"abc", "log": bytearray(b"abc")})),
+    "option of NumPy": FieldFile(options(yaml.dump({"h": 64, "lr": np.float64(0.01), "w": 64}))),
+    "option of an enumeration": FieldFile(
+        options("h: 64\nmode: !!python/object/apply:training.modes.Mode\n- 1\nw: 64\n")
+    ),
+    "Lightning's prefix": FieldFile(
+        saved(lambda state: {"state_dict": {f"model.{key}": value for key, value in state.items()}}, "epoch=3.ckpt")
+    ),
+    "activation": FieldFile(
+        saved(lambda state: {"state_dict": state, "activation": nn.functional.relu}),
+        "it names torch.nn.functional.relu, which may run code",
+    ),
+    "partial": FieldFile(
+        saved(lambda state: {"state_dict": state, "norm": functools.partial(nn.BatchNorm2d, eps=1e-3)}),
+        "it names functools.partial, torch.nn.modules.batchnorm.BatchNorm2d, which may run code",
+    ),
+    "archive of an agent": FieldFile(
+        archive(("policy.pth", "pytorch_variables.pth"), "agent.zip"),
+        "agent.zip is a ZIP archive that holds policy.pth, pytorch_variables.pth; unpack it, and give that folder.",
+    ),
+    "state of random numbers": FieldFile(
+        saved(lambda state: {"state_dict": state, "random": np.random.RandomState(0).get_state()})
+    ),
+    "distributed": FieldFile(
+        distributed(""),
+        "step-500 holds a distributed checkpoint of PyTorch; make one file of it: python -m "
+        "torch.distributed.checkpoint.format_utils dcp_to_torch FOLDER weights.pth.",
+    ),
+    "file of a distributed one": FieldFile(
+        distributed("step-500/__0_0.distcp"), "__0_0.distcp is a part of a distributed checkpoint of PyTorch; make"
+    ),
+    "metadata of a distributed one": FieldFile(
+        distributed("step-500/.metadata"), ".metadata is a part of a distributed checkpoint of PyTorch; make one file"
+    ),
+    "ending of an archive": FieldFile(saved(lambda state: state, "net_119.zip")),
+    "mixed precision": FieldFile(
+        saved(lambda state: {"start_epoch": 3, "model": state, "optimizer": {"param_groups": []}, "amp": {"scale": 2.0}})
+    ),
+    "weight": FieldFile(saved(lambda state: {"weight": state, "train_loss": [0.1, 0.2], "val_iou": 0.5})),
+    "diverged": FieldFile(saved(diverged), "conv1.weight holds values that are not finite; take an earlier checkpoint."),
+    "another method": FieldFile(
+        saved(lambda _: {"temp": torch.ones(1), "xvlm.vision_encoder.norm.weight": torch.ones(4)}, "net_209.pth"),
+        "is not a checkpoint of a known model: it holds temp, xvlm.vision_encoder.norm.weight; none of the known models",
+    ),
+    "archive named .tar": FieldFile(
+        archive(("run/net_119.pth",), "models.tar"), "models.tar is a ZIP archive that holds run/net_119.pth; unpack"
+    ),
+    "settings": FieldFile(
+        of_foreign("utils_of_a_training", "HParams", named),
+        "save its weights alone where utils_of_a_training can be imported",
+    ),
+    "damaged begin": FieldFile(
+        changed(lambda state: b"\xe2\x80\x8b\x99" + data_of(state)[4:], "net_119.pth"),
+        "is not a PyTorch file, or its begin is damaged; download or copy the file again",
+    ),
+    "average of torch": FieldFile(saved(averaged)),
+    "one part": FieldFile(
+        parts("model-00002-of-00002.safetensors"),
+        "model-00002-of-00002.safetensors is one of the 2 files of a model; put them together: python -c",
+    ),
+    "folder of parts": FieldFile(parts(""), "model-00001-of-00002.safetensors is one of the 2 files of a model; put"),
+    "without a tensor": FieldFile(
+        changed(lambda _: save_tensors({}, {"key": "value"}), "model.safetensors"),
+        "model.safetensors holds no tensors; expected a state_dict of named tensors.",
+    ),
+    "half of a safetensors": FieldFile(
+        changed(lambda state: safetensors_of(state)[:-1000], "model.safetensors"),
+        "model.safetensors is damaged, truncated, or no .safetensors file; copy it again from where it came",
+    ),
+    "begin of a safetensors": FieldFile(
+        written(b"\x10\0\0", "model.safetensors"), "is not a .safetensors file, or its begin is damaged; download or copy"
+    ),
+    "folder of a trainer": FieldFile(
+        run_of("model.safetensors", "optimizer.pt", "scheduler.pt", "rng_state.pth", "training_args.bin")
+    ),
+    "folder without an ending": FieldFile(
+        run_of("vgg19", "optimizer.bin", "scheduler.bin"), "holds no model file (net_*.pth, .pth, .pt, .safetensors, or"
+    ),
+    "file without an ending": FieldFile(run_of("vgg19", "optimizer.bin", "scheduler.bin", given="vgg19")),
+    "settings alone": FieldFile(
+        saved(lambda _: types.SimpleNamespace(lr=0.1), "training_args.bin"),
+        "training_args.bin holds no tensors, but names types.SimpleNamespace, which may run code, so it was not opened; give the",
+    ),
+    "sharded tensors": FieldFile(
+        saved(lambda state: {"state": {"model": {"a": _Calls(ShardedTensor), **state}}}),
+        "holds tensors that are spread over several processes; save them whole where it was trained",
+    ),
 }
 
 
@@ -335,6 +502,31 @@ def weights() -> tuple[State, Any]:
         for value in network.state_dict().values():
             value.copy_(value.bfloat16())
     return network.state_dict(), TorchModel(network).descriptors(seeded.pictures(1, 1, 64, 64), "drone")
+
+
+def test_the_line_for_a_split_model_puts_it_together(weights: tuple[State, Any], tmp_path: Path) -> None:
+    state, expected = weights
+    with pytest.raises(ModelFileError) as caught:
+        lpn.load(parts("")(tmp_path, state))
+    exec(str(caught.value).partition('python -c "')[2].removesuffix('".'), {})
+    model = lpn.load(tmp_path / "model-00001-of-00002-weights.pth")
+    np.testing.assert_array_equal(model.descriptors(seeded.pictures(1, 1, 64, 64), "drone"), expected)
+
+
+def test_tensors_of_several_processes_are_named(tmp_path: Path) -> None:
+    """Torch can make such tensors of the file once its part for several processes is imported, as by a compiled model."""
+    from torch import distributed
+    from torch.distributed.device_mesh import init_device_mesh
+    from torch.distributed.tensor import Replicate, distribute_tensor
+
+    distributed.init_process_group("gloo", store=distributed.HashStore(), rank=0, world_size=1)
+    try:
+        tensor = distribute_tensor(torch.ones(2), init_device_mesh("cpu", (1,)), [Replicate()])
+        torch.save({"model": {"a": tensor}}, tmp_path / "net.pth")
+    finally:
+        distributed.destroy_process_group()
+    with pytest.raises(ModelFileError, match=r"net\.pth holds tensors that are spread over several processes; save them"):
+        lpn.load(tmp_path / "net.pth")
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit")

@@ -89,7 +89,7 @@ FOREIGN: dict[str, tuple[bytes, str]] = {
         "is a JSON text ('Invalid username or password.'); if it",
     ),
     "JSON list": (b'[{"a": 1}]', "is a JSON text; "),
-    "shards": (b'{"metadata": {}, "weight_map": {"a": "b"}}', "is the list of a model's files; "),
+    "shards": (b'{"metadata": {}, "weight_map": {"a": "b"}}', "is the list of a model's files; give one of these, and"),
     "text": (
         b"Entry not found\n",
         "is a text that begins 'Entry not found'; download or copy the file again, or",
