@@ -42,10 +42,20 @@ _ATTACK = re.compile(
     r"(os|posix|nt|sys|subprocess|shutil|socket|runpy|importlib|pty|ctypes|webbrowser|pickle|_pickle|timeit)\..*|"
     r"builtins\.(eval|exec|execfile|compile|__import__|open|breakpoint)"
 )
-# The function by which tensors of a TPU or NPU are saved as arrays of NumPy.
-_OF_DEVICE = re.compile(r"torch\._utils\._rebuild_(xla|device)_tensor.*")
-# Tensors of which each process of a training holds a part.
-_SPREAD = re.compile(r"torch\.distributed\.(_?tensor|_shard)\..*")
+# What tensors of other kinds name, and such tensors with what to do.
+_OTHER_TENSORS = (
+    (
+        re.compile(r"torch\.distributed\.(_?tensor|_shard)\..*"),
+        "tensors that are spread over several processes; save them whole where it was trained, as get_model_state_dict of "
+        "torch.distributed.checkpoint.state_dict returns them with StateDictOptions(full_state_dict=True, cpu_offload=True)",
+    ),
+    (
+        re.compile(r"torch\._utils\._rebuild_(xla|device)_tensor.*"),
+        "tensors of a TPU or NPU; save them again where it was trained, on the CPU: "
+        "torch.save({k: v.cpu() for k, v in model.state_dict().items()}, 'weights.pth')",
+    ),
+    (re.compile(r"torchao\..*Tensor"), "tensors quantised by torchao; give the weights as they were trained"),
+)
 # What holds the values of tensors and of NumPy's arrays.
 _VALUES = re.compile(r"torch\._utils\._rebuild_.*|numpy\..*\.(_reconstruct|_frombuffer)")
 # torch keeps one list of allowed names for the whole process.
@@ -94,7 +104,7 @@ def unpickle(path: Path) -> Any:
         return _load(path, _of_numpy())
     except Exception as error:  # the unpickler may raise anything
         names = names_in_pickle(path)
-        if whole or names or isinstance(error, pickle.UnpicklingError):
+        if whole or names or isinstance(error, pickle.UnpicklingError) or pickled_by(path) != "torch":
             raise _refusal(path, names) from error
         raise ModelFileError(
             f"{path.name} is not a PyTorch file or is truncated; expected a saved state_dict."
@@ -142,19 +152,14 @@ def _refusal(path: Path, names: Sequence[str]) -> ModelFileError:
         return ModelFileError(f"{path.name} is an unpacked entry of a PyTorch file; {UNPACKED}.")
     if by == "python":
         what = f" and names {few}" if names else ""
-        line = save_again(path, "pickle.load(open({}, 'rb'))", "import pickle; ", _where(names))
+        line = _saved_again(path, names, "pickle.load(open({}, 'rb'))", "import pickle; ")
         return ModelFileError(
             f"{path.name} is a pickle that torch.save did not write{what}, which may run code, so it was not opened; if you "
             f"trust it, {line}."
         )
     every = names_in_pickle(path, every=True)
-    if any(_SPREAD.fullmatch(name) for name in every):
-        return _spread(path)
-    if any(_OF_DEVICE.fullmatch(name) for name in every):
-        return ModelFileError(
-            f"{path.name} holds tensors of a TPU or NPU; save them again where it was trained, on the CPU: "
-            "torch.save({k: v.cpu() for k, v in model.state_dict().items()}, 'weights.pth')."
-        )
+    if (other := _other_tensors(path, every)) is not None:
+        return other
     if (protocol := pickle_protocol(path)) > 2:
         return ModelFileError(
             f"{path.name} was saved with pickle protocol {protocol}, which may run code, so it was not opened; tensors alone are "
@@ -177,16 +182,23 @@ def _refusal(path: Path, names: Sequence[str]) -> ModelFileError:
         what = f"holds a whole network, saved with torch.save(model): it names {first_few(own, 3)}"
     return ModelFileError(
         f"{path.name} {what}, which may run code, so it was not opened; if you trust it, "
-        f"{save_again(path, _LOAD + place, _prelude(names), _where(names))}."
+        f"{_saved_again(path, names, _LOAD + place, _prelude(names))}."
     )
 
 
-def _spread(path: Path) -> ModelFileError:
-    return ModelFileError(
-        f"{path.name} holds tensors that are spread over several processes; save them whole where it was trained, as "
-        "get_model_state_dict of torch.distributed.checkpoint.state_dict returns them with StateDictOptions(full_state_dict=True, "
-        "cpu_offload=True)."
-    )
+def _other_tensors(path: Path, names: Sequence[str]) -> ModelFileError | None:
+    """Return the error for tensors that the line of Python would save as they are, by names or classes; None without them."""
+    for pattern, sentence in _OTHER_TENSORS:
+        if any(pattern.fullmatch(name) for name in names):
+            return ModelFileError(f"{path.name} holds {sentence}.")
+    return None
+
+
+def _saved_again(path: Path, names: Sequence[str], expression: str, prelude: str) -> str:
+    """Return what to do with a file that names classes, as the end of a sentence."""
+    if any(name.startswith("__main__.") for name in names):
+        return "save its weights alone in the script that made it, by torch.save of its state_dict"
+    return save_again(path, expression, prelude, _where(names))
 
 
 def _where(names: Sequence[str]) -> str:
@@ -199,7 +211,7 @@ def _where(names: Sequence[str]) -> str:
 def _importable(package: str) -> bool:
     """Return whether a package can be imported here, without importing it."""
     try:
-        return package != "__main__" and importlib.util.find_spec(package) is not None
+        return importlib.util.find_spec(package) is not None
     except (ImportError, ValueError):
         return False
 
@@ -244,8 +256,9 @@ def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:
     items = {key: value for key, value in state.items() if isinstance(value, Tensor)}
     if not items or not all(isinstance(key, str) for key in items):
         raise _no_state(loaded, path)
-    if any(_SPREAD.fullmatch(f"{type(tensor).__module__}.") for tensor in items.values()):
-        raise _spread(path)
+    kinds = sorted({f"{type(tensor).__module__}.{type(tensor).__name__}" for tensor in items.values()})
+    if (other := _other_tensors(path, kinds)) is not None:
+        raise other
     if state is not loaded and len(others := _states(loaded)) > 1:
         keys = [printable(str(key))[:40] for key in others]
         log.warning("%s holds weights as %s; those of %s are read.", printable(path.name), ", ".join(keys), keys[0])

@@ -274,6 +274,39 @@ def averaged(state: State) -> object:
     return {"n_averaged": torch.tensor(3), **{f"module.{key}": value for key, value in state.items()}}
 
 
+def half_detector(_: State) -> object:
+    """A detector's checkpoint: whole networks in half precision, in place of weights."""
+    return {"epoch": -1, "best_fitness": np.array([0.5]), "model": _Net().half(), "ema": _Net().half(), "updates": 3}
+
+
+def quantised(state: State) -> object:
+    key = "model_1.model.conv1.weight"
+    return {**state, key: torch.quantize_per_tensor(state[key], 0.1, 0, torch.qint8)}
+
+
+def hole(state: State) -> bytes:
+    """An archive of which one entry was lost."""
+    data = bytearray(data_of(state))
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        start = archive.getinfo("archive/data/8").header_offset
+    data[start : start + 300] = bytes(300)
+    return bytes(data)
+
+
+def scheduled(state: State) -> object:
+    optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=0.1)
+    scheduler = torch.optim.lr_scheduler.MultiStepLR(optimizer, [10, 20])
+    return {"model_state_dict": state, "scheduler_state_dict": scheduler.state_dict()}
+
+
+def contrastive(state: State) -> object:
+    return {"state_dict": {"module.queue": torch.zeros(2), **{f"module.encoder_q.{k}": v for k, v in state.items()}}}
+
+
+def settings_first(state: State) -> object:
+    return OrderedDict([("args", {"lr": 0.1, "betas": (0.9, 0.999)}), ("state_dict", state), ("angle_error", 4.5)])
+
+
 def named(state: State, config: object) -> object:
     return {"state_dict": state, "config": config}
 
@@ -440,10 +473,14 @@ FIELD: dict[str, FieldFile] = {
     ),
     "ending of an archive": FieldFile(saved(lambda state: state, "net_119.zip")),
     "mixed precision": FieldFile(
-        saved(lambda state: {"start_epoch": 3, "model": state, "optimizer": {"param_groups": []}, "amp": {"scale": 2.0}})
+        saved(
+            lambda state: {"start_epoch": 3, "model": state, "optimizer": {"param_groups": []}, "amp": {"scale": 2.0}}
+        )
     ),
     "weight": FieldFile(saved(lambda state: {"weight": state, "train_loss": [0.1, 0.2], "val_iou": 0.5})),
-    "diverged": FieldFile(saved(diverged), "conv1.weight holds values that are not finite; take an earlier checkpoint."),
+    "diverged": FieldFile(
+        saved(diverged), "conv1.weight holds values that are not finite; take an earlier checkpoint."
+    ),
     "another method": FieldFile(
         saved(lambda _: {"temp": torch.ones(1), "xvlm.vision_encoder.norm.weight": torch.ones(4)}, "net_209.pth"),
         "is not a checkpoint of a known model: it holds temp, xvlm.vision_encoder.norm.weight; none of the known models",
@@ -474,7 +511,8 @@ FIELD: dict[str, FieldFile] = {
         "model.safetensors is damaged, truncated, or no .safetensors file; copy it again from where it came",
     ),
     "begin of a safetensors": FieldFile(
-        written(b"\x10\0\0", "model.safetensors"), "is not a .safetensors file, or its begin is damaged; download or copy"
+        written(b"\x10\0\0", "model.safetensors"),
+        "is not a .safetensors file, or its begin is damaged; download or copy",
     ),
     "folder of a trainer": FieldFile(
         run_of("model.safetensors", "optimizer.pt", "scheduler.pt", "rng_state.pth", "training_args.bin")
@@ -490,6 +528,59 @@ FIELD: dict[str, FieldFile] = {
     "sharded tensors": FieldFile(
         saved(lambda state: {"state": {"model": {"a": _Calls(ShardedTensor), **state}}}),
         "holds tensors that are spread over several processes; save them whole where it was trained",
+    ),
+    "function of dill": FieldFile(
+        of_foreign("dill_of_a_training", "_create_function", named),
+        "names dill_of_a_training._create_function, which may run code, so it was not opened; if you trust it, save its "
+        "weights alone where dill_of_a_training can be imported: python -c",
+    ),
+    "class of a script": FieldFile(
+        of_foreign("__main__", "BaseSettings", named),
+        "names __main__.BaseSettings, which may run code, so it was not opened; if you trust it, save its weights alone in "
+        "the script that made it, by torch.save of its state_dict.",
+    ),
+    "Paddle": FieldFile(
+        changed(lambda state: pickle.dumps({key: value.numpy() for key, value in state.items()}, 2), "net.pdparams"),
+        "net.pdparams is a pickle that torch.save did not write, which may run code, so it was not opened; if you trust it, "
+        'save its weights alone: python -c "import pickle; import torch; torch.save(pickle.load(open(',
+    ),
+    "detector": FieldFile(saved(half_detector, "best.pt"), "['model'].state_dict(), "),
+    "size with a point": FieldFile(options("h: 64.0\nw: 64\n")),
+    "rate without a point": FieldFile(options("h: 64\nw: 64\ndroprate: 5e-1\n")),
+    "quantised": FieldFile(
+        saved(quantised),
+        "In net_119.pth, model_1.model.conv1.weight is no plain tensor but quantised, sparse, or without",
+    ),
+    "types between": FieldFile(saved(lambda state: {**state, "a.dtype": torch.qint8, "a.packed": (1, None)})),
+    "torchao": FieldFile(
+        of_foreign("torchao.dtypes", "AffineQuantizedTensor", named),
+        "net_119.pth holds tensors quantised by torchao; give the weights as they were trained.",
+    ),
+    "hole": FieldFile(changed(hole, "net_119.pth"), "is damaged: an entry does not match its checksum; copy it again"),
+    "compiled by Lightning": FieldFile(
+        saved(lambda state: {"state_dict": {f"model._orig_mod.{key}": value for key, value in state.items()}})
+    ),
+    "comment of a program": FieldFile(written(b"# net.py:281:0\n"), "is a text that begins '# net.py:281:0'; download"),
+    "schedule": FieldFile(saved(scheduled)),
+    "name of a checkpoint": FieldFile(
+        written(b"model_final.pth", "last_checkpoint"),
+        "last_checkpoint is a text that begins 'model_final.pth'; download",
+    ),
+    "page after empty lines": FieldFile(
+        written(b"\n\n\n<html lang='en'><title>Sign in</title></html>"), "is a web page ('Sign in'); download the file"
+    ),
+    "tuple": FieldFile(saved(lambda _: (torch.zeros(2), torch.zeros(2))), "holds a tuple; expected a state_dict of"),
+    "contrastive": FieldFile(
+        saved(contrastive), "is not a checkpoint of a known model: it holds queue, encoder_q.model_1.model.conv1.weight"
+    ),
+    "student and teacher": FieldFile(
+        saved(lambda state: {"student": state, "teacher": state, "epoch": 3}),
+        "holds several state dicts (student, teacher), and no name tells which is the model; save its weights alone: python",
+    ),
+    "settings first": FieldFile(saved(settings_first)),
+    "encoder and decoder": FieldFile(
+        saved(lambda state: {"encoder": state, "decoder": {"a": torch.zeros(2)}, "best_loss": 0.5}, "checkpoint.tar"),
+        "checkpoint.tar holds several state dicts (encoder, decoder), and no name tells which is the model; save",
     ),
 }
 
@@ -525,11 +616,13 @@ def test_tensors_of_several_processes_are_named(tmp_path: Path) -> None:
         torch.save({"model": {"a": tensor}}, tmp_path / "net.pth")
     finally:
         distributed.destroy_process_group()
-    with pytest.raises(ModelFileError, match=r"net\.pth holds tensors that are spread over several processes; save them"):
+    with pytest.raises(
+        ModelFileError, match=r"net\.pth holds tensors that are spread over several processes; save them"
+    ):
         lpn.load(tmp_path / "net.pth")
 
 
-@pytest.mark.filterwarnings("ignore:.*torch.jit")
+@pytest.mark.filterwarnings("ignore:.*torch.jit", "ignore:torch.quantize_per_tensor")
 @pytest.mark.parametrize("case", FIELD)
 def test_a_file_of_a_report_opens_or_is_named(case: str, weights: tuple[State, Any], tmp_path: Path) -> None:
     state, expected = weights
