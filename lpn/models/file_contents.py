@@ -233,7 +233,7 @@ def save_again(
         expression: the weights, with `{}` for the file's name.
         prelude: statements before it.
         where: the place to do it, as " where PACKAGE can be imported".
-        aim: the begin of what is returned.
+        aim: the first words of the returned sentence.
     """
     # The line stands in double quotes of a shell, so Python's are single ones.
     source, target = (
