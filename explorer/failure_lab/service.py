@@ -132,7 +132,7 @@ class FailureLab:
     def findings(self, task: str) -> Findings | None:
         """Return a task's findings with all that is known by now; None before they are computed.
 
-        That is the newest notes, the newest answers of a flight, and the second model's ranks.
+        They include the newest notes, the newest answers of a flight, and the second model's ranks.
         """
         flight = self._workspace.flight
         with self._lock:

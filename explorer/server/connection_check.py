@@ -169,13 +169,13 @@ class _Circumstances:
 
 
 _FIELD = re.compile("{(" + "|".join(one.name for one in fields(_Circumstances)) + ")}")
-# What a browser writes as the origin of a page.
+# The origin of a page, as browsers write it.
 _ORIGIN = re.compile(r"https?://[^\s/]{1,300}|null")
 
 
 @dataclass(frozen=True)
 class _Arrival:
-    """What arrived of one of the page's own websockets."""
+    """The request of one of the page's own websockets, as it arrived."""
 
     host: str
     upgrade: bool
@@ -194,7 +194,7 @@ class ConnectionCheck:
     def note(self, request: HttpRequest, server: str, refusal: Refusal | None) -> None:
         """Note a websocket that arrived, with or without its header Upgrade.
 
-        What is wrong with viser's is logged at once, what is wrong with the page's own when it asks: one of them may be open.
+        A fault of viser's websocket is logged at once; one of the page's own only when the page asks, since another may be open.
 
         Args:
             server: address and port at which it arrived.

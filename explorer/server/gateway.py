@@ -249,7 +249,7 @@ class _Connection(ServerConnection):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Abort a connection if too many are pending; otherwise the process could run out of file descriptors.
 
-        That is the oldest one that has not sent its request: somebody who holds half-open connections keeps nobody else out.
+        The oldest one without a request is aborted: somebody who holds half-open connections keeps nobody else out.
         """
         super().connection_made(transport)
         pending = [one for one in self.server.handlers if one.state is CONNECTING and not one.transport.is_closing()]

@@ -91,9 +91,9 @@ def fold(path: str) -> str:
 
 
 class _Below(ABC):
-    """What lies below a folder, looked up by listed paths."""
+    """Files and folders below a folder, looked up by listed paths."""
 
-    # What is looked up is opened then, so that a path outside of the folder is an error even among others.
+    # A file that is found is opened later, so a path outside of the folder is an error even among others.
     _opens = True
 
     @abstractmethod

@@ -137,7 +137,7 @@ class LogColumns:
 
     @property
     def has_position(self) -> bool:
-        """Whether a latitude and a longitude are among them."""
+        """True if a latitude and a longitude are among them."""
         return {"latitude", "longitude"} <= self.places.keys() or "position" in self.places
 
 

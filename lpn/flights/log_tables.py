@@ -18,7 +18,7 @@ _DELIMITERS = (",", ";", "\t", "|", None)
 # A second line with units, as in FlySight's files.
 _UNIT_CELL = re.compile(r"[(\[]?(?:deg|degrees|°|rad|dd|decimal degrees)[)\]]?", re.IGNORECASE)
 _COMMA_DECIMAL = re.compile(r"[^\d,.]*\d{1,3},\d+[^\d,.]*")
-# What the first line of a geo.txt in degrees says.
+# Names of WGS 84 in the first line of a geo.txt, whose positions are in degrees then.
 _GEOGRAPHIC = re.compile(r"EPSG:4326|longlat|WGS ?84", re.IGNORECASE)
 _UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
 _PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)

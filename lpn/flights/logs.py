@@ -83,12 +83,7 @@ def read_log(file: Path) -> Log:
             message names the line of such a value.
     """
     name = printable(file.name)
-    try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise DataError(f"{name} has more than {_MOST_BYTES // 1_000_000} MB; expected a log of one flight.")
-        data = file.read_bytes()
-    except OSError as error:
-        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
+    data = values.read_limited(file, _MOST_BYTES, "a log of one flight")
     if file.suffix.lower() == ".txt" and b"\x00" in data[:1000] and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
         raise DataError(
             f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."

@@ -36,7 +36,7 @@ class Namespace(NamedTuple):
 
 
 class XmpRow(NamedTuple):
-    """What a property means.
+    """The meaning of one XMP property.
 
     Attributes:
         namespace: a key of `NAMESPACES`.
@@ -238,7 +238,7 @@ _MOST: Mapping[str, float] = {
 
 
 class XmpValues:
-    """What the properties of a photo mean.
+    """The values of a photo's XMP properties, by the table's rows.
 
     Attributes:
         values: the first readable value of each row: a finite number, or the text of rows of text.
@@ -297,7 +297,7 @@ class XmpValues:
 
     @property
     def heading_unread(self) -> bool:
-        """Whether a property that was not read, or whose value cannot be read, looks like a heading."""
+        """True if a property that was not read, or whose value cannot be read, looks like a heading."""
         return any(_words(name.rpartition(":")[2]) & _HEADING for name in (*self.unread, *self.unreadable))
 
 

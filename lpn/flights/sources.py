@@ -285,7 +285,7 @@ def _at_moment(photo: Photo, telemetry: Telemetry, fit: ClockFit, utc: bool) -> 
 def _row_of(photo: Photo, rows: dict[str, list[LogRow]]) -> tuple[LogRow, list[LogRow]] | None:
     """Return the row that names a photo, and all that do alike; None without one.
 
-    Of several, those count whose folders agree most with the photo's; then the nearest to its own position, else the first.
+    Among several, those whose folders agree most with the photo's count; then the nearest to its own position, else the first.
     """
     file = photo.frame.file
     named = rows.get(file.name.casefold()) or rows.get(file.stem.casefold(), [])

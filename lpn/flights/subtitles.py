@@ -167,12 +167,7 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
     Raises:
         DataError: also if the file cannot be read or is larger than 500 MB.
     """
-    try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise DataError(f"{printable(file.name)} has more than 500 MB; expected subtitles with telemetry.")
-        data = file.read_bytes()
-    except OSError as error:
-        raise DataError(f"{printable(file.name)} cannot be read ({error.strerror or error}); check it.") from error
+    data = values.read_limited(file, _MOST_BYTES, "subtitles with telemetry")
     return parse_subtitles(blocks_of(data), printable(file.name), gps_order)
 
 

@@ -84,13 +84,7 @@ def read_track(file: Path) -> Log:
         DataError: if it is no such file, has a DTD, or has no point with a position.
     """
     name = printable(file.name)
-    try:
-        if file.stat().st_size > _MOST_BYTES:
-            raise DataError(f"{name} has more than {_MOST_BYTES // 1_000_000} MB; expected the track of one flight.")
-        data = file.read_bytes()
-    except OSError as error:
-        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
-    return parse_track(data, name)
+    return parse_track(values.read_limited(file, _MOST_BYTES, "the track of one flight"), name)
 
 
 def parse_track(data: bytes, name: str) -> Log:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -45,6 +46,25 @@ _GROUPED_BY_POINTS = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d+")
 # Positions in radians lie within these limits, which in degrees are a stretch of sea, and within this span.
 _RADIANS, _RADIANS_SPAN = (1.5708, 3.1416), 0.001
 _LONGEST = 100
+
+
+def read_limited(file: Path, most_bytes: int, expected: str) -> bytes:
+    """Return the contents of a file of telemetry.
+
+    Args:
+        most_bytes: the largest size that is read.
+        expected: such a file, for the message about a larger one.
+
+    Raises:
+        DataError: if it cannot be read, or is larger.
+    """
+    name = printable(file.name)
+    try:
+        if file.stat().st_size > most_bytes:
+            raise DataError(f"{name} has more than {most_bytes // 1_000_000} MB; expected {expected}.")
+        return file.read_bytes()
+    except OSError as error:
+        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
 
 
 def decoded(data: bytes, name: str) -> str:

@@ -180,7 +180,7 @@ def _tree(text: str) -> ElementTree.Element:
     end = 0
     for token in _TAG.finditer(text):
         element, _, declared = stack[-1]
-        # What follows the last tag may be cut, and never comes here.
+        # Text behind the last tag may be cut; it is never read here.
         if len(element.text or "") < _MOST_TEXT:
             between = text[end : min(token.start(), end + _MOST_TEXT)]
             element.text = (element.text or "") + _plain(between) + (token["data"] or "")[:_MOST_TEXT]

@@ -79,7 +79,7 @@ class Extent:
 
 @dataclass(frozen=True)
 class Declared:
-    """What a set says of itself; None where it says nothing.
+    """The declarations of a set of tiles; None where it makes none.
 
     Attributes:
         from_south: rows count from the south (TMS).

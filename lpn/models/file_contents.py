@@ -1,4 +1,4 @@
-"""What a file given as a model holds, by its first bytes. Nothing is unpickled, and neither torch nor safetensors is needed."""
+"""Kinds of files that are given as models, by their first bytes; nothing is unpickled, and no torch or safetensors is needed."""
 
 from __future__ import annotations
 

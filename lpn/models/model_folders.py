@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 _EPOCH = re.compile(r"net_(last|\d{1,9})\.pth")
 # The models of a training of this project, the better one first, beside which it keeps other files.
 _OWN = ("best.safetensors", "last.safetensors")
-# What trainings save beside a model, from which they are resumed.
+# Files that trainings save beside a model, to be resumed from.
 _STATE = re.compile(
     r"state\.pt|(optimizer|scheduler|scaler|sampler|rng_state|random_states|training_args)(_\d{1,6})?\.(pt|pth|bin)"
 )

@@ -42,7 +42,7 @@ _ATTACK = re.compile(
     r"(os|posix|nt|sys|subprocess|shutil|socket|runpy|importlib|pty|ctypes|webbrowser|pickle|_pickle|timeit)\..*|"
     r"builtins\.(eval|exec|execfile|compile|__import__|open|breakpoint)"
 )
-# What tensors of other kinds name, and such tensors with what to do.
+# Names in pickles of tensors of other kinds; the kind, and what to do.
 _OTHER_TENSORS = (
     (
         re.compile(r"torch\.distributed\.(_?tensor|_shard)\..*"),
@@ -56,7 +56,7 @@ _OTHER_TENSORS = (
     ),
     (re.compile(r"torchao\..*Tensor"), "tensors quantised by torchao; give the weights as they were trained"),
 )
-# What holds the values of tensors and of NumPy's arrays.
+# Functions that rebuild tensors and NumPy's arrays.
 _VALUES = re.compile(r"torch\._utils\._rebuild_.*|numpy\..*\.(_reconstruct|_frombuffer)")
 # torch keeps one list of allowed names for the whole process.
 _ALLOWING = threading.Lock()

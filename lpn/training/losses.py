@@ -188,7 +188,7 @@ def total_loss(
 def drop_parts(descriptors: Tensor, n_parts: int, probability: float) -> Tensor:
     """Leave parts out of descriptors (B, n D) at random, each with a probability, and at least one part of each in.
 
-    What stays is scaled by n over the number of parts that stay, so a cosine with a whole descriptor is the mean over them.
+    Parts that stay are scaled by n over their number, so a cosine with a whole descriptor is the mean over them.
     """
     b = len(descriptors)
     draws = torch.rand(b, n_parts, device=descriptors.device)
