@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -17,33 +18,25 @@ from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.analysis.array_task import array_task
-from lpn.analysis.query_outcomes import labels_of
-from lpn.analysis.task import Task, calibrated, gallery_geometry, no_task_error, offered_tasks, open_task
+from lpn.analysis.published_task import published_task
+from lpn.analysis.task import Task
 from lpn.core.errors import DataError, LPNError
 from lpn.core.files import distinct_names, printable
 from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.datasets.city_model import CityModel, city_model
-from lpn.flights import open_flight
-from lpn.index import open_index
-from lpn.index.queries import dataset_queries, picture_queries
-from lpn.index.shared import SharedIndex
-from lpn.index.task import DEPTH, index_task
-from lpn.locate.index_queries import flight_queries
-from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress, locate, registered
-from lpn.locate.task import flight_task
-from lpn.maps import open_map
+from lpn.index.task import DEPTH
+from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress, registered
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
-from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.plain_arrays import PlainArrays
-from lpn.retrieval.published_results import PublishedResult, truth_of_rows
+from lpn.retrieval.published_results import PublishedResult
+from lpn.sources import Flown, Indexed, ModelOptions, OpenedSource
+from lpn.sources.sources import open_data
 
 log = logging.getLogger(__name__)
 
-# Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
-SAVED_MAP = (16, 16)
 # Seconds that the start waits for registration; answers from the cache take less.
 REGISTRATION_WAIT = 3.0
 # Overlap of the windows under an offered flight, a quarter as many as `lpn locate` describes: somebody waits for them.
@@ -106,16 +99,9 @@ def _open_one(
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind)
         dataset = open_dataset(data)
-    names = offered_tasks(opened, dataset)
-    if not names:
-        raise no_task_error(opened, dataset)
-    calibration = calibrated(opened, dataset) if calibrate else None
-    tasks = [open_task(opened, model_name, dataset, name, tags_and_notes={}, calibration=calibration) for name in names]
-    if calibration is not None:
-        opened = calibration.applied(opened)
-        sentence = f"{printable(model_name)} is {calibration.describe()}."
-        _terminal().print(sentence, highlight=False, markup=False, soft_wrap=True)
-    return _workspace(tasks, opened), dataset
+    source = open_data(opened, model_name, dataset, calibrate=calibrate, every=True)
+    _print_notes(source)
+    return _workspace(source), dataset
 
 
 def _names(model: Path | Model, second: Path | None) -> tuple[str, str]:
@@ -146,43 +132,12 @@ def _naming_files(
 
 
 def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> Workspace:
-    """Open a published result on its pictures, without a network.
-
-    Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.
+    """Open a published result on its pictures, see `published_task`.
 
     Raises:
-        LPNError: when the data set lacks the result's pictures, or its descriptors do not consist of parts of equal norm.
+        LPNError: as for it, and when there is no such query.
     """
-    saved.check_norms()
-    dataset = open_dataset(data)
-    views, queries, gallery = saved.pictures(dataset)
-    layout: Layout = "cvusa" if dataset.panoramas else "university"
-    spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
-    contract = spec.contract()
-    name = "-to-".join(views)
-    truth = truth_of_rows(dataset, name, queries, gallery)
-    labels = saved.query_labels, saved.gallery_labels
-    if truth is not None:  # the labels of such a result tell one true tile of several, or are numbered otherwise
-        labels = labels_of(queries), labels_of(gallery)
-    task = Task(
-        name=name,
-        model=None,
-        model_name=saved.name,
-        data_name=printable(data.resolve().name),
-        root=dataset.root,
-        contract=contract,
-        map_sizes=dict.fromkeys(contract.views, SAVED_MAP),
-        queries=queries,
-        gallery=gallery,
-        query_labels=labels[0],
-        gallery_labels=labels[1],
-        query_descriptors=saved.query,
-        gallery_descriptors=saved.gallery,
-        truth=truth,
-        columns=dataset.columns(queries),
-        geometry=gallery_geometry(dataset, queries, gallery),
-    )
-    workspace = _workspace([task])
+    workspace = _workspace(OpenedSource([published_task(saved, open_dataset(data))]))
     workspace.choose_first_query(query)
     return workspace
 
@@ -197,8 +152,7 @@ def open_arrays(arrays: PlainArrays, name: str, query: str | None = None) -> Wor
     Raises:
         LPNError: when there is no such query.
     """
-    task = array_task(arrays, name)
-    workspace = _workspace([task])
+    workspace = _workspace(OpenedSource([array_task(arrays, name)]))
     workspace.choose_first_query(query)
     return workspace
 
@@ -234,22 +188,23 @@ def open_flight_over(
     Raises:
         LPNError: when map, flight, or model cannot be used, or there is no such frame.
     """
-    options = LocateOptions(register=False, overlap=overlap)
     name, second_name = _names(model, second_model)
-    workspace, opened, located = _open_located(map_path, flight_path, model, name, provider, options, report, kind)
-    for note in (*located.town.notes, *located.flight.notes, *located.notes):
-        _terminal().print(printable(note), highlight=False, markup=False, soft_wrap=True)
+    source = Flown(map=map_path, flight=flight_path, model=ModelOptions(model=model, kind=kind, provider=provider))
+    opened = _open_flown(source, name, overlap, report)
+    workspace, located, network = _workspace(opened, with_city=False), opened.located, opened.network
+    assert located is not None
+    assert network is not None
+    _print_notes(opened)
     broken = () if located.retrieval is None else located.retrieval.broken
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
     if second_model is not None:
-        second, _, _ = _open_located(
-            map_path, flight_path, second_model, second_name, provider, options, report, second_kind
-        )
+        other = replace(source, model=ModelOptions(model=second_model, kind=second_kind, provider=provider))
+        second = _workspace(_open_flown(other, second_name, overlap, report), with_city=False)
         workspace.second = LazyWorkspace(second.model_name, lambda _: second)
         workspace.second.open()
     if register:
-        _begin_registration(workspace, located, opened, options)
+        _begin_registration(workspace, located, network, LocateOptions(register=False, overlap=overlap))
     return workspace
 
 
@@ -281,24 +236,18 @@ def open_indexed(
     Raises:
         LPNError: when one of them cannot be used, or the index holds tiles of another model.
     """
-    with _status(f"Opening {printable(model.name)} and the index"):
-        opened = lpn.load(model, provider, kind=kind)
-        index = SharedIndex(open_index(where))
-        town = None if map_path is None else open_map(map_path)
-    if flight_path is not None and town is not None:
-        with _progress() as progress:
-            frames = open_flight(flight_path)
-            queries = flight_queries(
-                opened, frames, town, index, flight_path, lambda done, total: progress("frames", done, total)
-            )
-    elif pictures is not None:
-        queries = picture_queries(opened, pictures, index, data)
-    else:
-        assert data is not None
-        queries = dataset_queries(opened, open_dataset(data), index)
-    task = index_task(opened, model.name, index, queries, depth, town)
-    workspace = _workspace([task], opened, with_city=town is None)
-    workspace.town = town
+    source = Indexed(
+        index=where,
+        model=ModelOptions(model=model, kind=kind, provider=provider),
+        data=data,
+        pictures=pictures,
+        map=map_path,
+        flight=flight_path,
+        depth=depth,
+    )
+    with _status(f"Opening {printable(model.name)} and the index"), _progress() as progress:
+        opened = source.open(on_progress=progress)
+    workspace = _workspace(opened, with_city=opened.map is None)
     workspace.choose_first_query(query)
     return workspace
 
@@ -312,43 +261,36 @@ def offered_flight(map_path: Path, flight_path: Path, model: Path, provider: Pro
     return LazyWorkspace("a flight over its map", _naming_files([map_path, flight_path, model], opened))
 
 
-def _open_located(
-    map_path: Path,
-    flight_path: Path,
-    model: Path,
-    name: str,
-    provider: ProviderName,
-    options: LocateOptions,
-    report: ReportProgress | None,
-    kind: Kind | None = None,
-) -> tuple[Workspace, Model, LocatedFlight]:
-    """Open a flight without registration; return the model as well, whose descriptors are not centred."""
-    with _status(f"Opening {printable(map_path.name)}, {printable(flight_path.name)}, and {printable(model.name)}"):
-        town, flight = open_map(map_path), open_flight(flight_path)
-        opened = lpn.load(model, provider, kind=kind)
-    for view in ("satellite", "drone"):
-        opened.check_view(view)
-    with _progress() if report is None else nullcontext(_counts(report)) as progress:
-        located = locate(town, flight, opened, options, progress)
-    task = flight_task(opened, name, located, flight_path)
-    workspace = _workspace([task], task.model, with_city=False)
-    workspace.flight = located
-    return workspace, opened, located
+def _open_flown(source: Flown, name: str, overlap: float, report: ReportProgress | None) -> OpenedSource:
+    """Open a flight without registration, under a name of its model."""
+    files = " and ".join(printable(file.name) for file in (source.map, source.flight))
+    with (
+        _status(f"Opening {printable(source.model.name)}, {files}"),
+        _progress() if report is None else nullcontext(_counts(report)) as progress,
+    ):
+        return source.locate(overlap, progress).named(name)
 
 
-def _workspace(tasks: Sequence[Task], model: Model | None = None, with_city: bool = True) -> Workspace:
+def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
     """Return a workspace of tasks on the same data, whose galleries begin to be ranked."""
-    first = tasks[0]
-    return Workspace(
+    first, model = source.task, source.model
+    workspace = Workspace(
         first.model_name,
         first.data_name,
-        [_begin_ranking(task) for task in tasks],
+        [_begin_ranking(task) for task in source.tasks],
         first.contract,
         dict(first.map_sizes) if model is None else {view: model.map_size(view) for view in model.views},
         model,
         _city(first) if with_city else None,
         first.root,
     )
+    workspace.flight, workspace.town = source.located, source.map
+    return workspace
+
+
+def _print_notes(source: OpenedSource) -> None:
+    for note in source.notes:
+        _terminal().print(note, highlight=False, markup=False, soft_wrap=True)
 
 
 def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model, options: LocateOptions) -> None:

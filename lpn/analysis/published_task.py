@@ -1,0 +1,51 @@
+"""A published result as a task: ranking, laboratory, and map on its pictures, without a network."""
+
+from __future__ import annotations
+
+from lpn.analysis.query_outcomes import labels_of
+from lpn.analysis.task import Task, gallery_geometry
+from lpn.core.files import printable
+from lpn.datasets import Dataset
+from lpn.models.spec import Layout, ModelSpec
+from lpn.retrieval.published_results import PublishedResult, truth_of_rows
+
+# Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
+SAVED_MAP = (16, 16)
+
+
+def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
+    """Return the task of a published result on its pictures.
+
+    Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.
+
+    Raises:
+        LPNError: when the data set lacks the result's pictures, or its descriptors do not consist of parts of equal norm.
+    """
+    saved.check_norms()
+    views, queries, gallery = saved.pictures(dataset)
+    layout: Layout = "cvusa" if dataset.panoramas else "university"
+    spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
+    contract = spec.contract()
+    name = "-to-".join(views)
+    truth = truth_of_rows(dataset, name, queries, gallery)
+    labels = saved.query_labels, saved.gallery_labels
+    if truth is not None:  # the labels of such a result tell one true tile of several, or are numbered otherwise
+        labels = labels_of(queries), labels_of(gallery)
+    return Task(
+        name=name,
+        model=None,
+        model_name=saved.name,
+        data_name=printable(dataset.root.resolve().name),
+        root=dataset.root,
+        contract=contract,
+        map_sizes=dict.fromkeys(contract.views, SAVED_MAP),
+        queries=queries,
+        gallery=gallery,
+        query_labels=labels[0],
+        gallery_labels=labels[1],
+        query_descriptors=saved.query,
+        gallery_descriptors=saved.gallery,
+        truth=truth,
+        columns=dataset.columns(queries),
+        geometry=gallery_geometry(dataset, queries, gallery),
+    )

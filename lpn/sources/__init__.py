@@ -1,0 +1,13 @@
+"""Where tasks come from: five kinds of source, each of which opens as tasks that every command takes.
+
+`Data` is a data set under a model, `Published` a result of the published test code, `Arrays` descriptors that any model made,
+`Indexed` an index of tiles, and `Flown` a flight over a map. Commands and the explorer import from here; this room imports
+everything below it.
+"""
+
+from __future__ import annotations
+
+from lpn.sources.opened import OpenedSource
+from lpn.sources.sources import Arrays, Data, Flown, Indexed, ModelOptions, Published, Source
+
+__all__ = ["Arrays", "Data", "Flown", "Indexed", "ModelOptions", "OpenedSource", "Published", "Source"]

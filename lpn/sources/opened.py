@@ -1,0 +1,67 @@
+"""An opened source: its tasks, and what they were opened from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from typing import TYPE_CHECKING
+
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+
+if TYPE_CHECKING:
+    from lpn.analysis.task import Task
+    from lpn.datasets import Picture
+    from lpn.locate.pipeline import LocatedFlight
+    from lpn.maps import Map
+    from lpn.models.base import Model
+
+# Receives the stage, such as "frames", and the numbers of finished and of all its steps.
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenedSource:
+    """The tasks of a source.
+
+    Attributes:
+        tasks: one, or all that the source offers.
+        model: the network that describes further pictures, calibrated or centred where the source is; None without one.
+        network: the same before calibration and centring.
+        located: the flight, located without registration; None for other sources.
+        map: the map that windows are cut from; None without one.
+        notes: sentences about the files, for the person who opened them.
+    """
+
+    tasks: Sequence[Task]
+    model: Model | None = None
+    network: Model | None = None
+    located: LocatedFlight | None = None
+    map: Map | None = None
+    notes: Sequence[str] = field(default=())
+
+    @property
+    def task(self) -> Task:
+        """The first task."""
+        return self.tasks[0]
+
+    def named(self, model_name: str) -> OpenedSource:
+        """Return the source with another display name of its model."""
+        return replace(self, tasks=[replace(task, model_name=printable(model_name)) for task in self.tasks])
+
+
+def query_positions(names: Sequence[str], queries: Sequence[Picture], data_name: str) -> list[int]:
+    """Return the positions of queries by their names, each once.
+
+    Raises:
+        InputError: if there is no query of a name; the message names the nearest ones.
+    """
+    places = {query.name: place for place, query in reversed(list(enumerate(queries)))}
+    for name in names:
+        if name not in places:
+            near = get_close_matches(name, places, 3, 0.5) or [queries[0].name]
+            raise InputError(
+                f"{printable(data_name)} has no query {printable(name)}; did you mean {' or '.join(map(printable, near))}?"
+            )
+    return [places[name] for name in dict.fromkeys(names)]

@@ -1,0 +1,292 @@
+"""The five kinds of source; each is a group of options of the command line, too."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+
+import tyro
+
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.core.resources import ProviderName
+from lpn.core.views import TaskName
+from lpn.models.adapters import Kind
+from lpn.sources.opened import OpenedSource, Progress, query_positions
+
+if TYPE_CHECKING:
+    from lpn.datasets import Dataset
+    from lpn.models.base import Model
+    from lpn.retrieval.plain_arrays import PlainArrays
+
+
+def no_progress(stage: str, done: int, total: int) -> None:
+    """Report nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelOptions:
+    """A trained model."""
+
+    model: Path
+    """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models."""
+    kind: Kind | None = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    provider: ProviderName = "auto"
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+
+    @property
+    def name(self) -> str:
+        """The file's name, to display."""
+        return self.model.name
+
+    def load(self, compiled: bool = False) -> Model:
+        """Open the model, see `lpn.load` for the errors."""
+        import lpn
+
+        return lpn.load(self.model, self.provider, compiled, self.kind)
+
+
+class Source(ABC):
+    """A source of tasks; `open` opens them.
+
+    Attributes:
+        WORD: names the source on the command line.
+        why_no_sweep: why its queries cannot be changed, as the end of a sentence; empty if they can.
+    """
+
+    WORD: ClassVar[str]
+    why_no_sweep: ClassVar[str] = ""
+
+    @abstractmethod
+    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+        """Open the source.
+
+        Args:
+            names: names that queries of the first task must have; they are checked before pictures are described.
+            on_progress: called with a stage and the numbers of finished and of all its steps.
+
+        Raises:
+            LPNError: if a file cannot be used, or there is no such query.
+        """
+
+
+def open_data(
+    model: Model,
+    model_name: str,
+    dataset: Dataset,
+    task: str | None = None,
+    calibrate: bool = False,
+    every: bool = False,
+    names: Sequence[str] = (),
+) -> OpenedSource:
+    """Open a data set under an opened model, see `Data`.
+
+    Args:
+        model_name: the model's name to display.
+        every: open every task that model and data set offer, in place of one.
+        names: see `Source.open`.
+
+    Raises:
+        LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
+    """
+    from lpn.analysis.task import calibrated, choose_task, offered_tasks, open_task
+    from lpn.core.views import views_of
+
+    first = choose_task(model, dataset, task)
+    if names:
+        query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
+    calibration = calibrated(model, dataset) if calibrate else None
+    tasks = [
+        open_task(model, model_name, dataset, name, tags_and_notes={}, calibration=calibration)
+        for name in (offered_tasks(model, dataset) if every and task is None else [first])
+    ]
+    if calibration is None:
+        return OpenedSource(tasks, model, model)
+    note = f"{printable(model_name)} is {calibration.describe()}."
+    return OpenedSource(tasks, calibration.applied(model), model, notes=[note])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Data(Source):
+    """A data set, described by a model."""
+
+    WORD = "data"
+
+    data: Path
+    """Data set in any layout of docs/data.md."""
+    model: Annotated[ModelOptions, tyro.conf.arg(name="")]
+    task: TaskName | None = None
+    """Views of query and gallery; by default the first task of the data set that the model supports."""
+    calibrate: bool = False
+    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
+    and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
+
+    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+        from lpn.datasets import open_dataset
+
+        del on_progress
+        dataset = open_dataset(self.data)
+        return open_data(self.model.load(), self.model.name, dataset, self.task, self.calibrate, names=names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published(Source):
+    """A result of the published test code on its pictures, without a network."""
+
+    WORD = "published"
+    why_no_sweep = "a saved result holds descriptors and no network"
+
+    saved: Path
+    """Result of the published test code, pytorch_result.mat."""
+    data: Path
+    """Data set that it was computed on."""
+    n_parts: int | None = None
+    """Number of parts of its descriptors; 1 by default."""
+
+    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+        from lpn.analysis.published_task import published_task
+        from lpn.datasets import open_dataset
+        from lpn.retrieval.published_results import check_n_parts, load_saved
+
+        del on_progress
+        task = published_task(load_saved(self.saved, check_n_parts(self.n_parts)), open_dataset(self.data))
+        query_positions(names, task.queries, task.data_name)
+        return OpenedSource([task])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arrays(Source):
+    """Descriptors that any model made, without a network."""
+
+    WORD = "arrays"
+    why_no_sweep = "plain arrays hold descriptors and no network"
+
+    query: Path
+    """Descriptors of the queries that any model made, as .npy, .npz, .mat, or .parquet."""
+    gallery: Path
+    """Descriptors of the gallery, in such a file."""
+    paths: Path | None = None
+    """List of the pictures, a .csv with file, side, label, latitude, longitude (docs/data.md); without it rows are numbered, and
+    nobody knows what is right."""
+    order: Literal["parts-first", "parts-last"] = "parts-first"
+    """Order of the axes: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
+    n_parts: int | None = None
+    """Number of parts of two-dimensional arrays; 1 by default."""
+    data: Path | None = None
+    """Folder that the list's paths are relative to; by default the list's."""
+
+    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+        from lpn.analysis.array_task import array_task
+
+        del on_progress
+        task = array_task(self.load(), printable(self.query.name))
+        query_positions(names, task.queries, task.data_name)
+        return OpenedSource([task])
+
+    def load(self) -> PlainArrays:
+        """Read the arrays, see `load_arrays` for the errors."""
+        from lpn.retrieval.plain_arrays import load_arrays
+        from lpn.retrieval.published_results import check_n_parts
+
+        n_parts = None if self.n_parts is None else check_n_parts(self.n_parts)
+        return load_arrays(self.query, self.gallery, self.paths, n_parts, self.order, self.data)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Indexed(Source):
+    """An index of tiles, searched with queries of a data set, of a folder of pictures, or of a flight."""
+
+    WORD = "index"
+
+    index: str
+    """Index of tiles, made by lpn index: a folder, or milvus://host:port/collection."""
+    model: Annotated[ModelOptions, tyro.conf.arg(name="")]
+    data: Path | None = None
+    """Data set of the queries; beside --pictures the folder that the tiles' names are relative to."""
+    pictures: Path | None = None
+    """Folder of plain pictures to search for, whose places nobody knows."""
+    map: Path | None = None
+    """Map whose windows the index holds; with --flight."""
+    flight: Path | None = None
+    """Flight over that map, a folder of lpn flight or one of photos, whose frames are the queries."""
+    depth: int = 100
+    """Number of tiles that a search returns; ranks beyond it are not known."""
+
+    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+        from lpn.datasets import open_dataset
+        from lpn.flights import open_flight
+        from lpn.index import open_index
+        from lpn.index.queries import dataset_queries, picture_queries
+        from lpn.index.shared import SharedIndex
+        from lpn.index.task import index_task
+        from lpn.locate.index_queries import flight_queries
+        from lpn.maps import open_map
+
+        self._check_queries()
+        model = self.model.load()
+        index = SharedIndex(open_index(self.index))
+        ground = None if self.map is None else open_map(self.map)
+        if self.flight is not None and ground is not None:
+            queries = flight_queries(
+                model,
+                open_flight(self.flight),
+                ground,
+                index,
+                self.flight,
+                lambda done, total: on_progress("frames", done, total),
+            )
+        elif self.pictures is not None:
+            queries = picture_queries(model, self.pictures, index, self.data)
+        else:
+            assert self.data is not None
+            queries = dataset_queries(model, open_dataset(self.data), index)
+        query_positions(names, queries.pictures, queries.data_name)
+        task = index_task(model, self.model.name, index, queries, self.depth, ground)
+        return OpenedSource([task], model, model, map=ground)
+
+    def _check_queries(self) -> None:
+        flown = self.flight is not None
+        of_data = self.data is not None or self.pictures is not None
+        if flown == of_data or (flown and self.map is None):
+            raise InputError(
+                "An index has tiles and no queries; give one kind of queries: --data, --pictures, or --flight with --map."
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown(Source):
+    """A flight over a map: frames are the queries, windows of the map the gallery."""
+
+    WORD = "flight"
+
+    map: Path
+    """Map under the flight: a folder of lpn map, or a georeferenced picture."""
+    flight: Path
+    """Flight over the map: a folder of lpn flight, or one of photos."""
+    model: Annotated[ModelOptions, tyro.conf.arg(name="")]
+
+    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+        return self.locate(None, on_progress, names)
+
+    def locate(
+        self, overlap: float | None = None, on_progress: Progress = no_progress, names: Sequence[str] = ()
+    ) -> OpenedSource:
+        """Open the flight with windows that overlap by a share of their sides, `LocateOptions.overlap` by default."""
+        from lpn.flights import open_flight
+        from lpn.locate.pipeline import LocateOptions, locate
+        from lpn.locate.task import flight_task
+        from lpn.maps import open_map
+
+        ground, flight, model = open_map(self.map), open_flight(self.flight), self.model.load()
+        for view in ("satellite", "drone"):
+            model.check_view(view)
+        options = LocateOptions(register=False, overlap=LocateOptions.overlap if overlap is None else overlap)
+        located = locate(ground, flight, model, options, on_progress)
+        task = flight_task(model, self.model.name, located, self.flight)
+        query_positions(names, task.queries, task.data_name)
+        notes = [printable(note) for note in (*ground.notes, *flight.notes, *located.notes)]
+        return OpenedSource([task], task.model, model, located, notes=notes)
