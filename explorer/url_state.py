@@ -13,7 +13,6 @@ from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState, W
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
-from lpn.index.task import IndexTask
 
 # Characters of a query string; the region of a large feature map fits.
 _MAX_LENGTH = 20_000
@@ -66,7 +65,7 @@ class UrlState:
             for name, task in workspace.tasks.items()
             for side, entries in (
                 ("query", task.queries),
-                ("gallery", () if isinstance(task, IndexTask) else task.gallery),
+                ("gallery", task.gallery if task.lists_gallery else ()),
             )
         }
         reach = workspace.contract.input_size[1] // 2, workspace.contract.input_size[0] // 2
@@ -232,15 +231,15 @@ class UrlState:
         if state.selected is None or state.selected == POSITIVE:
             return state.selected
         task = self._workspace.tasks[state.task]
-        if isinstance(task, IndexTask):  # positions differ from one start of the app to the next
-            name = task.seen.name_of(state.selected)
+        if not task.lists_gallery:  # positions differ from one start of the app to the next
+            name = task.tile_name(state.selected)
             return name if name == printable(name) and name not in (OWN, POSITIVE) else None
         return self._name(state, "gallery", task.gallery, state.selected)
 
     def _read_tile(self, state: SessionState, value: str) -> SessionState:
         task = self._workspace.tasks[state.task]
         gallery = task.gallery
-        if isinstance(task, IndexTask):
+        if not task.lists_gallery:
             try:
                 tile = None if value in (OWN, POSITIVE) else task.find_tile(value)
             except LPNError as error:

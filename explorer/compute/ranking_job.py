@@ -9,12 +9,9 @@ import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.analysis import ranking_cache
-from lpn.analysis.ranking_cache import ResumableRanking
 from lpn.analysis.task import Task
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import LPNError
-from lpn.index.ranking import IndexRanking
-from lpn.index.task import IndexTask
 from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
 
@@ -53,8 +50,8 @@ class RankingJob:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.result: TaskRanking | None = None
-        self._searched = isinstance(task, IndexTask)
-        self._ranking = IndexRanking(task) if isinstance(task, IndexTask) else ResumableRanking(task)
+        self._searched = not task.lists_gallery
+        self._ranking = task.ranking()
         self._jobs, self._rank_lock = BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
 

@@ -7,12 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.core.arrays import Float32Array
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import sweeps
 from lpn.explain.sweeps import CHANGE_FIELD, Point, SweepResult, SweptProperty
 from lpn.models.base import Model
-from lpn.retrieval import Ranking
 
 
 class SweepRequest:
@@ -44,10 +42,7 @@ class SweepRequest:
         progress = SweepProgress(self, total=len(changes))
         yield progress
         follow = None if analysis.positive else analysis.chosen.index
-
-        def rank(descriptor: Float32Array) -> Ranking:
-            return task.start_search(known, descriptor)(analysis.ranking.weights, follow)
-
+        rank = task.ranks_under(known, analysis.ranking.weights, follow)
         for point in sweeps.sweep_points(
             model.for_task(*task.views), analysis.source, task.query_view, changes, rank, follow
         ):

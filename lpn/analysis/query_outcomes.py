@@ -117,11 +117,18 @@ def build(
         raise InputError(
             f"The descriptors are {queries.shape} and {gallery.shape}; expected (Q, n, D) and (G, n, D) with the same parts."
         )
-    n, size = queries.shape[1:]
-    # Without weights, scores are not scaled, so that even ties are ranked as in the published protocol.
-    factors = None if weights is None else np.repeat(n * _normalised(n, weights), size)
-    ranking = metrics.retrieve(queries, query_labels, gallery, labels, truth, factors, progress)
+    scaled = weight_factors(queries, weights)
+    ranking = metrics.retrieve(queries, query_labels, gallery, labels, truth, scaled, progress)
     return outcomes_of(ranking, queries, gallery, weights, metrics.known_queries(truth))
+
+
+def weight_factors(descriptors: Float32Array, weights: npt.ArrayLike | None) -> Float64Array | None:
+    """Return the factors of descriptors (Q, n, D) under part weights, (n D,), as `metrics.retrieve` takes them.
+
+    None without weights: scores are not scaled then, so that even ties are ranked as in the published protocol.
+    """
+    n, size = descriptors.shape[1:]
+    return None if weights is None else np.repeat(n * _normalised(n, weights), size)
 
 
 def outcomes_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -41,6 +41,14 @@ class RankUnderWeights(Protocol):
         Args:
             also: gallery position of a tile that the ranking must hold, even if it lies beyond the searched depth.
         """
+        ...
+
+
+class RankingOfAll(Protocol):
+    """The ranking of all queries of a task; not thread-safe."""
+
+    def finish(self, progress: Callable[[int, int], None]) -> Retrieval:
+        """Rank the queries that are not ranked yet; `progress` may raise an exception to stop, and the next call continues."""
         ...
 
 
@@ -138,17 +146,38 @@ class Task:
         """The part weights, summing to one, (n,)."""
         return scoring.part_weights(self.contract.n_parts, self.weights)
 
+    @property
+    def approximate(self) -> bool:
+        """True if a search may leave out tiles that are nearer than those it returns."""
+        return False
+
+    @property
+    def lists_gallery(self) -> bool:
+        """True if `gallery` is the whole gallery; False if it holds what searches returned, in their order."""
+        return True
+
+    @cached_property
+    def retrieved(self) -> Retrieval:
+        """The ranking of the gallery for each query under the part weights."""
+        return metrics.retrieve(
+            self.query_descriptors,
+            self.query_labels,
+            self.gallery_descriptors,
+            self.gallery_labels,
+            self.truth,
+            query_outcomes.weight_factors(self.query_descriptors, self.weights),
+        )
+
+    def ranking(self) -> RankingOfAll:
+        """A ranking of all queries under equal part weights that can be stopped and resumed."""
+        from lpn.analysis.ranking_cache import ResumableRanking
+
+        return ResumableRanking(self)
+
     @cached_property
     def outcomes(self) -> Outcomes:
         """The outcome of each query under the part weights."""
-        return query_outcomes.build(
-            self.query_descriptors,
-            self.gallery_descriptors,
-            self.query_labels,
-            self.gallery_labels,
-            self.truth,
-            weights=self.weights,
-        )
+        return self.outcomes_of(self.retrieved)
 
     @cached_property
     def table(self) -> Table:
@@ -168,10 +197,8 @@ class Task:
 
     @cached_property
     def metrics(self) -> dict[str, float]:
-        """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
-        query = self.query_descriptors
-        query = query if self.weights is None else counterfactual.weighted_queries(query, self.weights)
-        return metrics.evaluate(query, self.query_labels, self.gallery_descriptors, self.gallery_labels, self.truth)
+        """Recall and AP in percent under the part weights, see `metrics.evaluate`; NaN where a search does not tell it."""
+        return self.retrieved.metrics(self.known)
 
     def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:
         """The label and the list of true matches of a query, each None if unknown."""
@@ -206,13 +233,34 @@ class Task:
         """
         return _GalleryRanks(self, query, descriptor, lengths)
 
+    def ranks_under(
+        self, query: int | None, weights: Float32Array | None = None, also: int | None = None
+    ) -> Callable[[Float32Array], Ranking]:
+        """A function that ranks the gallery for other descriptors (n, D) of a query, as a sweep needs.
+
+        Args:
+            query: its position; None if it is not of the data set.
+            weights: part weights that sum to one, (n,); by default the task's.
+            also: see `RankUnderWeights`.
+        """
+        used = self.part_weights if weights is None else weights
+        return lambda descriptor: self.start_search(query, descriptor)(used, also)
+
     def outcomes_of(self, ranking: Retrieval) -> Outcomes:
         """The outcomes of all queries, ranked under the task's weights."""
         return query_outcomes.outcomes_of(
             ranking, self.query_descriptors, self.gallery_descriptors, self.weights, self.known
         )
 
-    def effect(self, before: npt.ArrayLike | None, after: npt.ArrayLike) -> Effect:
+    def tile_name(self, index: int) -> str:
+        """The name of a tile, by which `find_tile` finds it."""
+        return self.gallery[index].name
+
+    def find_tile(self, name: str) -> int | None:
+        """The gallery position of a tile by its name, the first on ties; None if there is no such tile."""
+        return next((i for i, tile in enumerate(self.gallery) if tile.name == name), None)
+
+    def effect(self, before: npt.ArrayLike | None, after: npt.ArrayLike, first: Int64Array | None = None) -> Effect:
         """Compare two sets of part weights over all queries, see `counterfactual.effect`; InputError if that is not possible."""
         return counterfactual.effect(
             self.query_descriptors,
@@ -222,6 +270,7 @@ class Task:
             self.query_labels,
             self.gallery_labels,
             self.truth,
+            first,
         )
 
     def rank(

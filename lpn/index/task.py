@@ -94,7 +94,6 @@ class IndexTask(Task):
 
     @property
     def approximate(self) -> bool:
-        """True if a search may leave out tiles that are nearer than those it returns."""
         return not self.index.index.exhaustive
 
     @property
@@ -114,8 +113,11 @@ class IndexTask(Task):
     def stored_descriptor(self, index: int) -> Float32Array:
         return cast(Float32Array, self.index.read([self.seen.name_of(index)])[0][0])
 
+    def tile_name(self, index: int) -> str:
+        return self.seen.name_of(index)
+
     def find_tile(self, name: str) -> int | None:
-        """Return the gallery position of a tile by its name in the index; None if the index has no such tile."""
+        """The gallery position of a tile by its name in the index; None if the index has no such tile."""
         place = self.seen.find(name)
         if place is None and 0 < len(name) <= ID_LENGTH and self.index.holds([name])[0]:
             place = int(self.seen.add([name])[0])
@@ -174,25 +176,24 @@ class IndexTask(Task):
                 relevant[places] = self.contains(query, [self.seen.name_of(i) for i in places.tolist()])
         return Ranking(cosines, weights, all_scores, places, relevant, lengths, depth, self.approximate)
 
-    @cached_property
-    def outcomes(self) -> Outcomes:
-        return self.outcomes_of(self._retrieved)
+    @property
+    def lists_gallery(self) -> bool:
+        return False
+
+    def ranking(self) -> IndexRanking:
+        return IndexRanking(self)
 
     @cached_property
-    def metrics(self) -> dict[str, float]:
-        return self._retrieved.metrics(self.known)
-
-    @cached_property
-    def _retrieved(self) -> IndexRetrieval:
-        return IndexRanking(self).finish(lambda *_: None)
+    def retrieved(self) -> IndexRetrieval:
+        return self.ranking().finish(lambda *_: None)
 
     def outcomes_of(self, ranking: Retrieval) -> Outcomes:
         assert isinstance(ranking, IndexRetrieval)
         outcomes = query_outcomes.outcomes_from_parts(ranking, ranking.parts, self.weights, self.known)
         return replace(outcomes, missed=ranking.missed)
 
-    def effect(self, before: npt.ArrayLike | None, after: npt.ArrayLike) -> Effect:
-        del before, after
+    def effect(self, before: npt.ArrayLike | None, after: npt.ArrayLike, first: Int64Array | None = None) -> Effect:
+        del before, after, first
         raise InputError(
             "The effect of weights on all queries takes a search for each of them, so it is told for galleries in memory only."
         )

@@ -84,7 +84,7 @@ class Case:
         margin: margin of the positive in `pairs` over the other tile; None if `pairs` is one tile.
         without: ranks of the positive without each part; None if no positive is known.
         change: the smallest change of part weights that puts a positive first; None if impossible or needless.
-        effect: the effect of `change` on all queries of the task.
+        effect: the effect of `change` on all queries of the task; None for a gallery that only searches know.
         profile: the rotation sweep; None unless requested.
     """
 
@@ -198,18 +198,9 @@ class Cases:
             if column.known[index]
         ]
 
-    def _effect(self, change: Reweighting) -> Effect:
+    def _effect(self, change: Reweighting) -> Effect | None:
         task = self._task
-        return counterfactual.effect(
-            task.query_descriptors,
-            task.gallery_descriptors,
-            task.weights,
-            change.weights,
-            task.query_labels,
-            task.gallery_labels,
-            task.truth,
-            task.outcomes.rank,
-        )
+        return task.effect(task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None
 
     def _profile(self, analysis: Analysis, index: int | None, on_step: Callable[[], None]) -> SweepResult | None:
         task, options = self._task, self._options
@@ -220,16 +211,8 @@ class Cases:
         turns = [turn.for_picture(entry, analysis.zoom) for turn in self.turns]
         follow = analysis.chosen.index if index is None else None
         points = []
-        for point in sweeps.run_sweep(
-            task.model,
-            analysis.source,
-            task.views[0],
-            task.gallery_descriptors,
-            task.part_weights,
-            turns,
-            task.gallery_labels,
-            *task.label_and_truth(index),
-            follow,
+        for point in sweeps.sweep_points(
+            task.model.for_task(*task.views), analysis.source, task.query_view, turns, task.ranks_under(index), follow
         ):
             points.append(point)
             on_step()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -100,12 +101,18 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
     """List the results of all queries as names, percentages, and meanings; empty if no query's place is known."""
     if not task.metrics["queries"]:
         return []
-    return [
+    figures = [
         ("R@1", task.metrics["recall@1"], "true tile first"),
         ("R@5", task.metrics["recall@5"], "among the first 5"),
         ("R@10", task.metrics["recall@10"], "among the first 10"),
         ("AP", task.metrics["ap"], "mean average precision"),
     ]
+    # AP takes all ranks, which a search does not tell.
+    return [figure for figure in figures if not math.isnan(figure[1])]
+
+
+def _gallery(task: Task) -> str:
+    return f"{len(task.gallery):,} tiles" if task.lists_gallery else task.gallery_description
 
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
@@ -128,7 +135,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     graded = "" if known is None or known.all() else f" ({int(known.sum()):,} of known place, which are graded)"
     facts += [
         ("Data", task.data_name),
-        ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {len(task.gallery):,} tiles"),
+        ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {_gallery(task)}"),
         ("Protocol", rule.removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]
