@@ -14,10 +14,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from lpn.analysis.task import Task
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
@@ -49,10 +51,11 @@ class RankedModel:
         name: to display.
         task: such as "drone-to-satellite".
         gallery_name: with its size, such as "full gallery, 951".
-        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder.
+        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder; no gallery pictures for an
+            index, which does not list them.
         labels: the place of each query, (Q,).
-        first: 0-based rank of each query's first true match, -1 without one, (Q,).
-        precision: average precision of each query, 0 .. 1, (Q,).
+        first: 0-based rank of each query's first true match, -1 without one, (Q,); the depth of a search beyond it.
+        precision: average precision of each query, 0 .. 1, (Q,); NaN where a search does not tell all ranks.
     """
 
     name: str
@@ -144,9 +147,15 @@ class ModelTable:
 
     @cached_property
     def figures(self) -> list[dict[str, Estimate]]:
-        """For each model its `R@1`, `R@5`, `R@10`, and `AP` in percent."""
-        names = [*(f"R@{depth}" for depth in DEPTHS), "AP"]
-        values = np.stack([[*(one.within(depth) for depth in DEPTHS), one.precision] for one in self.models])
+        """For each model its `R@1`, `R@5`, `R@10`, and, unless a search does not tell it, `AP`, in percent."""
+        ranked_all = not any(np.isnan(one.precision).any() for one in self.models)
+        names = [*(f"R@{depth}" for depth in DEPTHS), *(["AP"] if ranked_all else [])]
+        values = np.stack(
+            [
+                [*(one.within(depth) for depth in DEPTHS), *([one.precision] if ranked_all else [])]
+                for one in self.models
+            ]
+        )
         found = intervals(
             values.reshape(-1, self.queries).astype(np.float64), self.models[0].labels, self.seed, self.resamples
         )
@@ -256,7 +265,8 @@ def rank_model(
         sides = read(model, queries, views[0], UNCHANGED), read(model, tiles, views[1], UNCHANGED)
     if neighbours:
         sides = csls.scaled(*sides, neighbours)
-    return _ranked(name, dataset, task, gallery, (queries, tiles), sides, _labels(queries, tiles), dataset.truth(task))
+    labels = _labels(queries, tiles)
+    return _ranked(name, dataset.root, task, gallery, (queries, tiles), sides, labels, dataset.truth(task))
 
 
 def rank_saved(
@@ -276,7 +286,46 @@ def rank_saved(
             raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
     truth = truth_of_rows(dataset, task, queries, tiles)
     labels = (saved.query_labels, saved.gallery_labels) if truth is None else _labels(queries, tiles)
-    return _ranked(name, dataset, task, gallery, (queries, tiles), (saved.query, saved.gallery), labels, truth)
+    return _ranked(name, dataset.root, task, gallery, (queries, tiles), (saved.query, saved.gallery), labels, truth)
+
+
+def rank_task(task: Task, name: str, gallery: GalleryChoice = "full", neighbours: int = 0) -> RankedModel:
+    """Rank an opened task, whatever it was opened from, under equal part weights.
+
+    Args:
+        neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks by inner product alone.
+
+    Raises:
+        InputError: when no query's truth is known, the gallery has no distractors to leave out, or a search cannot be ranked anew.
+        StoreError: when an index cannot be read.
+    """
+    known = task.known
+    if known is not None and not known.any():
+        raise InputError(
+            f"The true place of no query of {task.data_name} is known, so models cannot be compared on them."
+        )
+    if task.lists_gallery:
+        sides: tuple[Any, Any] = task.query_descriptors, task.gallery_descriptors
+        if neighbours:
+            csls.check_neighbours(neighbours, len(task.queries))
+            sides = csls.scaled(*sides, neighbours)
+        labels = task.query_labels, task.gallery_labels
+        return _ranked(name, task.root, task.name, gallery, (task.queries, task.gallery), sides, labels, task.truth)
+    if gallery != "full" or neighbours:
+        raise InputError("An index ranks all its tiles by itself; leave --gallery and --csls out.")
+    retrieval = task.retrieved
+    kept = np.ones(len(task.queries), bool) if known is None else known
+    queries = np.array(geo.names_below(task.root, task.queries), object)
+    return RankedModel(
+        name,
+        task.name,
+        f"index of {task.tiles:,} tiles",
+        tuple(queries[kept].tolist()),
+        frozenset(),
+        task.query_labels[kept],
+        retrieval.first[kept],
+        retrieval.precision[kept],
+    )
 
 
 def _labels(queries: Sequence[Picture], gallery: Sequence[Picture]) -> tuple[Int64Array, Int64Array]:
@@ -291,7 +340,7 @@ def _repeated(names: Sequence[str]) -> str:
 
 def _ranked(
     name: str,
-    dataset: Dataset,
+    root: Path,
     task: str,
     gallery: GalleryChoice,
     pictures: tuple[Sequence[Picture], Sequence[Picture]],
@@ -304,16 +353,16 @@ def _ranked(
     if gallery != "full":
         if truth is not None:
             raise InputError(
-                f"True matches of {dataset.root.name} are listed, so no gallery picture is a distractor; leave --gallery out."
+                f"True matches of {root.name} are listed, so no gallery picture is a distractor; leave --gallery out."
             )
         of_gallery = metrics.without_distractors(of_gallery, labels[0])
         kept = of_gallery != metrics.JUNK
         if kept.all():
             raise InputError(
-                f"Each place of the gallery of {dataset.root.name} has a query, so it has no distractors; leave --gallery out."
+                f"Each place of the gallery of {root.name} has a query, so it has no distractors; leave --gallery out."
             )
     found = metrics.retrieve(sides[0], labels[0], sides[1], of_gallery, truth)
-    query_names, tiles = (np.array(geo.names_below(dataset.root, of_side), object) for of_side in pictures)
+    query_names, tiles = (np.array(geo.names_below(root, of_side), object) for of_side in pictures)
     known = metrics.known_queries(truth)
     known = np.ones(len(query_names), bool) if known is None else known
     size = int(kept.sum())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -41,8 +42,9 @@ class Figures:
 
     Attributes:
         gallery_name: "full gallery", or "without distractors", where the places that no query shows are dropped.
-        recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery.
-        ap: mean average precision in percent.
+        recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery. NaN where K
+            lies beyond the depth of a search.
+        ap: mean average precision in percent; NaN where a search does not tell all ranks.
         queries: number of queries (places, if queries are averaged).
         gallery: number of ranked gallery pictures; of a full gallery all that there are, junk included.
     """
@@ -63,8 +65,8 @@ class Figures:
         recall = {f"recall@{k}": value for k, value in self.recall.items()}
         return {
             "gallery_name": self.gallery_name,
-            **recall,
-            "ap": self.ap,
+            **{key: _known(value) for key, value in recall.items()},
+            "ap": _known(self.ap),
             "queries": self.queries,
             "gallery": self.gallery,
         }
@@ -132,8 +134,8 @@ class Result:
         """The result as JSON values, as `lpn evaluate` writes them."""
         change = self.protocol.change
         return {
-            **{f"recall@{k}": value for k, value in self.recall.items()},
-            "ap": self.ap,
+            **{f"recall@{k}": _known(value) for k, value in self.recall.items()},
+            "ap": _known(self.ap),
             **self.distances(),
             **self.measures,
             "queries": self.queries,
@@ -154,6 +156,11 @@ class Result:
             "protocol": self.sentence,
             "seconds": self.seconds,
         }
+
+
+def _known(value: float) -> float | None:
+    """Return a number as JSON has it: None for NaN."""
+    return None if math.isnan(value) else value
 
 
 def error_shares(errors: Float64Array) -> dict[str, float]:
@@ -386,19 +393,43 @@ def evaluate_saved(
     Raises:
         InputError: when a part does not exist, or the protocol needs pictures to be described again.
     """
+    return evaluate_descriptors(
+        (saved.query, saved.gallery), (saved.query_labels, saved.gallery_labels), None, saved.task, protocol, positions
+    )
+
+
+def evaluate_descriptors(
+    sides: tuple[Float32Array, Float32Array],
+    labels: tuple[Int64Array, Int64Array],
+    truth: Sequence[Truth] | None,
+    task: str,
+    protocol: Protocol | None = None,
+    positions: tuple[Sequence[geo.Position], Sequence[geo.Position]] | None = None,
+    clauses: Sequence[str] = ("descriptors as saved",),
+) -> Result:
+    """Evaluate descriptors that are at hand.
+
+    Args:
+        sides: descriptors of queries and gallery, (Q, n, D) and (G, n, D).
+        labels: the place of each, (Q,) and (G,), -1 for junk.
+        truth: true matches and junk of each query, in place of labels.
+        task: its name.
+        positions: of the queries and of the gallery, for errors in metres.
+        clauses: how the descriptors were made, for the protocol's sentence.
+
+    Raises:
+        InputError: when a part does not exist, or the protocol needs pictures to be described again.
+    """
     started = time.perf_counter()
     protocol = protocol or Protocol()
     if protocol.change or protocol.branch or protocol.whole or protocol.calibrate:
         raise InputError(
-            f"{saved.name} holds descriptors, not pictures: rotation, shift, scale, branch, whole queries, and calibration need "
-            "--model and --data; leave them out."
+            "There are descriptors, no pictures: rotation, shift, scale, branch, whole queries, and calibration need a model "
+            "and a data set; leave them out."
         )
-    clauses = ["descriptors as saved"] + ([CENTRED] if protocol.centre else [])
-    sides = (saved.query, saved.gallery)
     query, tiles = (centred(side) for side in sides) if protocol.centre else sides
-    result, retrieval = _measure(
-        query, saved.query_labels, tiles, saved.gallery_labels, None, saved.task, protocol, clauses
-    )
+    stated = [*clauses, *([CENTRED] if protocol.centre else [])]
+    result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, stated)
     errors = None if positions is None or protocol.average else _errors(retrieval, *positions)
     return replace(result, seconds=time.perf_counter() - started, errors=errors)
 

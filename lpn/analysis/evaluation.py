@@ -1,0 +1,78 @@
+"""Recall and AP of an opened task, whatever it was opened from."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from lpn.analysis.task import Task
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import InputError
+from lpn.retrieval.evaluate import FULL, Figures, Result, evaluate_descriptors
+from lpn.retrieval.protocol import Protocol
+
+
+def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
+    """Evaluate a task by its own descriptors, or by the searches of its index.
+
+    Part weights of the task do not count. Queries whose truth is not known are left out.
+
+    Args:
+        protocol: of an index only the default, as its searches compare whole descriptors.
+
+    Raises:
+        InputError: when no query's truth is known, or the protocol needs pictures, or descriptors that a search does not return.
+        StoreError: when an index cannot be read.
+    """
+    known = task.known
+    if known is not None and not known.any():
+        raise InputError(f"The true place of no query of {task.data_name} is known, so nothing can be measured.")
+    if not task.lists_gallery:
+        return _evaluate_searches(task, protocol or Protocol())
+    made = "descriptors as saved" if task.model is None else "each part normalised"
+    result = evaluate_descriptors(
+        (task.query_descriptors, task.gallery_descriptors),
+        (task.query_labels, task.gallery_labels),
+        task.truth,
+        task.name,
+        protocol,
+        clauses=[made, *([] if task.calibration is None else [task.calibration.describe()])],
+    )
+    return result
+
+
+def _evaluate_searches(task: Task, protocol: Protocol) -> Result:
+    if protocol != Protocol():
+        raise InputError(
+            "An index compares whole descriptors of queries as they are; evaluate its data set with other parts, changes, or "
+            "re-rankings."
+        )
+    started = time.perf_counter()
+    retrieval, known = task.retrieved, task.known
+    values = retrieval.metrics(known)
+    recall = {key.removeprefix("recall@"): value for key, value in values.items() if key.startswith("recall@")}
+    parts = tuple(range(1, task.contract.n_parts + 1))
+    return Result(
+        galleries=(Figures(FULL, recall, values["ap"], int(values["queries"]), task.tiles),),
+        task=task.name,
+        protocol=protocol,
+        parts=parts,
+        cropped=False,
+        listed=True,
+        sentence=f"Protocol: {task.gallery_description}; a query without a true match counts as missed; ranks beyond the depth, "
+        "and so AP, are not known.",
+        seconds=time.perf_counter() - started,
+        errors=_errors(task),
+    )
+
+
+def _errors(task: Task) -> Float64Array | None:
+    """Return metres from each query of known truth to its answer, (K,); None without positions."""
+    geometry, known = task.current().geometry, task.known
+    if geometry is None:
+        return None
+    answers = task.retrieved.best
+    metres = np.where(answers < 0, np.inf, geometry.answer_errors_m(answers))
+    metres = metres if known is None else metres[known]
+    return None if np.isnan(metres).any() else metres
