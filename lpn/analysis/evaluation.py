@@ -25,13 +25,11 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
         InputError: when no query's truth is known, or the protocol needs pictures, or descriptors that a search does not return.
         StoreError: when an index cannot be read.
     """
-    known = task.known
-    if known is not None and not known.any():
-        raise InputError(f"The true place of no query of {task.data_name} is known, so nothing can be measured.")
+    task.check_truth()
     if not task.lists_gallery:
         return _evaluate_searches(task, protocol or Protocol())
     made = "descriptors as saved" if task.model is None else "each part normalised"
-    result = evaluate_descriptors(
+    return evaluate_descriptors(
         (task.query_descriptors, task.gallery_descriptors),
         (task.query_labels, task.gallery_labels),
         task.truth,
@@ -39,7 +37,6 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
         protocol,
         clauses=[made, *([] if task.calibration is None else [task.calibration.describe()])],
     )
-    return result
 
 
 def _evaluate_searches(task: Task, protocol: Protocol) -> Result:

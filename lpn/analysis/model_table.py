@@ -296,14 +296,10 @@ def rank_task(task: Task, name: str, gallery: GalleryChoice = "full", neighbours
         neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks by inner product alone.
 
     Raises:
-        InputError: when no query's truth is known, the gallery has no distractors to leave out, or a search cannot be ranked anew.
+        InputError: when no query's truth is known, the gallery has no distractors, or a search cannot be ranked anew.
         StoreError: when an index cannot be read.
     """
-    known = task.known
-    if known is not None and not known.any():
-        raise InputError(
-            f"The true place of no query of {task.data_name} is known, so models cannot be compared on them."
-        )
+    task.check_truth()
     if task.lists_gallery:
         sides: tuple[Any, Any] = task.query_descriptors, task.gallery_descriptors
         if neighbours:
@@ -313,7 +309,7 @@ def rank_task(task: Task, name: str, gallery: GalleryChoice = "full", neighbours
         return _ranked(name, task.root, task.name, gallery, (task.queries, task.gallery), sides, labels, task.truth)
     if gallery != "full" or neighbours:
         raise InputError("An index ranks all its tiles by itself; leave --gallery and --csls out.")
-    retrieval = task.retrieved
+    retrieval, known = task.retrieved, task.known
     kept = np.ones(len(task.queries), bool) if known is None else known
     queries = np.array(geo.names_below(task.root, task.queries), object)
     return RankedModel(

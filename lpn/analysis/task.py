@@ -195,6 +195,11 @@ class Task:
         """The queries whose truth is known, (Q,); None for all."""
         return metrics.known_queries(self.truth)
 
+    def check_truth(self) -> None:
+        """Raise InputError unless the truth of some query is known."""
+        if self.known is not None and not self.known.any():
+            raise InputError(f"The true place of no query of {self.data_name} is known, so nothing can be measured.")
+
     @cached_property
     def metrics(self) -> dict[str, float]:
         """Recall and AP in percent under the part weights, see `metrics.evaluate`; NaN where a search does not tell it."""
