@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress as Bars
-from rich.progress import TaskID
 
 import lpn
 from explorer.compute.background_jobs import ReportProgress
@@ -33,6 +31,7 @@ from lpn.models.base import Model
 from lpn.retrieval.plain_arrays import PlainArrays
 from lpn.retrieval.published_results import PublishedResult
 from lpn.sources import Flown, Indexed, ModelOptions, OpenedSource
+from lpn.sources.opened import progress_bars
 from lpn.sources.sources import open_data
 
 log = logging.getLogger(__name__)
@@ -157,6 +156,20 @@ def open_arrays(arrays: PlainArrays, name: str, query: str | None = None) -> Wor
     return workspace
 
 
+def open_tasks(tasks: Sequence[Task], query: str | None = None) -> Workspace:
+    """Open tasks that are open already, of one model on one data set.
+
+    Args:
+        query: name of the query of the first task that a new browser shows first.
+
+    Raises:
+        InputError: when there is no such query.
+    """
+    workspace = _workspace(OpenedSource(tasks, tasks[0].model))
+    workspace.choose_first_query(query)
+    return workspace
+
+
 def open_flight_over(
     map_path: Path,
     flight_path: Path,
@@ -245,7 +258,7 @@ def open_indexed(
         flight=flight_path,
         depth=depth,
     )
-    with _status(f"Opening {printable(model.name)} and the index"), _progress() as progress:
+    with _status(f"Opening {printable(model.name)} and the index"), progress_bars() as progress:
         opened = source.open(on_progress=progress)
     workspace = _workspace(opened, with_city=opened.map is None)
     workspace.choose_first_query(query)
@@ -266,7 +279,7 @@ def _open_flown(source: Flown, name: str, overlap: float, report: ReportProgress
     files = " and ".join(printable(file.name) for file in (source.map, source.flight))
     with (
         _status(f"Opening {printable(source.model.name)}, {files}"),
-        _progress() if report is None else nullcontext(_counts(report)) as progress,
+        progress_bars() if report is None else nullcontext(_counts(report)) as progress,
     ):
         return source.locate(overlap, progress).named(name)
 
@@ -316,20 +329,6 @@ def _begin_ranking(task: Task) -> RankingJob:
     with _status(f"Ranking {task.tiles:,} pictures for {len(task.queries):,} queries, {task.name}"):
         ranking.start()
     return ranking
-
-
-@contextmanager
-def _progress() -> Iterator[Progress]:
-    """Show a bar on the terminal for each stage."""
-    with Bars(console=_terminal(), transient=True) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(f"Describing {stage}", total=total)
-            bars.update(tasks[stage], completed=done)
-
-        yield report
 
 
 def _terminal() -> Console:

@@ -24,6 +24,7 @@ from lpn.core.errors import LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
+    from lpn.analysis.task import Task
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
     from lpn.core.views import View
@@ -135,7 +136,7 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
 
 
 def explore(
-    model: Model | str | Path | None = None,
+    model: Model | Task | str | Path | None = None,
     data: str | Path | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -150,7 +151,7 @@ def explore(
     The server ends with the page's `close()`, or with the process, such as the notebook's kernel.
 
     Args:
-        model: a model, or what `load` opens; by default the demo's.
+        model: a model, what `load` opens, or an opened task, which has its data; by default the demo's.
         data: a data set in any layout of docs/data.md; by default the demo's.
         host, port: the address to listen on; 0 is any free port.
 
@@ -164,7 +165,6 @@ def explore(
     point = next(iter(entry_points(group="lpn.commands", name="explore")), None)
     if point is None:
         raise MissingPackageError("The explorer is not installed; pip install lpn-explorer.")
-    given = Path(model) if isinstance(model, str) else model
-    command = point.load()(model=given, data=None if data is None else Path(data), host=host, port=port)
-    page: ServedPage = command.run_in_background()
+    source = Path(model) if isinstance(model, str) else model
+    page: ServedPage = point.load().in_background(source, None if data is None else Path(data), host, port)
     return page

@@ -2,32 +2,175 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
-import lpn
+from lpn.core.errors import InputError
+from lpn.core.files import distinct_names
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
+from lpn.sources import Arrays, Flown, Indexed, ModelOptions, Published, Source
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lpn.analysis.model_table import ModelTable
+    from lpn.analysis.model_table import ModelTable, RankedModel
 
 
-@dataclass
-class CompareCommand:
+@dataclass(kw_only=True)
+class ComparisonOptions:
+    """The comparison."""
+
+    seed: int = 0
+    """Seed of the bootstrap."""
+    resamples: int = 1000
+    """Number of bootstrap resamples."""
+    markdown: Path | None = None
+    """File to write the tables to, as Markdown."""
+    csv: Path | None = None
+    """File to write one line a model to."""
+    json: Path | None = None
+    """File to write everything to, as JSON."""
+
+
+@dataclass(kw_only=True)
+class ComparisonOfSources(ABC):
+    """Compare the rankings of two or more models on the same queries and gallery."""
+
+    comparison: ComparisonOptions = field(default_factory=ComparisonOptions)
+
+    def run(self) -> None:
+        from lpn.analysis.model_table import compare
+        from lpn.core.consoles import wide_console
+        from lpn.core.files import check_writable, write_atomic, write_json
+
+        options = self.comparison
+        for file in filter(None, (options.markdown, options.csv, options.json)):
+            check_writable(file)
+        table = compare(list(self._ranked()), options.seed, options.resamples)
+        _print(table, wide_console())
+        if options.markdown is not None:
+            write_atomic(options.markdown, table.to_markdown().encode())
+        if options.csv is not None:
+            write_atomic(options.csv, table.to_csv())
+        if options.json is not None:
+            write_json(options.json, table.to_dict())
+
+    @abstractmethod
+    def _ranked(self) -> Iterator[RankedModel]:
+        """Rank the task by each model."""
+
+    def _ranked_sources(self, sources: Sequence[tuple[str, Source]]) -> Iterator[RankedModel]:
+        """Rank the first task of each source, under a name that tells it from the others."""
+        from lpn.analysis.model_table import rank_task
+        from lpn.sources.opened import open_task
+
+        if len(sources) < 2:
+            raise InputError(f"A comparison takes two models or more; found {len(sources)}.")
+        for name, source in sources:
+            yield rank_task(open_task(source), name)
+
+
+@dataclass(kw_only=True)
+class ComparisonOfPublished(ComparisonOfSources):
+    """Compare results of the published test code on the same data set."""
+
+    results: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Results, pytorch_result.mat."""
+    data: Path
+    """Data set that they were computed on."""
+
+    def _ranked(self) -> Iterator[RankedModel]:
+        names = distinct_names(self.results)
+        sources = [Published(saved=file, data=self.data) for file in self.results]
+        return self._ranked_sources(list(zip(names, sources, strict=True)))
+
+
+@dataclass(kw_only=True)
+class ComparisonOfArrays(ComparisonOfSources):
+    """Compare the descriptors of several models, as plain arrays, on one list of pictures."""
+
+    query: tuple[Path, ...]
+    """Descriptors of the queries by each model, as .npy, .npz, .mat, or .parquet."""
+    gallery: tuple[Path, ...]
+    """Descriptors of the gallery by each model, in the same order."""
+    paths: Path
+    """List of the pictures, a .csv with file, side, label (docs/data.md)."""
+    order: Literal["parts-first", "parts-last"] = "parts-first"
+    """Order of the axes: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
+
+    def _ranked(self) -> Iterator[RankedModel]:
+        if len(self.query) != len(self.gallery):
+            raise InputError(
+                f"There are {len(self.query)} files of queries and {len(self.gallery)} of galleries; give both for each model."
+            )
+        sources = [
+            Arrays(query=query, gallery=gallery, paths=self.paths, order=self.order)
+            for query, gallery in zip(self.query, self.gallery, strict=True)
+        ]
+        return self._ranked_sources(list(zip(distinct_names(self.query), sources, strict=True)))
+
+
+@dataclass(kw_only=True)
+class ComparisonOfIndexes(ComparisonOfSources):
+    """Compare several indexes of the same tiles, such as an exact one and an approximate one, by the searches of one model."""
+
+    indexes: Annotated[tuple[str, ...], tyro.conf.Positional]
+    """Indexes, made by lpn index: folders, or milvus://host:port/collection."""
+    data: Path
+    """Data set of the queries."""
+    model: ModelOptions
+    depth: int = 100
+    """Number of tiles that a search returns."""
+
+    def _ranked(self) -> Iterator[RankedModel]:
+        sources = [Indexed(index=index, model=self.model, data=self.data, depth=self.depth) for index in self.indexes]
+        return self._ranked_sources(list(zip(self.indexes, sources, strict=True)))
+
+
+@dataclass(kw_only=True)
+class ComparisonOfFlights(ComparisonOfSources):
+    """Compare how several models find the windows of a map that the frames of a flight show."""
+
+    models: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Models (.onnx, .safetensors, .pth, or a name of lpn models)."""
+    map: Path
+    """Map under the flight: a folder of lpn map, or a georeferenced picture."""
+    flight: Path
+    """Flight over the map: a folder of lpn flight, or one of photos."""
+    provider: ProviderName = "auto"
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+
+    def _ranked(self) -> Iterator[RankedModel]:
+        sources = [
+            Flown(map=self.map, flight=self.flight, model=ModelOptions(model=file, provider=self.provider))
+            for file in self.models
+        ]
+        return self._ranked_sources(list(zip(distinct_names(self.models), sources, strict=True)))
+
+
+@dataclass(kw_only=True)
+class CompareCommand(ComparisonOfSources):
     """Compare two or more models on the same queries and gallery: figures with intervals, and paired tests."""
+
+    SOURCES: ClassVar[dict[str, type[ComparisonOfSources]]] = {
+        Published.WORD: ComparisonOfPublished,
+        Arrays.WORD: ComparisonOfArrays,
+        Indexed.WORD: ComparisonOfIndexes,
+        Flown.WORD: ComparisonOfFlights,
+    }
 
     models: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Models (.onnx, .safetensors, .pth), or results of the published test code (pytorch_result.mat)."""
     data: Path
     """Data set in any layout of docs/data.md."""
-    task: TaskName | None = None
+    task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
     """Views of query and gallery; by default the first task of the data set."""
     gallery: Literal["full", "without-distractors"] = "full"
     """The gallery that all of them rank: full (as LPN and FSRA do), or without-distractors (as Sample4Geo and DAC do)."""
@@ -36,33 +179,18 @@ class CompareCommand:
     csls: int = 0
     """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
     (docs/evaluation.md); a row of its own. 0 for none."""
-    seed: int = 0
-    """Seed of the bootstrap."""
-    resamples: int = 1000
-    """Number of bootstrap resamples."""
-    kind: tuple[Kind | Literal["auto"], ...] = ()
+    kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
     """Method of each model in their order: auto, or, for a published .pth whose entries do not tell it, such as dac; by default
     auto for all (docs/models.md)."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
-    markdown: Path | None = None
-    """File to write the tables to, as Markdown."""
-    csv: Path | None = None
-    """File to write one line a model to."""
-    json: Path | None = None
-    """File to write everything to, as JSON."""
 
-    def run(self) -> None:
-        from lpn.analysis.model_table import compare, rank_model, rank_saved
-        from lpn.core.consoles import wide_console
-        from lpn.core.errors import InputError
-        from lpn.core.files import check_writable, distinct_names, write_atomic, write_json
+    def _ranked(self) -> Iterator[RankedModel]:
+        from lpn.analysis.model_table import rank_model, rank_saved
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.published_results import load_saved
 
-        for file in filter(None, (self.markdown, self.csv, self.json)):
-            check_writable(file)
         if self.csls < 0:
             raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
         if not self.models or (len(self.models) < 2 and not self.calibrate and not self.csls):
@@ -84,49 +212,38 @@ class CompareCommand:
         dataset = open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
-        ranked = []
         for file, name, kind in zip(self.models, distinct_names(self.models), kinds, strict=True):
             if file.suffix.lower() == ".mat":
                 if kind is not None:
                     raise InputError(f"{name} holds descriptors and needs no kind; give auto in place of {kind}.")
-                ranked.append(rank_saved(load_saved(file), name, dataset, task, self.gallery))
+                yield rank_saved(load_saved(file), name, dataset, task, self.gallery)
             else:
-                model = lpn.load(file, self.provider, kind=kind)
+                model = ModelOptions(model=file, kind=kind, provider=self.provider).load()
                 read = descriptor_reader(dataset.root)
                 rows = {name: (False, 0)}
                 if self.calibrate:
                     rows[f"{name}, calibrated"] = (True, 0)
                 if self.csls:
                     rows[f"{list(rows)[-1]}, CSLS"] = (self.calibrate, self.csls)
-                ranked += [
-                    rank_model(model, title, dataset, task, self.gallery, read, calibrated, neighbours)
-                    for title, (calibrated, neighbours) in rows.items()
-                ]
-        found = compare(ranked, self.seed, self.resamples)
-        _print(found, wide_console())
-        if self.markdown is not None:
-            write_atomic(self.markdown, found.to_markdown().encode())
-        if self.csv is not None:
-            write_atomic(self.csv, found.to_csv())
-        if self.json is not None:
-            write_json(self.json, found.to_dict())
+                for title, (calibrated, neighbours) in rows.items():
+                    yield rank_model(model, title, dataset, task, self.gallery, read, calibrated, neighbours)
 
 
-def _print(found: ModelTable, console: Console) -> None:
+def _print(comparison: ModelTable, console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=f"{found.task}, {found.gallery_name}")
-    names = list(found.figures[0])
+    table = Table(title=f"{comparison.task}, {comparison.gallery_name}")
+    names = list(comparison.figures[0])
     for name in ("model", *names):
         table.add_column(name, justify="left" if name == "model" else "right")
-    for one, figures in zip(found.models, found.figures, strict=True):
+    for one, figures in zip(comparison.models, comparison.figures, strict=True):
         table.add_row(Text(one.name), *map(str, figures.values()))
     tests = Table(title="Queries that only one of two models finds first")
     for name in ("A", "B", "only A", "only B", "both", "neither", "p"):
         tests.add_column(name, justify="left" if name in "AB" else "right")
-    for test in found.tests:
+    for test in comparison.tests:
         counts = (test.only_first, test.only_second, test.both, test.neither)
         tests.add_row(Text(test.first), Text(test.second), *map(str, counts), f"{test.p:.3g}")
     console.print(table, tests)
-    console.print(found.sentence, markup=False, highlight=False)
+    console.print(comparison.sentence, markup=False, highlight=False)

@@ -3,58 +3,32 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+import math
+from abc import ABC, abstractmethod
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
-import lpn
+import tyro
+
 from lpn.core.errors import InputError
+from lpn.core.resources import ProviderName
+from lpn.core.views import View
+from lpn.models.adapters import Kind
+from lpn.sources import Arrays, Data, Flown, Indexed, Published
+from lpn.sources.opened import open_task
 
 if TYPE_CHECKING:
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
 
-from lpn.core.resources import ProviderName
-from lpn.core.views import TaskName, View
-from lpn.models.adapters import Kind
-from lpn.retrieval.published_results import check_n_parts
-
 log = logging.getLogger(__name__)
-# Options that change how a data set's pictures are described or ranked.
-_NOT_OF_FLIGHTS = (
-    "rotate", "shift", "scale", "parts", "branch", "average_queries", "whole", "compile", "n_parts", "query", "gallery", "paths",
-)  # fmt: skip
 
 
-@dataclass
-class EvaluateCommand:
-    """Measure recall and AP on a test split or a saved result, or the errors in metres of a located flight."""
+@dataclass(kw_only=True)
+class ChangeOptions:
+    """Changes of the queries."""
 
-    data: Path | None = None
-    """Data set; see docs/evaluation.md for the kinds."""
-    model: Path | None = None
-    """Trained LPN: .onnx, .safetensors, or .pth."""
-    kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
-    compile: bool = False
-    """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
-    saved: Path | None = None
-    """Result of the published test code, pytorch_result.mat, in place of --data and --model."""
-    query: Path | None = None
-    """Descriptors of the queries that any model made, as .npy, .npz, .mat, or .parquet; with --gallery and --paths."""
-    gallery: Path | None = None
-    """Descriptors of the gallery, as for --query."""
-    paths: Path | None = None
-    """List of the pictures of --query and --gallery, a .csv with file, side, label (docs/data.md)."""
-    order: Literal["parts-first", "parts-last"] = "parts-first"
-    """With --gallery: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
-    n_parts: int | None = None
-    """Number of parts of the descriptors in --saved, or in two-dimensional --query and --gallery; needed with --parts and
-    --average-queries."""
-    task: TaskName | None = None
-    """Views of query and gallery; by default the first task of the data set."""
     rotate: float = 0.0
     """Degrees counter-clockwise by which each query is rotated first (Table IV)."""
     shift: int = 0
@@ -62,100 +36,174 @@ class EvaluateCommand:
     that is uncovered becomes black."""
     scale: float = 1.0
     """Zoom factor of each query about its centre; below 1 with a black border."""
-    parts: str | None = None
-    """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
+    whole: bool = False
+    """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     branch: View | None = None
     """Branch of the model that describes both queries and gallery (Table VI); by default the branch of each view."""
+
+
+@dataclass(kw_only=True)
+class RankingOptions:
+    """The descriptors that are compared."""
+
+    parts: str | None = None
+    """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
     average_queries: bool = False
     """Average all query pictures of a place into one query."""
     centre: bool = False
     """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
     no labels, and makes up for places and cameras that differ from those of the training."""
-    calibrate: bool = False
-    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
-    and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
     csls: int = 0
     """Re-rank by CSLS over this many nearest queries of each tile, such as 3: tiles that are near to all queries move away. It
     needs no labels, but all queries together; see docs/evaluation.md. 0 for none."""
-    whole: bool = False
-    """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
-    flight: Path | None = None
-    """Flight, a folder of lpn flight or one of photos, to locate on --map; its tags and corrections by hand are the truth."""
-    map: Path | None = None
-    """Map of --flight: a folder of lpn map, or a georeferenced picture."""
-    prior: float | None = None
-    """Metres around each frame's own position that --flight is registered in without --model; by default the whole map."""
-    map_error: float | None = None
-    """1-sigma error of the map's places in metres, part of the radii of --flight; by default 3 pixels, at least 1 m."""
-    register: bool = True
-    """Lay each photo of --flight over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
-    corrections: bool = True
-    """Take the truth of --flight from its corrections.csv where a person corrected a frame; --no-corrections takes tags alone."""
+
+    def protocol(self, changes: ChangeOptions | None = None, calibrate: bool = False) -> Protocol:
+        """Return the protocol of these options.
+
+        Raises:
+            InputError: if one of them is out of range.
+        """
+        from lpn.descriptors.transforms import Change
+        from lpn.retrieval.protocol import Protocol
+
+        if self.csls < 0:
+            raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
+        parts, changed = _numbers(self.parts), changes or ChangeOptions()
+        return Protocol(
+            Change(changed.rotate, changed.shift, changed.scale),
+            None if parts is None else tuple(parts),
+            changed.branch,
+            self.average_queries,
+            changed.whole,
+            self.centre,
+            calibrate,
+            self.csls,
+        )
+
+
+@dataclass(kw_only=True)
+class EvaluationOfSource(ABC):
+    """Measure recall and AP, and print them."""
+
     json: Path | None = None
     """File to write the measures to, as JSON."""
 
     def run(self) -> None:
         from lpn.core.files import check_writable, write_json
-        from lpn.descriptors.transforms import Change
-        from lpn.retrieval.protocol import Protocol
 
         if self.json is not None:
             check_writable(self.json)
-        if self.order != "parts-first" and (self.query is None or self.gallery is None):
-            raise InputError(
-                "An order belongs to plain arrays; give --order with --query and --gallery, or leave it out."
-            )
-        if self.kind is not None and self.model is None:
-            raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
-        if self.flight is not None or self.map is not None:
-            if self.centre or self.calibrate or self.csls:
-                raise InputError(
-                    "The descriptors of a flight and of its map are always centred, and frames are cut to the ground of the "
-                    "windows, each for itself; leave --centre, --calibrate, and --csls out."
-                )
-            self._evaluate_flight()
-            return
-        if self.prior is not None or self.map_error is not None or not self.register or not self.corrections:
-            raise InputError(
-                "Priors, errors of a map, registration, and corrections belong to a flight; give --flight and --map with "
-                "--prior, --map-error, --no-register, and --no-corrections, or leave them out."
-            )
-        if self.csls < 0:
-            raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
-        parts = _numbers(self.parts)
-        protocol = Protocol(
-            Change(self.rotate, self.shift, self.scale),
-            None if parts is None else tuple(parts),
-            self.branch,
-            self.average_queries,
-            self.whole,
-            self.centre,
-            self.calibrate,
-            self.csls,
-        )
-        if self.query is not None or self.gallery is not None or self.paths is not None:
-            title, result = self._evaluate_arrays(protocol)
-        else:
-            title, result = self._evaluate_saved(self.saved, protocol) if self.saved else self._evaluate_model(protocol)
+        title, result = self._evaluate()
         _print_result(title, result)
         if self.json is not None:
             write_json(self.json, result.to_dict())
 
-    def _evaluate_flight(self) -> None:
-        from dataclasses import asdict
+    @abstractmethod
+    def _evaluate(self) -> tuple[str, Result]:
+        """Return the table's title and the result."""
 
+
+@dataclass(kw_only=True)
+class EvaluationOfPublished(EvaluationOfSource):
+    """Measure recall and AP of a result of the published test code."""
+
+    saved: Path
+    """Result of the published test code, pytorch_result.mat."""
+    n_parts: int | None = None
+    """Number of parts of its descriptors; needed with --parts, --average-queries, and --centre."""
+    ranking: RankingOptions = field(default_factory=RankingOptions)
+
+    def _evaluate(self) -> tuple[str, Result]:
+        from lpn.retrieval.evaluate import evaluate_saved
+        from lpn.retrieval.published_results import check_n_parts, load_saved
+
+        protocol = self.ranking.protocol()
+        if (protocol.average or protocol.centre) and self.n_parts is None:
+            raise InputError(
+                "Averaging and centring normalise each part, and a saved result does not contain the number of parts; give it "
+                "with --n-parts (1 for a baseline)."
+            )
+        saved = load_saved(self.saved, check_n_parts(self.n_parts))
+        return saved.name, evaluate_saved(saved, protocol)
+
+
+@dataclass(kw_only=True)
+class EvaluationOfArrays(EvaluationOfSource):
+    """Measure recall and AP of descriptors that any model made."""
+
+    source: Arrays
+    ranking: RankingOptions = field(default_factory=RankingOptions)
+
+    def _evaluate(self) -> tuple[str, Result]:
+        from lpn.retrieval.evaluate import evaluate_saved
+
+        source, protocol = self.source, self.ranking.protocol()
+        if source.paths is None:
+            raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
+        arrays = source.load()
+        if not arrays.labelled.all():
+            raise InputError(
+                f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {source.paths.name}, so "
+                "nobody knows what is right; add their labels."
+            )
+        positions = [*arrays.query_positions, *arrays.positions]
+        if 0 < (unknown := positions.count(None)) < len(positions):
+            log.warning(
+                "%d of %d pictures in %s have no position, so there are no errors in metres.",
+                unknown,
+                len(positions),
+                source.paths.name,
+            )
+        result = evaluate_saved(arrays.result, protocol, arrays.all_positions)
+        return f"{arrays.result.name} on {source.gallery.name}", result
+
+
+@dataclass(kw_only=True)
+class EvaluationOfIndex(EvaluationOfSource):
+    """Measure recall of the searches of an index; AP takes all ranks, which a search does not tell."""
+
+    source: Indexed
+
+    def _evaluate(self) -> tuple[str, Result]:
+        from lpn.analysis.evaluation import evaluate_task
+
+        task = open_task(self.source)
+        return f"{task.model_name} on {task.data_name}, {task.gallery_description}", evaluate_task(task)
+
+
+@dataclass(kw_only=True)
+class EvaluationOfFlight:
+    """Measure the errors in metres of a flight that is located on a map; its tags and corrections by hand are the truth."""
+
+    map: Path
+    """Map under the flight: a folder of lpn map, or a georeferenced picture."""
+    flight: Path
+    """Flight to locate: a folder of lpn flight, or one of photos."""
+    model: Path | None = None
+    """Trained model for retrieval and sequence, as for lpn evaluate; without one, registration alone."""
+    kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
+    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    provider: ProviderName = "auto"
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    prior: float | None = None
+    """Metres around each frame's own position that it is registered in without --model; by default the whole map."""
+    map_error: float | None = None
+    """1-sigma error of the map's places in metres, part of the radii; by default 3 pixels, at least 1 m."""
+    register: bool = True
+    """Lay each photo over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
+    corrections: bool = True
+    """Take the truth from corrections.csv where a person corrected a frame; --no-corrections takes tags alone."""
+    json: Path | None = None
+    """File to write the measures to, as JSON."""
+
+    def run(self) -> None:
         from lpn.cli.locate import locate_files, print_summary
         from lpn.core.consoles import wide_console
-        from lpn.core.files import write_json
+        from lpn.core.files import check_writable, write_json
         from lpn.locate.pipeline import LocateOptions
 
-        if self.flight is None or self.map is None:
-            raise InputError("A flight is evaluated on its map; give both --flight and --map.")
-        if self.data is not None or self.saved is not None or self.task is not None:
-            raise InputError("A flight has neither data set nor task; leave --data, --saved, and --task out.")
-        given = [name for name in _NOT_OF_FLIGHTS if getattr(self, name) != getattr(type(self), name)]
-        if given:
-            raise InputError(f"A flight is evaluated as it is; leave --{given[0].replace('_', '-')} out.")
+        if self.json is not None:
+            check_writable(self.json)
         console = wide_console()
         options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error)
         located = locate_files(
@@ -163,7 +211,7 @@ class EvaluateCommand:
         )
         print_summary(located, console)
         if self.json is not None:
-            stages = {stage: asdict(found) for stage, found in located.summaries().items()}
+            stages = {stage: asdict(summary) for stage, summary in located.summaries().items()}
             audit = None if located.audit is None else located.audit.sentence
             result = {
                 "frames": len(located.frames),
@@ -176,67 +224,34 @@ class EvaluateCommand:
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_json(self.json, _without_nan(result))
 
-    def _evaluate_arrays(self, protocol: Protocol) -> tuple[str, Result]:
-        from lpn.retrieval.evaluate import evaluate_saved
-        from lpn.retrieval.plain_arrays import load_arrays
 
-        if self.query is None or self.gallery is None or self.paths is None:
-            raise InputError(
-                "Plain arrays are evaluated with their list of pictures; give --query, --gallery, and --paths."
-            )
-        others = {"--model": self.model, "--saved": self.saved, "--task": self.task}
-        if other := next((name for name, value in others.items() if value is not None), None):
-            raise InputError(f"Plain arrays are evaluated without a model, by their rows alone; leave {other} out.")
-        n_parts = None if self.n_parts is None else check_n_parts(self.n_parts)
-        arrays = load_arrays(self.query, self.gallery, self.paths, n_parts, self.order, self.data)
-        if not arrays.labelled.all():
-            raise InputError(
-                f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {self.paths.name}, so "
-                "nobody knows what is right; add their labels."
-            )
-        positions = [*arrays.query_positions, *arrays.positions]
-        if 0 < (unknown := positions.count(None)) < len(positions):
-            log.warning(
-                "%d of %d pictures in %s have no position, so there are no errors in metres.",
-                unknown,
-                len(positions),
-                self.paths.name,
-            )
-        result = evaluate_saved(arrays.result, protocol, arrays.all_positions)
-        return f"{arrays.result.name} on {self.gallery.name}", result
+@dataclass(kw_only=True)
+class EvaluateCommand(EvaluationOfSource):
+    """Measure recall and AP on a test split or a saved result, or the errors in metres of a located flight."""
 
-    def _evaluate_saved(self, saved: Path, protocol: Protocol) -> tuple[str, Result]:
-        from lpn.retrieval.evaluate import evaluate_saved
-        from lpn.retrieval.published_results import load_saved
+    SOURCES: ClassVar[dict[str, type[EvaluationOfSource | EvaluationOfFlight]]] = {
+        Published.WORD: EvaluationOfPublished,
+        Arrays.WORD: EvaluationOfArrays,
+        Indexed.WORD: EvaluationOfIndex,
+        Flown.WORD: EvaluationOfFlight,
+    }
 
-        if self.data is not None or self.model is not None or self.task is not None:
-            raise InputError(
-                "A saved result already fixes data set, model, and task; leave --data, --model, and --task out."
-            )
-        if self.provider != "auto" or self.compile:
-            raise InputError("A saved result needs no network; leave --provider and --compile out.")
-        if (protocol.average or protocol.centre) and self.n_parts is None:
-            raise InputError(
-                "Averaging and centring normalise each part, and a saved result does not contain the number of parts; give it "
-                "with --n-parts (1 for a baseline)."
-            )
-        opened = load_saved(saved, check_n_parts(self.n_parts))
-        return opened.name, evaluate_saved(opened, protocol)
+    source: Data
+    compile: bool = False
+    """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
+    changes: ChangeOptions = field(default_factory=ChangeOptions)
+    ranking: RankingOptions = field(default_factory=RankingOptions)
 
-    def _evaluate_model(self, protocol: Protocol) -> tuple[str, Result]:
+    def _evaluate(self) -> tuple[str, Result]:
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.evaluate import evaluate
 
-        _reject_n_parts(self.n_parts)
-        if self.data is None or self.model is None:
-            raise InputError(
-                "There is nothing to evaluate; give --data and --model, or a pytorch_result.mat with --saved."
-            )
-        model, dataset = lpn.load(self.model, self.provider, self.compile, self.kind), open_dataset(self.data)
+        source, protocol = self.source, self.ranking.protocol(self.changes, self.source.calibrate)
+        model, dataset = source.model.load(self.compile), open_dataset(source.data)
         tasks = dataset.tasks()
-        task = self.task or (tasks[0] if tasks else "drone-to-satellite")
-        title = f"{self.model.name} ({model.describe()}) on {self.data.resolve().name}"
+        task = source.task or (tasks[0] if tasks else "drone-to-satellite")
+        title = f"{source.model.name} ({model.describe()}) on {source.data.resolve().name}"
         return title, evaluate(model, dataset, task, protocol, descriptor_reader(dataset.root))
 
 
@@ -255,7 +270,7 @@ def _print_result(title: str, result: Result) -> None:
     for group, galleries in rows:
         for figures in galleries:
             facts = (result.task, *([group] if result.groups else []), str(figures.queries), figures.name)
-            table.add_row(*facts, *(f"{value:.2f}" for value in (*figures.recall.values(), figures.ap)))
+            table.add_row(*facts, *map(_percent, (*figures.recall.values(), figures.ap)))
     console = wide_console()
     console.print(table)
     console.print(result.sentence)
@@ -278,6 +293,10 @@ def _print_result(title: str, result: Result) -> None:
         )
 
 
+def _percent(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.2f}"
+
+
 def _title(key: str) -> str:
     """Return a metric's name from its key, such as "SDM@3 (DenseUAV)" from "sdm_denseuav@3"."""
     name, _, depth = key.partition("@")
@@ -298,10 +317,3 @@ def _numbers(text: str | None) -> list[int] | None:
         return [int(item) for item in text.split(",")]
     except ValueError as error:
         raise InputError(f"The parts are {text!r}; expected numbers from 1, such as 1,2.") from error
-
-
-def _reject_n_parts(n_parts: int | None) -> None:
-    if n_parts is not None:
-        raise InputError(
-            "A model file contains its number of parts; give --n-parts with --saved only. To choose parts, use --parts."
-        )

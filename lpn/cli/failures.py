@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import ABC
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from rich.table import Table as Printed
 from rich.text import Text
 
-import lpn
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
+from lpn.sources import Arrays, Data, Flown, Indexed, Published, Source
+from lpn.sources.opened import open_task, with_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,20 +25,10 @@ if TYPE_CHECKING:
     from lpn.core.tables import Table
 
 
-@dataclass
-class FailuresCommand:
-    """List the queries of a task with rank, margin, and the part that decides, and say what fails most."""
+@dataclass(kw_only=True)
+class FailuresOptions:
+    """The list."""
 
-    data: Path
-    """Data set in any layout of docs/data.md."""
-    model: Path
-    """Trained LPN: .onnx, .safetensors, or .pth."""
-    kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
-    calibrate: bool = False
-    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean, without labels."""
-    task: TaskName | None = None
-    """Views of query and gallery; by default the first task of the data set that the model supports."""
     where: str = ""
     """Filter of the queries, such as 'rank > 1 and margin < -0.1 and name ~ 0012'; all by default."""
     sort: str = "margin"
@@ -46,67 +38,110 @@ class FailuresCommand:
     top: int = 20
     """Maximum number of listed queries, and of lines of each other table."""
     notes: Path | None = None
-    """File of tags and notes; by default notes.csv in the data set's folder."""
+    """File of tags and notes; by default notes.csv in the folder of the queries."""
+    csv: Path | None = None
+    """File to write all queries that match --where to, with all columns, tags, and notes."""
+
+
+@dataclass(kw_only=True)
+class FailuresOfSource(ABC):
+    """List the queries of a task with rank, margin, and the part that decides, and say what fails most."""
+
+    source: Source
+    listing: FailuresOptions = field(default_factory=FailuresOptions)
+
+    def run(self) -> None:
+        from lpn.core.consoles import wide_console
+        from lpn.core.files import check_writable, write_atomic
+        from lpn.datasets import metadata
+
+        listing = self.listing
+        if listing.top < 1:
+            raise InputError(f"The number of queries listed is {listing.top}; expected 1 or more.")
+        if listing.csv is not None:
+            check_writable(listing.csv)
+        task = with_notes(open_task(self.source), listing.notes)
+        made = self._compared(task, task.table)
+        rows = made.sort(made.filter(made.rows(), listing.where), listing.sort, listing.descending)
+        console = wide_console()
+        named = [name for name in made.columns if name in f"{listing.where} {listing.sort}"]
+        columns = [*_columns(made), metadata.TAGS, *named]
+        _print(console, made, rows, list(dict.fromkeys(columns)), listing.top)
+        if task.calibration is not None:
+            console.print(f"{task.model_name} is {task.calibration.describe()}.", highlight=False, markup=False)
+        if len(rows):
+            _print_breakdown(console, task, rows, listing.top)
+        if listing.csv is not None:
+            write_atomic(listing.csv, made.to_csv(rows))
+
+    def _compared(self, task: Task, table: Table) -> Table:
+        """Return the table with the ranks of a second model, where there is one."""
+        del task
+        return table
+
+
+@dataclass(kw_only=True)
+class FailuresOfPublished(FailuresOfSource):
+    """List the queries of a published result that fail."""
+
+    source: Published
+
+
+@dataclass(kw_only=True)
+class FailuresOfArrays(FailuresOfSource):
+    """List the queries of plain arrays that fail."""
+
+    source: Arrays
+
+
+@dataclass(kw_only=True)
+class FailuresOfIndex(FailuresOfSource):
+    """List the queries of an index that fail."""
+
+    source: Indexed
+
+
+@dataclass(kw_only=True)
+class FailuresOfFlight(FailuresOfSource):
+    """List the frames of a flight whose window is not found."""
+
+    source: Flown
+
+
+@dataclass(kw_only=True)
+class FailuresCommand(FailuresOfSource):
+    """List the queries of a task with rank, margin, and the part that decides, and say what fails most."""
+
+    SOURCES: ClassVar[dict[str, type[FailuresOfSource]]] = {
+        Published.WORD: FailuresOfPublished,
+        Arrays.WORD: FailuresOfArrays,
+        Indexed.WORD: FailuresOfIndex,
+        Flown.WORD: FailuresOfFlight,
+    }
+
+    source: Data
     beside: Path | None = None
     """Second trained model on the same queries; adds the columns rank A (of --model) and rank B, also for --where and --sort."""
     beside_kind: Kind | None = None
     """Method of --beside, as --kind is that of --model."""
-    csv: Path | None = None
-    """File to write all queries that match --where to, with all columns, tags, and notes."""
 
-    def run(self) -> None:
-        from lpn.analysis.notes import read_notes
-        from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, compared_ranks
-        from lpn.analysis.task import calibrated, open_task
-        from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, write_atomic
-        from lpn.datasets import metadata, open_dataset
+    def _compared(self, task: Task, table: Table) -> Table:
+        from lpn.analysis.query_outcomes import compared_ranks
 
-        if self.top < 1:
-            raise InputError(f"The number of queries listed is {self.top}; expected 1 or more.")
-        if self.beside_kind is not None and self.beside is None:
-            raise InputError(
-                "This kind is that of the second model; give --beside-kind with --beside, or leave it out."
-            )
-        if self.csv is not None:
-            check_writable(self.csv)
-        model, dataset = lpn.load(self.model, kind=self.kind), open_dataset(self.data)
-        task = open_task(
-            model,
-            self.model.name,
-            dataset,
-            self.task,
-            tags_and_notes=read_notes(self.notes) if self.notes else None,
-            calibration=calibrated(model, dataset) if self.calibrate else None,
-        )
-        made = task.table
-        if self.beside is not None:
-            second = lpn.load(self.beside, kind=self.beside_kind)
-            other = open_task(
-                second,
-                self.beside.name,
-                dataset,
-                task.name,
-                tags_and_notes={},
-                calibration=calibrated(second, dataset) if self.calibrate else None,
-            )
-            made = made.with_columns(compared_ranks(made, other.outcomes.rank))
-        rows = made.sort(made.filter(made.rows(), self.where), self.sort, self.descending)
-        console = wide_console()
-        shown = [
-            *OUTCOME_COLUMNS,
-            metadata.TAGS,
-            *(name for name in made.columns if name in f"{self.where} {self.sort}"),
-        ]
-        if self.beside is not None:
-            shown = [name for name in shown if name != "rank"]
-        _print(console, made, rows, list(dict.fromkeys(shown)), self.top)
-        if task.calibration is not None:
-            console.print(f"{task.model_name} is {task.calibration.describe()}.", highlight=False, markup=False)
-        if len(rows):
-            _print_breakdown(console, task, rows, self.top)
-        if self.csv is not None:
-            write_atomic(self.csv, made.to_csv(rows))
+        if self.beside is None:
+            if self.beside_kind is not None:
+                raise InputError("--beside-kind needs --beside.")
+            return table
+        model = replace(self.source.model, model=self.beside, kind=self.beside_kind)
+        second = open_task(replace(self.source, model=model, task=cast(TaskName, task.name)))
+        return table.with_columns(compared_ranks(table, second.outcomes.rank))
+
+
+def _columns(table: Table) -> list[str]:
+    """Return the names of the columns about outcomes; two models have a rank each."""
+    from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, RANK_A
+
+    return [name for name in OUTCOME_COLUMNS if name != "rank" or RANK_A not in table.columns]
 
 
 def _print(console: Console, table: Table, rows: Int64Array, names: list[str], top: int) -> None:
@@ -128,6 +163,7 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
     from lpn.analysis.query_outcomes import picture_columns
 
     table, outcomes, part_names = task.table, task.outcomes, task.part_names
+    task = task.current()
     failures = int(outcomes.failed[rows].sum())
     if failures:
         blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)

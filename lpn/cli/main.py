@@ -11,9 +11,8 @@ from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
 
-import tyro
-
 import lpn
+from lpn.cli import by_source
 from lpn.cli.compare import CompareCommand
 from lpn.cli.crossval import CrossvalCommand, parse_crossval
 from lpn.cli.describe import DescribeCommand, GatherCommand
@@ -153,14 +152,14 @@ def _stopped(parsed: list[Any], number: int) -> int:
 _AGAIN = "Nothing is half-written; give the same command again."
 
 
-def _parse(command: Callable[..., Any], arguments: list[str], program: str) -> Any:
+def _parse(command: type[Any], arguments: list[str], program: str) -> Any:
     if command is TrainCommand:
         return parse_train(arguments, program)
     if command is CrossvalCommand:
         return parse_crossval(arguments, program)
     if command is ReproduceCommand:
         return parse_reproduce(arguments, program)
-    return tyro.cli(command, args=arguments, prog=program)
+    return by_source.parse(command, arguments, program)
 
 
 def _help() -> str:

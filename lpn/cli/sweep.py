@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
+from abc import ABC
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-import lpn
 from lpn.cli.explain import part_values
 from lpn.core.errors import InputError
 from lpn.core.numbers import signed
-from lpn.core.views import TaskName, views_of
-from lpn.models.adapters import Kind
+from lpn.sources import Arrays, Data, Flown, Indexed, Published, Source
+from lpn.sources.opened import query_positions
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lpn.analysis.task import Task
     from lpn.core.views import View
-    from lpn.datasets import Dataset
     from lpn.explain.sweeps import Point, SweepResult
     from lpn.models.base import Model
 
 _BAR = 24
 
 
-@dataclass
-class SweepCommand:
-    """Rotate, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
+@dataclass(kw_only=True)
+class SweepOptions:
+    """The sweep."""
 
-    data: Path
-    """Data set in any layout of docs/data.md."""
-    model: Path
-    """Trained LPN: .onnx, .safetensors, or .pth."""
     query: str
     """Name of the query, as the explorer's picker shows it, such as 0005/01."""
-    kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
-    task: TaskName | None = None
-    """Views of query and gallery; by default the first task of the data set."""
     over: Literal["rotation", "shift", "shift-down", "zoom"] = "rotation"
     """Varied parameter: degrees counter-clockwise, pixels of the network's input to the right or down, or a zoom factor."""
     step: float | None = None
@@ -51,62 +43,98 @@ class SweepCommand:
     png: Path | None = None
     """File to draw the curves to; needs matplotlib, of the extra train."""
 
+
+@dataclass(kw_only=True)
+class SweepOfSource(ABC):
+    """Rotate, shift, or zoom one query step by step."""
+
+    source: Source
+    sweep: SweepOptions
+
     def run(self) -> None:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, write_atomic
-        from lpn.datasets import open_dataset
 
-        for file in filter(None, (self.csv, self.png)):
+        options = self.sweep
+        for file in filter(None, (options.csv, options.png)):
             check_writable(file)
-        if self.png is not None:
+        if options.png is not None:
             import matplotlib  # noqa: F401 (fail before the long computation)
-        model, dataset = lpn.load(self.model, kind=self.kind), open_dataset(self.data)
-        tasks = dataset.tasks()
-        task = self.task or (tasks[0] if tasks else "none")
-        if task not in tasks:
-            raise InputError(
-                f"The task is {task!r}; {dataset.root.name} offers {', '.join(tasks) or 'none'} in its test split."
-            )
         console = wide_console()
-        found = self._sweep(model, dataset, task, console)
-        views = views_of(task)
-        title = f"{self.query} ({task}, {model.describe()})"
-        _print(found, title, views, console)
-        if self.csv is not None:
-            write_atomic(self.csv, found.to_csv())
-        if self.png is not None:
-            write_atomic(self.png, _draw(found, title))
-
-    def _sweep(self, model: Model, dataset: Dataset, task: str, console: Console) -> SweepResult:
-        import numpy as np
-        from rich.progress import track
-
-        from lpn import descriptors
-        from lpn.explain import sweeps
-        from lpn.retrieval import scoring
-
-        query_view, gallery_view = views_of(task)
-        for view in (query_view, gallery_view):
-            model.check_view(view)
-        model = model.for_task(query_view, gallery_view)
-        side = model.input_size[0 if self.over == "shift-down" else 1]
-        weights = scoring.part_weights(model.n_parts, part_values(self.weights))
-        queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
-        names = [entry.name for entry in queries]
-        if self.query not in names:
+        opened = self.source.open([options.query])
+        task, model = opened.task, opened.model
+        if model is None:
             raise InputError(
-                f"{dataset.root.name} has no {query_view} query {self.query}; its names are such as {names[0]}."
+                f"No query of {task.model_name} can be changed, as it holds descriptors and no network; sweep a query of a data "
+                "set with a model."
             )
-        position = names.index(self.query)
-        entry, truth = queries[position], dataset.truth(task)
-        picture = entry.load_cropped()
-        changes = [change.for_picture(entry) for change in sweeps.changes_over(self.over, self.step, self.reach, side)]
-        tiles = descriptors.cached_descriptors(model, gallery, gallery_view)
-        labels = np.array([tile.label for tile in gallery], np.int64)
-        listed = None if truth is None else truth[position]
-        points = sweeps.run_sweep(model, picture, query_view, tiles, weights, changes, labels, entry.label, listed)
-        seen = track(points, f"Describing {self.query}", len(changes), console=console, transient=True)
-        return sweeps.SweepResult(self.over, tuple(seen))
+        profile = _swept(task, model, options, console)
+        title = f"{options.query} ({task.name}, {model.describe()})"
+        _print(profile, title, task.views, console)
+        if options.csv is not None:
+            write_atomic(options.csv, profile.to_csv())
+        if options.png is not None:
+            write_atomic(options.png, _draw(profile, title))
+
+
+@dataclass(kw_only=True)
+class SweepOfPublished(SweepOfSource):
+    """Say why no query of a published result can be changed: its descriptors are at hand, its network is not."""
+
+    source: Published
+
+
+@dataclass(kw_only=True)
+class SweepOfArrays(SweepOfSource):
+    """Say why no query of plain arrays can be changed: its descriptors are at hand, its network is not."""
+
+    source: Arrays
+
+
+@dataclass(kw_only=True)
+class SweepOfIndex(SweepOfSource):
+    """Rotate, shift, or zoom one query of an index step by step; each step is a search."""
+
+    source: Indexed
+
+
+@dataclass(kw_only=True)
+class SweepOfFlight(SweepOfSource):
+    """Rotate, shift, or zoom one frame of a flight step by step."""
+
+    source: Flown
+
+
+@dataclass(kw_only=True)
+class SweepCommand(SweepOfSource):
+    """Rotate, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
+
+    SOURCES: ClassVar[dict[str, type[SweepOfSource]]] = {
+        Published.WORD: SweepOfPublished,
+        Arrays.WORD: SweepOfArrays,
+        Indexed.WORD: SweepOfIndex,
+        Flown.WORD: SweepOfFlight,
+    }
+
+    source: Data
+
+
+def _swept(task: Task, model: Model, options: SweepOptions, console: Console) -> SweepResult:
+    from rich.progress import track
+
+    from lpn.explain import sweeps
+    from lpn.retrieval import scoring
+
+    position = query_positions([options.query], task.queries, task.data_name)[0]
+    query, model = task.queries[position], model.for_task(*task.views)
+    side = model.input_size[0 if options.over == "shift-down" else 1]
+    weights = scoring.part_weights(model.n_parts, part_values(options.weights))
+    steps = sweeps.changes_over(options.over, options.step, options.reach, side)
+    changes = [change.for_picture(query) for change in steps]
+    ranks = task.ranks_under(position, weights)
+    points = sweeps.sweep_points(model, query.load_cropped(), task.query_view, changes, ranks)
+    done = track(points, f"Describing {options.query}", len(changes), console=console, transient=True)
+    return sweeps.SweepResult(options.over, tuple(done))
 
 
 def _subject(profile: SweepResult) -> str:

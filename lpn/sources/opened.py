@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lpn.core.errors import InputError
@@ -16,6 +19,7 @@ if TYPE_CHECKING:
     from lpn.locate.pipeline import LocatedFlight
     from lpn.maps import Map
     from lpn.models.base import Model
+    from lpn.sources.sources import Source
 
 # Receives the stage, such as "frames", and the numbers of finished and of all its steps.
 Progress = Callable[[str, int, int], None]
@@ -49,6 +53,51 @@ class OpenedSource:
     def named(self, model_name: str) -> OpenedSource:
         """Return the source with another display name of its model."""
         return replace(self, tasks=[replace(task, model_name=printable(model_name)) for task in self.tasks])
+
+
+def open_task(source: Source, names: Sequence[str] = ()) -> Task:
+    """Open the first task of a source, with a bar on the terminal for work that takes long.
+
+    Args:
+        names: see `Source.open`.
+    """
+    with progress_bars() as on_progress:
+        return source.open(names, on_progress).task
+
+
+def with_notes(task: Task, file: Path | None = None) -> Task:
+    """Return a task with a person's tags and notes.
+
+    Args:
+        file: of the notes; by default notes.csv in the folder of the queries.
+
+    Raises:
+        DataError: if the file is damaged.
+    """
+    from lpn.analysis import notes
+    from lpn.core.demo import own_file
+
+    return replace(task, notes=notes.read_notes(own_file(task.root, notes.NAME) if file is None else file))
+
+
+@contextmanager
+def progress_bars() -> Iterator[Progress]:
+    """Show a bar on the terminal for each stage of an opening."""
+    from rich.console import Console
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
+
+    # A notebook's console, which is no terminal, gets no animation.
+    console = Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
+    with Bars(console=console, transient=True) as bars:
+        stages: dict[str, TaskID] = {}
+
+        def report(stage: str, done: int, total: int) -> None:
+            if stage not in stages:
+                stages[stage] = bars.add_task(f"Describing {stage}", total=total)
+            bars.update(stages[stage], completed=done)
+
+        yield report
 
 
 def query_positions(names: Sequence[str], queries: Sequence[Picture], data_name: str) -> list[int]:

@@ -33,7 +33,7 @@ class ModelOptions:
 
     model: Path
     """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models."""
-    kind: Kind | None = None
+    kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
     """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
@@ -55,11 +55,9 @@ class Source(ABC):
 
     Attributes:
         WORD: names the source on the command line.
-        why_no_sweep: why its queries cannot be changed, as the end of a sentence; empty if they can.
     """
 
     WORD: ClassVar[str]
-    why_no_sweep: ClassVar[str] = ""
 
     @abstractmethod
     def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
@@ -119,8 +117,8 @@ class Data(Source):
     data: Path
     """Data set in any layout of docs/data.md."""
     model: Annotated[ModelOptions, tyro.conf.arg(name="")]
-    task: TaskName | None = None
-    """Views of query and gallery; by default the first task of the data set that the model supports."""
+    task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
+    """Views of query and gallery, by default the first task of the data set that the model supports."""
     calibrate: bool = False
     """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
     and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
@@ -138,7 +136,6 @@ class Published(Source):
     """A result of the published test code on its pictures, without a network."""
 
     WORD = "published"
-    why_no_sweep = "a saved result holds descriptors and no network"
 
     saved: Path
     """Result of the published test code, pytorch_result.mat."""
@@ -163,7 +160,6 @@ class Arrays(Source):
     """Descriptors that any model made, without a network."""
 
     WORD = "arrays"
-    why_no_sweep = "plain arrays hold descriptors and no network"
 
     query: Path
     """Descriptors of the queries that any model made, as .npy, .npz, .mat, or .parquet."""

@@ -1,0 +1,68 @@
+"""Commands that take a task from any source: the word behind the command names the source, and each source has its own options.
+
+lpn evaluate --data ROOT --model city-lpn             a data set is the source if none is named
+lpn evaluate index --index tiles --model city-lpn --data ROOT
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, Union, get_args, get_origin, get_type_hints
+
+import tyro
+
+from lpn.core.errors import InputError
+
+
+def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:
+    """Parse the options of a command.
+
+    Args:
+        command: a dataclass. Its `SOURCES`, if it has any, are the dataclasses of its other sources by their words.
+
+    Raises:
+        InputError: if an option is one of another source.
+    """
+    sources: dict[str, type[Any]] = getattr(command, "SOURCES", {})
+    config = (tyro.conf.OmitArgPrefixes,)
+    if arguments and (chosen := sources.get(arguments[0])) is not None:
+        return tyro.cli(chosen, args=arguments[1:], prog=f"{program} {arguments[0]}", config=config)
+    own = arguments[1:] if sources and arguments[:1] == ["data"] else arguments
+    _check_options(command, sources, own, program)
+    others = ", ".join(f"{program} {word}" for word in sources)
+    description = (command.__doc__ or "") + (
+        f"\n\nOther sources, each with its own --help: {others}." if others else ""
+    )
+    return tyro.cli(command, args=own, prog=program, description=description, config=config)
+
+
+def options(command: type[Any]) -> Iterator[str]:
+    """Yield the options of a command as they are written, such as "--data"; those of its groups, too."""
+    hints = get_type_hints(command, include_extras=True)
+    for field in fields(command):
+        kind = hints[field.name]
+        annotations: tuple[Any, ...] = getattr(kind, "__metadata__", ())
+        kind = get_args(kind)[0] if annotations else kind
+        members = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
+        groups = [member for member in members if isinstance(member, type) and is_dataclass(member)]
+        for group in groups:
+            yield from options(group)
+        if not groups and tyro.conf.Positional not in annotations:
+            yield f"--{field.name.replace('_', '-')}"
+
+
+def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments: Sequence[str], program: str) -> None:
+    """Refuse an option that only another source has, and name that source."""
+    own = set(options(command)) if sources else set()
+    for argument in arguments:
+        option = argument.partition("=")[0].replace("_", "-")
+        if not sources or not option.startswith("--") or option in own or option.replace("--no-", "--", 1) in own:
+            continue
+        words = [word for word, other in sources.items() if option in options(other)]
+        if words:
+            raise InputError(
+                f"{option} is no option of a data set, which is the source if none is named; give the source as the first word: "
+                f"{' or '.join(f'{program} {word}' for word in words)}."
+            )
