@@ -96,14 +96,14 @@ class ExploreArrays(ExploreSource):
     """Open descriptors that any model made in a browser, without a network."""
 
     source: Arrays
-    first: str | None = None
+    query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
 
     def _workspaces(self) -> Workspaces:
         from explorer.opening import open_arrays
 
         source = self.source
-        return lambda: open_arrays(source.load(), source.query.name, self.first), {}
+        return lambda: open_arrays(source.load(), source.queries.name, self.query), {}
 
 
 @dataclass(kw_only=True)

@@ -96,7 +96,7 @@ class ComparisonOfPublished(ComparisonOfSources):
 class ComparisonOfArrays(ComparisonOfSources):
     """Compare the descriptors of several models, as plain arrays, on one list of pictures."""
 
-    query: tuple[Path, ...]
+    queries: tuple[Path, ...]
     """Descriptors of the queries by each model, as .npy, .npz, .mat, or .parquet."""
     gallery: tuple[Path, ...]
     """Descriptors of the gallery by each model, in the same order."""
@@ -106,15 +106,15 @@ class ComparisonOfArrays(ComparisonOfSources):
     """Order of the axes: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
 
     def _ranked(self) -> Iterator[RankedModel]:
-        if len(self.query) != len(self.gallery):
+        if len(self.queries) != len(self.gallery):
             raise InputError(
-                f"There are {len(self.query)} files of queries and {len(self.gallery)} of galleries; give both for each model."
+                f"There are {len(self.queries)} files of queries and {len(self.gallery)} of galleries; give both for each model."
             )
         sources = [
-            Arrays(query=query, gallery=gallery, paths=self.paths, order=self.order)
-            for query, gallery in zip(self.query, self.gallery, strict=True)
+            Arrays(queries=queries, gallery=gallery, paths=self.paths, order=self.order)
+            for queries, gallery in zip(self.queries, self.gallery, strict=True)
         ]
-        return self._ranked_sources(list(zip(distinct_names(self.query), sources, strict=True)))
+        return self._ranked_sources(list(zip(distinct_names(self.queries), sources, strict=True)))
 
 
 @dataclass(kw_only=True)

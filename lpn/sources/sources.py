@@ -161,7 +161,7 @@ class Arrays(Source):
 
     WORD = "arrays"
 
-    query: Path
+    queries: Path
     """Descriptors of the queries that any model made, as .npy, .npz, .mat, or .parquet."""
     gallery: Path
     """Descriptors of the gallery, in such a file."""
@@ -179,7 +179,7 @@ class Arrays(Source):
         from lpn.analysis.array_task import array_task
 
         del on_progress
-        task = array_task(self.load(), printable(self.query.name))
+        task = array_task(self.load(), printable(self.queries.name))
         query_positions(names, task.queries, task.data_name)
         return OpenedSource([task])
 
@@ -189,7 +189,7 @@ class Arrays(Source):
         from lpn.retrieval.published_results import check_n_parts
 
         n_parts = None if self.n_parts is None else check_n_parts(self.n_parts)
-        return load_arrays(self.query, self.gallery, self.paths, n_parts, self.order, self.data)
+        return load_arrays(self.queries, self.gallery, self.paths, n_parts, self.order, self.data)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,165 @@
+"""The matrix of sources and commands: each command takes a task from each source, or says in one sentence why it cannot."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import explorer.app
+from explorer.workspace import Workspace
+from lpn import descriptors
+from lpn.cli import by_source
+from lpn.cli.main import commands, main
+from lpn.core.views import views_of
+from lpn.datasets import open_dataset
+from lpn.flights import write_flight
+from lpn.models.onnx_engine import Engine
+from tests.lpn.locate.scenery import land, small_flight, write_map
+from tools.fixtures.published_results import save_result
+
+TASK = "drone-to-satellite"
+SOURCES = ("data", "published", "arrays", "index", "flight")
+COMMANDS = ("evaluate", "compare", "failures", "report", "sweep", "explore")
+
+
+def _save_arrays(folder: Path, data: Path, model_file: Path) -> None:
+    """Write both sides of `TASK`, and the list of their pictures, as plain arrays."""
+    model, dataset = Engine(model_file), open_dataset(data)
+    lines = ["file,side,label"]
+    for side, view, pictures in zip(
+        ("query", "gallery"), views_of(TASK), (dataset.queries("drone"), dataset.gallery("satellite")), strict=True
+    ):
+        np.save(folder / f"{side}.npy", descriptors.cached_descriptors(model, pictures, view))
+        lines += [f"{one.path.relative_to(data)},{side},{one.label}" for one in pictures]
+    (folder / "paths.csv").write_text("\n".join(lines))
+
+
+@pytest.fixture(scope="module")
+def options(
+    data: Path, model_file: Path, one_part_model_file: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str, str], list[str]]:
+    """Returns the options by which a command opens a source; the first two are of one model's descriptors."""
+    folder = tmp_path_factory.mktemp("sources")
+    saved, index, flight = folder / "pytorch_result.mat", folder / "index", folder / "monday"
+    save_result(saved, data, model_file)
+    _save_arrays(folder, data, model_file)
+    tiles = data / "test" / "gallery_satellite"
+    described = ["describe", "--model", model_file, "--images", tiles, "--view", "satellite", "--out", folder / "store"]
+    for arguments in (described, ["index", "--descriptors", folder / "store", "--out", index]):
+        assert main([str(argument) for argument in arguments]) == 0
+    ground = write_map(folder / "ground.tif", land()[::2, ::2])
+    flight.mkdir()
+    write_flight(small_flight(flight, ground), flight)
+    model = ["--model", model_file]
+    arrays = ["--queries", folder / "query.npy", "--gallery", folder / "gallery.npy", "--paths", folder / "paths.csv"]
+    flown = ["--map", folder / "ground.tif", "--flight", flight]
+    each: dict[str, list[str | Path]] = {
+        "data": ["--data", data, *model],
+        "published": ["published", "--saved", saved, "--data", data, "--n-parts", "4"],
+        "arrays": ["arrays", *arrays, "--data", data],
+        "index": ["index", "--index", index, "--data", data, *model, "--depth", "10"],
+        "flight": ["flight", *flown, *model],
+    }
+    special: dict[tuple[str, str], list[str | Path]] = {
+        ("compare", "data"): [model_file, one_part_model_file, "--data", data],
+        ("compare", "published"): ["published", saved, folder / "again.mat", "--data", data],
+        ("compare", "arrays"): [
+            "arrays",
+            *arrays[:2],
+            folder / "query.npz",
+            *arrays[2:4],
+            folder / "gallery.npz",
+            *arrays[4:],
+        ],
+        ("compare", "index"): ["index", index, folder / "again", "--data", data, *model, "--depth", "10"],
+        ("compare", "flight"): ["flight", model_file, one_part_model_file, *flown],
+        ("evaluate", "published"): ["published", "--saved", saved, "--n-parts", "4"],
+        ("evaluate", "flight"): ["flight", *flown, *model, "--no-register"],
+        ("explore", "flight"): ["flight", *flown, *model, "--no-register"],
+    }
+    (folder / "again.mat").write_bytes(saved.read_bytes())
+    for side in ("query", "gallery"):
+        np.savez(folder / f"{side}.npz", np.load(folder / f"{side}.npy"))
+    (folder / "again").symlink_to(index)
+    return lambda command, source: [str(one) for one in special.get((command, source), each[source])]
+
+
+def _output(command: str, source: str, folder: Path) -> tuple[list[str], Path]:
+    """Return further options of a command, and the file that they make it write."""
+    query = {"flight": "05.png", "arrays": "0009/image-01"}.get(source, "0009")
+    return {
+        "evaluate": (["--json"], folder / "figures.json"),
+        "compare": (["--resamples", "20", "--json"], folder / "table.json"),
+        "failures": (["--csv"], folder / "failures.csv"),
+        "report": (["--query", query, "--out"], folder / "report.html"),
+        "sweep": (["--query", query, "--step", "90", "--csv"], folder / "sweep.csv"),
+        "explore": ([], folder),
+    }[command]
+
+
+@pytest.mark.parametrize("source", SOURCES)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_takes_a_task_from_each_source(
+    command: str,
+    source: str,
+    options: Callable[[str, str], list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    opened: list[Workspace] = []
+    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
+    more, file = _output(command, source, tmp_path)
+    arguments = [command, *options(command, source), *more, *([] if command == "explore" else [str(file)])]
+    status = main(arguments)
+    told = capsys.readouterr()
+    if command == "sweep" and source in ("published", "arrays"):
+        assert status == 2
+        assert "holds descriptors and no network" in told.err
+        assert not file.exists()
+    elif command == "explore":
+        assert (status, len(opened)) == (0, 1), told.err
+        assert len(next(iter(opened[0].tasks.values())).queries) == (21 if source == "flight" else 14)
+    else:
+        assert status == 0, told.err
+        assert file.stat().st_size > 100
+
+
+def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:
+    recalls, ranks = [], []
+    for source in ("data", "published", "arrays", "index"):
+        assert main(["evaluate", *options("evaluate", source), "--json", str(tmp_path / "figures.json")]) == 0
+        figures = json.loads((tmp_path / "figures.json").read_text())
+        recalls.append([figures["queries"], figures["gallery"], *(figures[f"recall@{k}"] for k in (1, 5, 10))])
+        # AP takes all ranks, which a search to a depth does not tell.
+        assert (figures["ap"] is None) == (source == "index")
+        assert main(["failures", *options("failures", source), "--csv", str(tmp_path / "f.csv"), "--sort", "name"]) == 0
+        lines = (tmp_path / "f.csv").read_text().splitlines()
+        column = lines[0].split(",").index("rank")
+        ranks.append([line.split(",")[column] for line in lines[1:]])
+    assert all(figures == recalls[0] for figures in recalls)
+    assert ranks[0] == ranks[1] == ranks[2]
+    # A search to a depth of 10 does not tell the other ranks.
+    assert [rank if float(rank) <= 10 else "> 10" for rank in ranks[0]] == ranks[3]
+
+
+def test_an_option_of_another_source_names_that_source(capsys: pytest.CaptureFixture[str]) -> None:
+    for command, option, word in (
+        ("evaluate", "--saved", "published"),
+        ("explore", "--map=a.tif", "flight"),
+        ("failures", "--index", "index"),
+        ("report", "--queries", "arrays"),
+    ):
+        assert main([command, "--data", "places", option, "x"]) == 2
+        assert f"lpn {command} {word}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_few_options_are_seen_at_once(command: str) -> None:
+    default = commands()[command]
+    for one in (default, *default.SOURCES.values()):
+        assert len(set(by_source.options(one))) <= 19, one
