@@ -57,12 +57,13 @@ def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments:
     """Refuse an option that only another source has, and name that source."""
     own = set(options(command)) if sources else set()
     for argument in arguments:
-        option = argument.partition("=")[0].replace("_", "-")
-        if not sources or not option.startswith("--") or option in own or option.replace("--no-", "--", 1) in own:
+        written = argument.partition("=")[0].replace("_", "-")
+        names = {written, written.replace("--no-", "--", 1)}
+        if not sources or not written.startswith("--") or names & own:
             continue
-        words = [word for word, other in sources.items() if option in options(other)]
+        words = [word for word, other in sources.items() if names & set(options(other))]
         if words:
             raise InputError(
-                f"{option} is no option of a data set, which is the source if none is named; give the source as the first word: "
+                f"{written} is no option of a data set, which is the source if none is named; give the source as the first word: "
                 f"{' or '.join(f'{program} {word}' for word in words)}."
             )

@@ -51,6 +51,7 @@ class FailuresOfSource(ABC):
     listing: FailuresOptions = field(default_factory=FailuresOptions)
 
     def run(self) -> None:
+        from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, RANK_A
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata
@@ -65,8 +66,10 @@ class FailuresOfSource(ABC):
         rows = made.sort(made.filter(made.rows(), listing.where), listing.sort, listing.descending)
         console = wide_console()
         named = [name for name in made.columns if name in f"{listing.where} {listing.sort}"]
-        columns = [*_columns(made), metadata.TAGS, *named]
-        _print(console, made, rows, list(dict.fromkeys(columns)), listing.top)
+        columns = dict.fromkeys([*OUTCOME_COLUMNS, metadata.TAGS, *named])
+        if RANK_A in made.columns:  # two models have a rank each
+            del columns["rank"]
+        _print(console, made, rows, list(columns), listing.top)
         if task.calibration is not None:
             console.print(f"{task.model_name} is {task.calibration.describe()}.", highlight=False, markup=False)
         if len(rows):
@@ -135,13 +138,6 @@ class FailuresCommand(FailuresOfSource):
         model = replace(self.source.model, model=self.beside, kind=self.beside_kind)
         second = open_task(replace(self.source, model=model, task=cast(TaskName, task.name)))
         return table.with_columns(compared_ranks(table, second.outcomes.rank))
-
-
-def _columns(table: Table) -> list[str]:
-    """Return the names of the columns about outcomes; two models have a rank each."""
-    from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, RANK_A
-
-    return [name for name in OUTCOME_COLUMNS if name != "rank" or RANK_A not in table.columns]
 
 
 def _print(console: Console, table: Table, rows: Int64Array, names: list[str], top: int) -> None:

@@ -62,7 +62,6 @@ class ReportOfSource(ABC):
         from lpn import report
         from lpn.cli.explain import part_values
         from lpn.core.files import check_writable, write_atomic
-        from lpn.retrieval import scoring
 
         options = self.report
         if options.query and (options.failures is not None or options.where):
@@ -71,10 +70,7 @@ class ReportOfSource(ABC):
             raise InputError(f"The number of failures is {options.failures}; expected 1 or more.")
         contents = self._contents()
         check_writable(options.out)
-        task = with_notes(open_task(self.source, options.query), options.notes)
-        weights = part_values(options.weights)
-        scoring.part_weights(task.contract.n_parts, weights)
-        task = replace(task, weights=weights)
+        task = with_notes(open_task(self.source, options.query, part_values(options.weights)), options.notes)
         if options.query:
             chosen, selection = query_positions(options.query, task.queries, task.data_name), "chosen by name"
         else:

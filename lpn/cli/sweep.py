@@ -11,7 +11,7 @@ from lpn.cli.explain import part_values
 from lpn.core.errors import InputError
 from lpn.core.numbers import signed
 from lpn.sources import Arrays, Data, Flown, Indexed, Published, Source
-from lpn.sources.opened import query_positions
+from lpn.sources.opened import progress_bars, query_positions
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -61,7 +61,8 @@ class SweepOfSource(ABC):
         if options.png is not None:
             import matplotlib  # noqa: F401 (fail before the long computation)
         console = wide_console()
-        opened = self.source.open([options.query])
+        with progress_bars() as on_progress:
+            opened = self.source.open([options.query], part_values(options.weights), on_progress)
         task, model = opened.task, opened.model
         if model is None:
             raise InputError(
@@ -123,15 +124,13 @@ def _swept(task: Task, model: Model, options: SweepOptions, console: Console) ->
     from rich.progress import track
 
     from lpn.explain import sweeps
-    from lpn.retrieval import scoring
 
     position = query_positions([options.query], task.queries, task.data_name)[0]
     query, model = task.queries[position], model.for_task(*task.views)
     side = model.input_size[0 if options.over == "shift-down" else 1]
-    weights = scoring.part_weights(model.n_parts, part_values(options.weights))
     steps = sweeps.changes_over(options.over, options.step, options.reach, side)
     changes = [change.for_picture(query) for change in steps]
-    ranks = task.ranks_under(position, weights)
+    ranks = task.ranks_under(position)
     points = sweeps.sweep_points(model, query.load_cropped(), task.query_view, changes, ranks)
     done = track(points, f"Describing {options.query}", len(changes), console=console, transient=True)
     return sweeps.SweepResult(options.over, tuple(done))

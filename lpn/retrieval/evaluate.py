@@ -424,7 +424,7 @@ def evaluate_descriptors(
     protocol = protocol or Protocol()
     if protocol.change or protocol.branch or protocol.whole or protocol.calibrate:
         raise InputError(
-            "There are descriptors, no pictures: rotation, shift, scale, branch, whole queries, and calibration need a model "
+            "These are descriptors, not pictures: rotation, shift, scale, branch, whole queries, and calibration need a model "
             "and a data set; leave them out."
         )
     query, tiles = (centred(side) for side in sides) if protocol.centre else sides

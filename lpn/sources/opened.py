@@ -55,14 +55,22 @@ class OpenedSource:
         return replace(self, tasks=[replace(task, model_name=printable(model_name)) for task in self.tasks])
 
 
-def open_task(source: Source, names: Sequence[str] = ()) -> Task:
+def weighted(task: Task, weights: Sequence[float] | None) -> Task:
+    """Return a task under part weights, equal ones for None; InputError if they are not its parts'."""
+    from lpn.retrieval import scoring
+
+    scoring.part_weights(task.contract.n_parts, weights)
+    return replace(task, weights=weights)
+
+
+def open_task(source: Source, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> Task:
     """Open the first task of a source, with a bar on the terminal for work that takes long.
 
     Args:
-        names: see `Source.open`.
+        names, weights: see `Source.open`.
     """
     with progress_bars() as on_progress:
-        return source.open(names, on_progress).task
+        return source.open(names, weights, on_progress).task
 
 
 def with_notes(task: Task, file: Path | None = None) -> Task:
@@ -89,15 +97,20 @@ def progress_bars() -> Iterator[Progress]:
 
     # A notebook's console, which is no terminal, gets no animation.
     console = Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
-    with Bars(console=console, transient=True) as bars:
-        stages: dict[str, TaskID] = {}
+    bars = Bars(console=console, transient=True)
+    stages: dict[str, TaskID] = {}
 
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in stages:
-                stages[stage] = bars.add_task(f"Describing {stage}", total=total)
-            bars.update(stages[stage], completed=done)
+    def report(stage: str, done: int, total: int) -> None:
+        bars.start()
+        if stage not in stages:
+            stages[stage] = bars.add_task(f"Describing {stage}", total=total)
+        bars.update(stages[stage], completed=done)
 
+    try:
         yield report
+    finally:
+        if stages:  # bars that never started would print an empty line
+            bars.stop()
 
 
 def query_positions(names: Sequence[str], queries: Sequence[Picture], data_name: str) -> list[int]:

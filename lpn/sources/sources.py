@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -15,7 +15,7 @@ from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
-from lpn.sources.opened import OpenedSource, Progress, query_positions
+from lpn.sources.opened import OpenedSource, Progress, query_positions, weighted
 
 if TYPE_CHECKING:
     from lpn.datasets import Dataset
@@ -47,7 +47,7 @@ class ModelOptions:
         """Open the model, see `lpn.load` for the errors."""
         import lpn
 
-        return lpn.load(self.model, self.provider, compiled, self.kind)
+        return lpn.load(self.model, self.provider, compiled, kind=self.kind)
 
 
 class Source(ABC):
@@ -60,11 +60,17 @@ class Source(ABC):
     WORD: ClassVar[str]
 
     @abstractmethod
-    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
         """Open the source.
 
         Args:
             names: names that queries of the first task must have; they are checked before pictures are described.
+            weights: part weights of the task, checked likewise; equal by default.
             on_progress: called with a stage and the numbers of finished and of all its steps.
 
         Raises:
@@ -80,13 +86,14 @@ def open_data(
     calibrate: bool = False,
     every: bool = False,
     names: Sequence[str] = (),
+    weights: Sequence[float] | None = None,
 ) -> OpenedSource:
     """Open a data set under an opened model, see `Data`.
 
     Args:
         model_name: the model's name to display.
         every: open every task that model and data set offer, in place of one.
-        names: see `Source.open`.
+        names, weights: see `Source.open`.
 
     Raises:
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
@@ -99,7 +106,7 @@ def open_data(
         query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
     calibration = calibrated(model, dataset) if calibrate else None
     tasks = [
-        open_task(model, model_name, dataset, name, tags_and_notes={}, calibration=calibration)
+        open_task(model, model_name, dataset, name, weights, {}, calibration)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
     if calibration is None:
@@ -123,12 +130,19 @@ class Data(Source):
     """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
     and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
 
-    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
         from lpn.datasets import open_dataset
 
         del on_progress
         dataset = open_dataset(self.data)
-        return open_data(self.model.load(), self.model.name, dataset, self.task, self.calibrate, names=names)
+        return open_data(
+            self.model.load(), self.model.name, dataset, self.task, self.calibrate, names=names, weights=weights
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +158,12 @@ class Published(Source):
     n_parts: int | None = None
     """Number of parts of its descriptors; 1 by default."""
 
-    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
         from lpn.analysis.published_task import published_task
         from lpn.datasets import open_dataset
         from lpn.retrieval.published_results import check_n_parts, load_saved
@@ -152,7 +171,7 @@ class Published(Source):
         del on_progress
         task = published_task(load_saved(self.saved, check_n_parts(self.n_parts)), open_dataset(self.data))
         query_positions(names, task.queries, task.data_name)
-        return OpenedSource([task])
+        return OpenedSource([weighted(task, weights)])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,13 +194,18 @@ class Arrays(Source):
     data: Path | None = None
     """Folder that the list's paths are relative to; by default the list's."""
 
-    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
         from lpn.analysis.array_task import array_task
 
         del on_progress
         task = array_task(self.load(), printable(self.queries.name))
         query_positions(names, task.queries, task.data_name)
-        return OpenedSource([task])
+        return OpenedSource([weighted(task, weights)])
 
     def load(self) -> PlainArrays:
         """Read the arrays, see `load_arrays` for the errors."""
@@ -212,7 +236,12 @@ class Indexed(Source):
     depth: int = 100
     """Number of tiles that a search returns; ranks beyond it are not known."""
 
-    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
         from lpn.datasets import open_dataset
         from lpn.flights import open_flight
         from lpn.index import open_index
@@ -242,7 +271,7 @@ class Indexed(Source):
             queries = dataset_queries(model, open_dataset(self.data), index)
         query_positions(names, queries.pictures, queries.data_name)
         task = index_task(model, self.model.name, index, queries, self.depth, ground)
-        return OpenedSource([task], model, model, map=ground)
+        return OpenedSource([weighted(task, weights)], model, model, map=ground)
 
     def _check_queries(self) -> None:
         flown = self.flight is not None
@@ -265,8 +294,14 @@ class Flown(Source):
     """Flight over the map: a folder of lpn flight, or one of photos."""
     model: Annotated[ModelOptions, tyro.conf.arg(name="")]
 
-    def open(self, names: Sequence[str] = (), on_progress: Progress = no_progress) -> OpenedSource:
-        return self.locate(None, on_progress, names)
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
+        opened = self.locate(None, on_progress, names)
+        return replace(opened, tasks=[weighted(opened.task, weights)])
 
     def locate(
         self, overlap: float | None = None, on_progress: Progress = no_progress, names: Sequence[str] = ()

@@ -83,10 +83,12 @@ def started(
         program: what Python runs.
         port: any that is free by default.
     """
-    source = ["--model", model] if saved is None else ["--saved", saved, "--n-parts", "4"]
+    source = ["--data", data, "--model", model]
+    if saved is not None:
+        source = ["published", "--data", data, "--saved", saved, "--n-parts", "4"]
     source += [] if beside is None else ["--beside", beside]
-    inputs = [] if default else ["--data", data, *source]
-    command = [sys.executable, *program, "explore", *inputs, "--port", str(port or free_port()), *options]
+    inputs = [] if default else source
+    command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port or free_port())]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None

@@ -30,7 +30,8 @@ def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Cal
     for row in range(0, 8, 2):  # the others are placeholders
         small_worlds.write(tmp_path / "test" / "g" / f"{row}.png", layouts.small(row))
     options = (
-        "--query",
+        "arrays",
+        "--queries",
         str(tmp_path / "q.npy"),
         "--gallery",
         str(tmp_path / "g.npy"),

@@ -82,8 +82,12 @@ def test_a_note_is_not_lost_while_the_disk_is_full(
     expect(note).to_have_value(LONG)
     note.fill("short")
     note.blur()
+
+    def saved() -> None:
+        assert read_notes(places / "notes.csv")[second] == Note((), "short")
+
+    lab.eventually(saved)  # the message of the save before may still stand there
     expect(message).to_contain_text("Saved in notes.csv")
-    assert read_notes(places / "notes.csv")[second] == Note((), "short")
 
 
 @pytest.mark.slow

@@ -43,8 +43,8 @@ def test_an_index_is_explored_as_its_data_set_is(
         ranking = retrieval.rank(cosines, scoring.part_weights(4, weights))
         return [(gallery[match.index].name, f"{match.distance2:.3f}") for match in ranking.top(10)]
 
-    options = ("--index", str(tmp_path / "index"), "--depth", "12")
-    with started(app.data, app.model, tmp_path / "cache", options=options) as running:
+    source = ("index", "--index", str(tmp_path / "index"), "--depth", "12", "--data", app.data, "--model", app.model)
+    with started(app.data, app.model, tmp_path / "cache", default=True, options=tuple(map(str, source))) as running:
         explorer, in_memory = ExplorerPage(new_page()), ExplorerPage(new_page())
         for page, url in ((explorer, running.url), (in_memory, app.url)):
             page.open(url)

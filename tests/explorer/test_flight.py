@@ -16,7 +16,7 @@ import explorer.app
 import lpn
 from explorer import opening, session_state
 from explorer.browse.query_list import entries
-from explorer.cli import Explore
+from explorer.cli import ExploreFlight, ExploreIndex
 from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.service import FailureLab
@@ -33,6 +33,7 @@ from lpn.flights import write_flight
 from lpn.locate.pipeline import LocatedFlight, StageRecord
 from lpn.locate.task import TASK
 from lpn.maps import Map, Window
+from lpn.sources import Flown, Indexed, ModelOptions
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
@@ -189,13 +190,16 @@ def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--map", "a.tif", "--model", "m.onnx"], "give --flight beside --map"),
-        (["--flight", "monday", "--model", "m.onnx"], "give --map beside --flight"),
-        (["--map", "a.tif", "--flight", "monday"], "give a trained LPN with --model"),
-        (["--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--data", "places"], "leave --data out"),
-        (["--map", "a.tif", "--flight", "monday", "--saved", "a.mat"], "leave --saved out"),
-        (["--no-register"], "give --no-register with --map and --flight"),
-        (["--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--port", "0"], "There is no file a.tif"),
+        (["--map", "a.tif", "--model", "m.onnx"], "lpn explore index or lpn explore flight"),
+        (["--no-register"], "lpn explore flight"),
+        (
+            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--beside-kind", "dac"],
+            "--beside-kind needs --beside",
+        ),
+        (
+            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--port", "0"],
+            "There is no file a.tif",
+        ),
     ],
 )
 def test_options_that_do_not_fit_are_refused(
@@ -226,10 +230,10 @@ def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
 
     monkeypatch.setattr(lpn, "load", load)
     monkeypatch.setattr(explorer.app, "serve", lambda opened, *_: opened())
-    bare = Explore(model=tmp_path / "bare.pth", kind="dac")
+    bare = ModelOptions(model=tmp_path / "bare.pth", kind="dac")
     for command in (
-        replace(bare, map=files[0], flight=files[1]),
-        replace(bare, index=str(tmp_path / "index"), data=tmp_path),
+        ExploreFlight(source=Flown(map=files[0], flight=files[1], model=bare)),
+        ExploreIndex(source=Indexed(index=str(tmp_path / "index"), data=tmp_path, model=bare)),
     ):
         with pytest.raises(InputError, match="It is not opened"):
             command.run()

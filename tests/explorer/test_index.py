@@ -271,22 +271,21 @@ def test_windows_without_their_map_are_placeholders(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--index", "INDEX"], "as --model"),
         (["--index", "INDEX", "--model", "MODEL"], "tiles and no queries"),
-        (["--index", "INDEX", "--model", "MODEL", "--flight", "x"], "give --map beside --flight"),
-        (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--beside", "MODEL"], "leave --beside out"),
-        (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--paths", "x.csv"], "leave --paths out"),
-        (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--order", "parts-last"], "leave --order out"),
+        (["--index", "INDEX", "--model", "MODEL", "--flight", "x"], "--flight with --map"),
+        (
+            ["--index", "INDEX", "--model", "MODEL", "--flight", "x", "--map", "y", "--data", "DATA"],
+            "one kind of queries",
+        ),
         (["--index", "INDEX", "--model", "MODEL", "--data", "DATA", "--depth", "3"], "depth is 3"),
         (["--index", "DATA", "--model", "MODEL", "--data", "DATA"], "not an index"),
-        (["--data", "DATA", "--model", "MODEL", "--depth", "50"], "with --index only"),
     ],
 )
 def test_mistakes_get_one_sentence(
     options: list[str], said: str, index: Path, data: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = {"INDEX": index, "MODEL": model_file, "DATA": data}
-    assert main(["explore", "--port", "0", *(str(places.get(option, option)) for option in options)]) == 2
+    assert main(["explore", "index", "--port", "0", *(str(places.get(option, option)) for option in options)]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.strip().count("\n") == 0

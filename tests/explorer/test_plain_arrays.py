@@ -50,10 +50,11 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--gallery", "g.npy"], "give the descriptors of the queries as --query"),
-        (["--gallery", "g.npy", "--query", "q.npy", "--model", "m.onnx"], "leave --model out"),
-        (["--paths", "paths.csv"], "belong to plain arrays"),
-        (["--gallery", "absent.npy", "--query", "absent.npy"], "no file of query descriptors at absent.npy"),
+        (["--paths", "paths.csv"], "lpn explore arrays"),
+        (
+            ["arrays", "--gallery", "absent.npy", "--queries", "absent.npy"],
+            "no file of query descriptors at absent.npy",
+        ),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

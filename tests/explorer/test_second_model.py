@@ -19,6 +19,7 @@ from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.task import Task
 from lpn.cli.failures import FailuresCommand
 from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
+from lpn.sources import Data, ModelOptions
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
 from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector
@@ -125,7 +126,7 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
     def lacking(_: Path) -> None:
         raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
 
-    monkeypatch.setattr(explorer.opening, "open_map", lacking)
+    monkeypatch.setattr("lpn.maps.open_map", lacking)
     flight = explorer.opening.offered_flight(tmp_path, tmp_path, tmp_path / "model.onnx")
     assert flight.open().wait(PATIENCE)
     assert flight.error == (
@@ -176,8 +177,9 @@ def test_the_kinds_of_both_models_may_be_named(
     assert workspace.second.workspace.contract.method == "DAC"
     with pytest.raises(ModelFileError, match="--kind dac or --kind camp, of a second model with --beside-kind"):
         Explore(data=data, model=model_file, beside=weights).run()
-    with pytest.raises(InputError, match="give --kind with --model"):
+    with pytest.raises(InputError, match="--kind needs --model"):
         Explore(data=tmp_path, kind="camp").run()
-    for command in (Explore(data=tmp_path, beside_kind="dac"), FailuresCommand(data, model_file, beside_kind="dac")):
-        with pytest.raises(InputError, match="give --beside-kind with --beside"):
+    source = Data(data=data, model=ModelOptions(model=model_file))
+    for command in (Explore(data=tmp_path, beside_kind="dac"), FailuresCommand(source=source, beside_kind="dac")):
+        with pytest.raises(InputError, match="--beside-kind needs --beside"):
             command.run()

@@ -82,10 +82,8 @@ def make(folder: Path, count: int) -> list[str]:
         lines.append(f"{name},query,{place}")
     lines += [f"picture-{number % PICTURES}.jpg,gallery,{number}" for number in range(TILES)]
     (folder / "paths.csv").write_text("\n".join(lines))
-    return [option for name in ("query", "gallery") for option in (f"--{name}", str(folder / f"{name[0]}.npy"))] + [
-        "--paths",
-        str(folder / "paths.csv"),
-    ]
+    files = {"--queries": "q.npy", "--gallery": "g.npy", "--paths": "paths.csv"}
+    return ["arrays", *(text for option, name in files.items() for text in (option, str(folder / name)))]
 
 
 def first_paint(page: Page, url: str) -> float:

@@ -147,7 +147,7 @@ def test_one_model_alone_has_neither_column_nor_choice(workspace: Workspace, fin
 def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Event, Event]]:
     """Rankings of new workspaces wait in the background until the second event is set; the first says that one has begun."""
     begun, go = Event(), Event()
-    finish = ranking_job.ResumableRanking.finish
+    finish = ranking_cache.ResumableRanking.finish
 
     def wait(self: Any, report: Any) -> Any:
         report(5, 13)
@@ -158,7 +158,7 @@ def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Event, Event]]:
 
     monkeypatch.setattr(ranking_job, "QUICK_COST", -1)
     monkeypatch.setattr(ranking_cache, "load", lambda _: None)
-    monkeypatch.setattr(ranking_job.ResumableRanking, "finish", wait)
+    monkeypatch.setattr(ranking_cache.ResumableRanking, "finish", wait)
     yield begun, go
     go.set()
 

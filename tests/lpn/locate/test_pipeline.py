@@ -682,20 +682,11 @@ def test_the_commands_write_a_track_and_measures(
     assert "by hand" not in capsys.readouterr().out
     assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
     assert "suffix '.shp'" in capsys.readouterr().err
-    assert main(["evaluate", "--flight", str(tmp_path / "flight")]) == 2
-    assert "give both --flight and --map" in capsys.readouterr().err
-    assert main(["evaluate", *where, "--map-error", "-1"]) == 2
+    assert main(["evaluate", "flight", *where, "--map-error", "-1"]) == 2
     assert "map's error is -1" in " ".join(capsys.readouterr().err.split())
-    for ignored in (["--rotate", "90"], ["--parts", "1,2"], ["--average-queries"]):
-        assert main(["evaluate", *where, *ignored]) == 2
-        assert f"leave {ignored[0]} out" in " ".join(capsys.readouterr().err.split())
     for alone in (["--no-register"], ["--map-error", "2"]):
         assert main(["evaluate", *alone]) == 2
-        assert "Priors, errors of a map, registration, and corrections belong" in capsys.readouterr().err
-    assert main(["evaluate", "--saved", "result.mat", "--kind", "dac"]) == 2
-    assert "give --kind with --model" in capsys.readouterr().err
-    assert main(["evaluate", *where, "--order", "parts-last"]) == 2
-    assert "An order belongs to plain arrays" in capsys.readouterr().err
+        assert "lpn evaluate flight" in capsys.readouterr().err
 
 
 def test_a_kind_reaches_each_model(
@@ -722,7 +713,7 @@ def test_a_kind_reaches_each_model(
     bare = ["--model", "bare.pth", "--kind", "dac"]
     for arguments in (
         ["locate", *where, *bare, "--out", str(tmp_path / "track.csv")],
-        ["evaluate", *where, *bare],
+        ["evaluate", "flight", *where, *bare],
         ["doctor", *bare],
         ["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac", "auto"],
     ):
@@ -732,7 +723,7 @@ def test_a_kind_reaches_each_model(
     for arguments, message in (
         (["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac"], "There are 1 kinds for 2 models"),
         (["doctor", "--kind", "dac"], "give --kind with --model"),
-        (["evaluate", *where, "--kind", "dac"], "give --kind with --model"),
+        (["evaluate", "flight", *where, "--kind", "dac"], "give --kind with --model"),
     ):
         assert main(arguments) == 2
         assert message in " ".join(capsys.readouterr().err.split())
@@ -747,7 +738,7 @@ def test_a_flight_is_evaluated_by_its_tags(
 
     write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
     where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]  # type: ignore[attr-defined]
-    assert main(["evaluate", *where, "--json", str(tmp_path / "measures.json")]) == 0
+    assert main(["evaluate", "flight", *where, "--json", str(tmp_path / "measures.json")]) == 0
     assert "registration" in capsys.readouterr().out
     measured = json.loads((tmp_path / "measures.json").read_text())
     assert measured["notes"] == ["Radii of registrations hold 1.5 m for the error of the map itself."]

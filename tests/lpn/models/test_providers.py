@@ -283,10 +283,6 @@ def test_the_commands_pass_the_option_on(
         assert f"has no {CUDA}" in capsys.readouterr().err
     assert not (tmp_path / "store").exists()
     assert not (tmp_path / "int8.onnx").exists()
-    saved = ["--saved", str(tmp_path / "pytorch_result.mat"), "--provider", "cuda"]
-    for command in (["evaluate", *saved], ["explore", "--data", str(data), *saved]):
-        assert main.main(command) == 2
-        assert "A saved result needs no network" in capsys.readouterr().err
     FakeGpu(monkeypatch)
     assert main.main([*describe, "auto"]) == 0
     assert "Computed on cuda." in capsys.readouterr().out

@@ -143,7 +143,7 @@ def test_the_command_evaluates_plain_arrays(
     tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
-    given = ["evaluate", "--query", str(files[0]), "--gallery", str(files[1])]
+    given = ["evaluate", "arrays", "--queries", str(files[0]), "--gallery", str(files[1])]
     out = tmp_path / "figures.json"
     assert main([*given, "--paths", str(write_list(tmp_path)), "--json", str(out)]) == 0
     expected = metrics.evaluate(arrays[0], np.arange(5), arrays[1], np.array([0, 1, 2, 3, 4, 0, -1]))
@@ -168,7 +168,7 @@ def test_the_command_evaluates_plain_arrays(
     assert main([*given, "--paths", str(write_list(tmp_path, unlabelled=(2,)))]) == 2
     assert "1 of 5 queries have no label" in capsys.readouterr().err
     assert main(given) == 2
-    assert "give --query, --gallery, and --paths" in capsys.readouterr().err
+    assert "give it as --paths" in capsys.readouterr().err
 
 
 def rewrite(change: Callable[[str], str]) -> Callable[[Path], None]:

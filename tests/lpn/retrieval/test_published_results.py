@@ -52,7 +52,7 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
     savemat(tmp_path / "r.mat", contents(data, model_file))
     figures = []
     for arguments in (
-        ["--saved", str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
+        ["published", "--saved", str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
         ["--data", str(data), "--model", str(model_file), "--parts", "2"],
     ):
         assert main.main(["evaluate", *arguments, "--json", str(tmp_path / "f.json")]) == 0
@@ -67,7 +67,7 @@ def test_a_saved_result_is_averaged_and_centred_part_by_part_only(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str
 ) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    arguments = ["evaluate", "--saved", str(tmp_path / "r.mat"), flag]
+    arguments = ["evaluate", "published", "--saved", str(tmp_path / "r.mat"), flag]
     assert main.main(arguments) == 2
     assert "--n-parts" in capsys.readouterr().err
     assert main.main([*arguments, "--n-parts", "4"]) == 0
