@@ -141,7 +141,7 @@ def test_the_table_of_a_cross_validation_joins_the_page(docs: Path, tmp_path: Pa
     trials = {
         "base": {"changes": {}, "figures": figures(60.0, None), "runs": 1, "training seconds of a run": 90.0},
         "rings": {
-            "changes": {"part_dropout": 0.5},
+            "changes": {"mining": "hardest"},
             "figures": figures(61.5, 2.0),
             "runs": 2,
             "training seconds of a run": 66.0,
@@ -161,15 +161,15 @@ def test_the_table_of_a_cross_validation_joins_the_page(docs: Path, tmp_path: Pa
     assert "**first-look**: pairs, 320 training places, 2 of 5 folds, seeds 0, 1" in text
     assert "| base | those of the recipe | 60.0 | 60.0 | 1 | 1.5 |" in text
     beside = "61.5 ± 2.0 (+1.5; -3.0 to +6.0)"
-    assert f"| rings | `part_dropout` 0.5 | {beside} | {beside} | 2 | 1.1 |" in text
+    assert f"| rings | `mining` hardest | {beside} | {beside} | 2 | 1.1 |" in text
     assert "By `lpn crossval --trial base`, lpn 7.7, on CPU, 1 cores, 2026-11-23." in text
     assert pages("--check", "--docs", str(docs)).returncode == 0
 
 
 def test_networks_that_were_measured_on_the_test_split_join_the_page(docs: Path, tmp_path: Path) -> None:
-    recipe = msgspec.to_builtins(dataclasses.replace(RECIPES["small"], memory=True, epochs=7))
+    recipe = msgspec.to_builtins(dataclasses.replace(RECIPES["small"], metric_per_part=True, epochs=7))
     for seed, value in ((0, 60.0), (2, 64.0)):
-        folder = tmp_path / f"memory-seed{seed}"
+        folder = tmp_path / f"alone-seed{seed}"
         folder.mkdir()
         (folder / "log.csv").touch()
         metadata = {"recipe": json.dumps(recipe | {"seed": seed})}
@@ -183,9 +183,12 @@ def test_networks_that_were_measured_on_the_test_split_join_the_page(docs: Path,
     text = (docs / "strong.md").read_text("utf-8")
     for more, reading in enumerate(("plain", "calibrated", "calibrated, CSLS")):
         cells = " | ".join(f"{mean + 5 * more:.1f} ± 2.0" for mean in (62, 63, 72, 73))
-        assert f"| memory | {reading} | 2 | {cells} |" in text
+        assert f"| alone | {reading} | 2 | {cells} |" in text
     assert "| n4 | calibrated | 3 |" in text
-    assert "--recipe small --init city-lpn --epochs 7 --memory --seed 2`, and the other seeds alike (0, 2)" in text
+    assert (
+        "--recipe small --init city-lpn --epochs 7 --metric-per-part --seed 2`, and the other seeds alike (0, 2)"
+        in text
+    )
     assert pages("--check", "--docs", str(docs)).returncode == 0
 
 

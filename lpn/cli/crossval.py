@@ -27,8 +27,7 @@ class CrossvalCommand:
     """File to write the table to, as JSON, after each fold."""
     trial: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A recipe to try, NAME or NAME:setting=value,setting=value with settings of lpn train --help; once for each. The others are
-    compared with the first one; without any, the recipe alone is tried as base. teacher=NAME has a trial taught by another one's
-    networks of the same fold, of all seeds, see --teacher there."""
+    compared with the first one; without any, the recipe alone is tried as base."""
     recipe: RecipeName = "small"
     """Recipe of all trials; its settings are flags as well."""
     init: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Any, Literal, cast
 
 import tyro
 
@@ -69,9 +69,6 @@ class TrainCommand:
     """Threads that prepare pictures; 0 chooses by the machine. They do not affect the result."""
     compile: bool = False
     """Compile the backbone by torch.compile; the first step then takes seconds to minutes, and losses differ by rounding."""
-    teacher: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
-    """Trained model whose similarities between the pictures of a batch are learned, of any method, size, and file that lpn opens;
-    several are averaged. Its weight is --distillation."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
@@ -98,7 +95,6 @@ class TrainCommand:
                 compiled=self.compile,
                 from_scratch=self.from_scratch,
                 window_sizes=self.window_sizes,
-                teachers=self.teacher,
             )
         )
         run.console.print(f"Recipe {self.recipe}: {settings.to_json()}")

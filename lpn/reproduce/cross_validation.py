@@ -56,18 +56,14 @@ class RecipeTrial:
     Attributes:
         name: also of its runs' folders.
         changes: settings that differ from the common recipe.
-        teacher: the trial whose networks of the same fold, of all seeds, are its teachers; "" for none.
     """
 
     name: str
     changes: Mapping[str, Any]
-    teacher: str = ""
 
 
 def parse_trial(text: str, recipe: Recipe) -> RecipeTrial:
     """Read a trial, "NAME" or "NAME:setting=value,setting=value", and check it with the common recipe.
-
-    The setting `teacher` names another trial. The weight `distillation` is then 1 unless it is given.
 
     Raises:
         InputError: if the name, a setting, or a value is invalid, or settings exclude each other.
@@ -78,13 +74,10 @@ def parse_trial(text: str, recipe: Recipe) -> RecipeTrial:
             f"The trial {printable(text)[:80]!r} has no valid name; expected NAME or NAME:setting=value,setting=value, with "
             "letters, digits, dots, hyphens, and underscores in the name."
         )
-    types, changes, teacher = get_type_hints(Recipe), {}, ""
+    types, changes = get_type_hints(Recipe), {}
     for pair in filter(None, rest.split(",")):
         setting, equals, value = pair.partition("=")
         setting = setting.strip().replace("-", "_")
-        if setting == "teacher" and value.strip():
-            teacher = value.strip()
-            continue
         if not equals or setting not in types or setting == "seed":
             more = (
                 "; seeds are given with --seeds"
@@ -96,10 +89,8 @@ def parse_trial(text: str, recipe: Recipe) -> RecipeTrial:
             changes[setting] = msgspec.convert(value.strip(), types[setting], strict=False)
         except msgspec.ValidationError as error:
             raise InputError(f"The trial {name} has {printable(pair)[:80]!r} ({error}); give another value.") from error
-    if teacher:
-        changes.setdefault("distillation", recipe.distillation or 1.0)
     replace(recipe, **changes)
-    return RecipeTrial(name, changes, teacher)
+    return RecipeTrial(name, changes)
 
 
 class _FoldFile(msgspec.Struct):
@@ -165,45 +156,26 @@ class CrossValidation:
                 f"Of {folds} folds, {run_folds} are to be trained with the seeds {', '.join(map(str, seeds)) or 'none'}; "
                 f"expected 0 for all folds, or up to {folds}, and at least one seed, each once."
             )
-        for trial in trials:
-            if trial.teacher and trial.teacher not in [other.name for other in trials if not other.teacher]:
-                raise InputError(
-                    f"The trial {trial.name} has the teacher {printable(trial.teacher)[:80]}; expected the name of another trial "
-                    "that has no teacher itself."
-                )
-            weight = trial.changes.get("distillation")
-            if weight is not None and bool(weight) != bool(trial.teacher):
-                raise InputError(
-                    f"The trial {trial.name} has distillation = {weight:g} and "
-                    f"{'a' if trial.teacher else 'no'} teacher; give teacher=NAME and a weight above 0, or neither."
-                )
         self.console = console or wide_console()
         self.out, self.trials, self.folds = out, tuple(trials), folds
         self.source = Source(dataset, rendered=False)
-        untaught = replace(recipe, distillation=0.0)
-        recipes = {trial.name: replace(recipe if trial.teacher else untaught, **trial.changes) for trial in trials}
+        recipes = {trial.name: replace(recipe, **trial.changes) for trial in trials}
         starts = {} if from_scratch else self._starts(init, {found.backbone for found in recipes.values()})
-        self.jobs: list[TrainingJob] = []
-        # Teachers of all seeds come before what they teach. All trials of a fold come one after the other, so that a run that is
-        # stopped has whole comparisons.
-        for group in ([one for one in trials if not one.teacher], [one for one in trials if one.teacher]):
-            self.jobs += [
-                TrainingJob(
-                    Training(trial.name, "lpn"),
-                    seed,
-                    replace(recipes[trial.name], seed=seed),
-                    out / f"{trial.name}-seed{seed}-fold{number}",
-                    self.source,
-                    starts.get(recipes[trial.name].backbone),
-                    fold=Fold(number, folds),
-                    teachers=tuple(
-                        job for job in self.jobs if (job.training.name, _fold(job).number) == (trial.teacher, number)
-                    ),
-                )
-                for seed in seeds
-                for number in range(run_folds or folds)
-                for trial in group
-            ]
+        # All trials of a fold come one after the other, so that a run that is stopped has whole comparisons.
+        self.jobs = [
+            TrainingJob(
+                Training(trial.name, "lpn"),
+                seed,
+                replace(recipes[trial.name], seed=seed),
+                out / f"{trial.name}-seed{seed}-fold{number}",
+                self.source,
+                starts.get(recipes[trial.name].backbone),
+                fold=Fold(number, folds),
+            )
+            for seed in seeds
+            for number in range(run_folds or folds)
+            for trial in trials
+        ]
         for job in self.jobs:
             copy.copy(self.source.places(job.recipe.google)).hold_out(_fold(job), 0)
             job.check_same()
@@ -216,10 +188,7 @@ class CrossValidation:
         """
         check_writable(table)
         for step in dict.fromkeys(map(_step, self.jobs)):
-            jobs = [job for job in self.jobs if _step(job) == step]
-            for job in jobs:
-                job.check_same()  # by now all of its teachers are trained
-            trainings.train(jobs, self.console)
+            trainings.train([job for job in self.jobs if _step(job) == step], self.console)
             values = self.table()
             write_atomic(table, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
         self.console.print(summary(values))
@@ -263,7 +232,7 @@ class CrossValidation:
         }
         start = None if job.start is None else {"file": job.start.name, "fingerprint": fingerprint(job.start)}
         return {
-            "changes": {**trial.changes, **({"teacher": trial.teacher} if trial.teacher else {})},
+            "changes": dict(trial.changes),
             "start": start,
             "runs": len(found),
             "diverged": [one.folder.name for one in self.jobs if one.training.name == trial.name and one.diverged],
@@ -308,9 +277,9 @@ class CrossValidation:
         return starts
 
 
-def _step(job: TrainingJob) -> tuple[bool, int, Fold]:
+def _step(job: TrainingJob) -> tuple[int, Fold]:
     """Return what the trainings have in common that are one step of a run."""
-    return bool(job.teachers), job.seed, _fold(job)
+    return job.seed, _fold(job)
 
 
 def _fold(job: TrainingJob) -> Fold:

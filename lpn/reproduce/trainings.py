@@ -56,7 +56,6 @@ class TrainingJob:
         start: pretrained weights of its backbone, None for random ones.
         held_out: share of the training places that are held out, and measured after the last epoch.
         fold: a fold of them that is held out instead, and measured by `lpn.reproduce.cross_validation`.
-        teachers: trainings whose networks are its teachers, without those that diverge.
     """
 
     training: Training
@@ -67,7 +66,6 @@ class TrainingJob:
     start: Path | None
     held_out: float = 0.0
     fold: Fold | None = None
-    teachers: tuple[TrainingJob, ...] = ()
 
     @property
     def name(self) -> str:
@@ -105,11 +103,6 @@ class TrainingJob:
         return self.folder / "last.safetensors"
 
     @property
-    def teacher_models(self) -> list[Path]:
-        """Paths of the networks that teach it, as far as they are trained."""
-        return [job.model for job in self.teachers if job.done]
-
-    @property
     def work(self) -> float:
         """Relative cost of an epoch on the same pictures."""
         height, width = self.recipe.input_size
@@ -129,7 +122,6 @@ class TrainingJob:
                 console=Console(quiet=True),
                 test=False,
                 from_scratch=True,
-                teachers=self.teacher_models,
             )
             trainer.network.train()
             with closing(cast(Any, trainer.loader.stream(0, 1))) as stream:
@@ -149,7 +141,6 @@ class TrainingJob:
             "start": fingerprint(self.start) if self.start else None,
             "held_out": self.held_out,
             "fold": list(self.fold) if self.fold else None,
-            "teachers": [fingerprint(model) for model in self.teacher_models],
         }
 
     def check_same(self) -> None:
@@ -161,9 +152,10 @@ class TrainingJob:
             raise InputError(
                 f"{self.folder} does not say what is trained there; delete it to train again, or give another --out."
             )
-        # A setting of a later version is not in the file, and had its default then.
+        identity = self.identity()
+        # A setting of a later version is not in the file, and had its default then; one of an earlier version may be off.
         differs = [
-            key for key, value in self.identity().items() if key in file.identity and file.identity[key] != value
+            key for key, value in file.identity.items() if (identity[key] != value if key in identity else value)
         ]
         if differs:
             raise InputError(
@@ -201,7 +193,6 @@ class TrainingJob:
                 validate=self.fold or self.held_out,
                 test=False,
                 from_scratch=self.start is None,
-                teachers=self.teacher_models,
             ).run()
         except DivergedError as error:
             ended = "diverged"
@@ -225,16 +216,9 @@ class TrainingJob:
 def train(work: Sequence[TrainingJob], console: Console) -> None:
     """Train what is not trained yet, one after the other, and wait for what other processes train.
 
-    A training whose teachers all diverged is given up.
-
     Raises:
         LPNError: as `lpn.training.trainer.Trainer`, except for a divergence.
     """
-    for job in work:
-        if job.teachers and not job.teacher_models and not job.diverged:
-            job.folder.mkdir(parents=True, exist_ok=True)
-            job.write("diverged")
-            console.print(f"{job.name} is given up, as all of its teachers diverged.", markup=False)
     announced = False
     while left := [job for job in work if not job.done and not job.diverged]:
         if any(_train_alone(job, work, console) for job in left):

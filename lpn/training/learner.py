@@ -12,8 +12,6 @@ from torch.nn.parallel import DistributedDataParallel
 from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
-from lpn.training.descriptor_memory import DescriptorMemory
-from lpn.training.distillation import Teachers
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import total_loss
 from lpn.training.multi_process import ProcessGroup
@@ -29,21 +27,12 @@ class Learner:
         recipe: optimizer, rates, losses, and precision.
         group: the processes that share the training; `distribute` connects their gradients.
         compiled: compile the backbones, see `lpn.models.checkpoints.compile_backbones`.
-        teachers: whose similarities the network learns, if the recipe has distillation.
 
     Raises:
         InputError: if `compiled`, and torch finds no compiler.
     """
 
-    def __init__(
-        self,
-        network: LPN,
-        recipe: Recipe,
-        group: ProcessGroup,
-        compiled: bool = False,
-        teachers: Teachers | None = None,
-    ) -> None:
-        self.teachers = teachers
+    def __init__(self, network: LPN, recipe: Recipe, group: ProcessGroup, compiled: bool = False) -> None:
         self.network, self.recipe, self.group = network, recipe, group
         network.to(group.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         # Only the leader saves and tests the average.
@@ -54,7 +43,6 @@ class Learner:
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
         self.multi_view: nn.Module = MultiViewNetwork(network, recipe.joint_views)
-        self.memory = DescriptorMemory(network.spec.classes) if recipe.memory else None
 
     def distribute(self) -> None:
         """Average the gradients of all processes from now on; on GPUs, BatchNorm sees the whole batch."""
@@ -85,25 +73,13 @@ class Learner:
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
                 outputs = self.multi_view(batch.sets)
-            gathered = self.group.gather(outputs)
-            others = None if self.memory is None else self.memory.others(torch.cat(list(batch.labels.values())))
-            loss = total_loss(gathered, batch.labels, self.recipe, batch.overlaps, others, self._taught(batch))
-            if self.memory is not None:
-                for name, of in gathered.items():
-                    self.memory.remember({name: of}, batch.labels[name])
+            loss = total_loss(self.group.gather(outputs), batch.labels, self.recipe, batch.overlaps)
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
             self.average.n_averaged.fill_(step + 1)
             self.average.update_parameters(self.network)
         return loss.detach(), self.rates[-1] * factor
-
-    def _taught(self, batch: TrainingBatch) -> dict[str, Tensor] | None:
-        """Return what the teachers say of the whole batch, (B, T) by picture set; None without teachers."""
-        if self.teachers is None:
-            return None
-        found = {name: (one,) for name, one in self.teachers.descriptors(batch.sets).items()}
-        return {name: one for name, (one,) in self.group.gather(found).items()}
 
     def is_finite(self) -> bool:
         """Check that every weight is a finite number."""
@@ -121,7 +97,6 @@ class Learner:
             "average": {} if self.average is None else self.average.module.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "scaler": self.mixed_precision.scaler.state_dict(),
-            "memory": {} if self.memory is None else self.memory.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -134,8 +109,6 @@ class Learner:
         if self.average is not None:
             self.average.module.load_state_dict(state["average"])
         self.optimizer.load_state_dict(state["optimizer"])
-        if self.memory is not None:
-            self.memory.restore(state["memory"], self.group.device)
         # The scaler's state is empty if the run did not use float16.
         if state["scaler"]:
             self.mixed_precision.scaler.load_state_dict(state["scaler"])

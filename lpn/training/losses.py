@@ -38,7 +38,6 @@ def infonce_loss(
     temperature: float,
     smoothing: float = 0.0,
     overlaps: Tensor | None = None,
-    others: tuple[Tensor, Tensor] | None = None,
 ) -> Tensor:
     """Symmetric InfoNCE between two views of the same places.
 
@@ -47,49 +46,19 @@ def infonce_loss(
         temperature: divides the mean cosine over parts.
         smoothing: label smoothing from 0 to 1, shared by the pairs that are not left out.
         overlaps: pairs of places that share ground, (B, B) bool, which are neither positives nor negatives.
-        others: descriptors of further places, (M, F) in each view with an M of its own, which are negatives without a gradient.
     """
     similarity = first @ second.T / temperature
     counted = torch.ones_like(similarity, dtype=torch.bool)
     if overlaps is not None:
         counted = ~overlaps | torch.eye(len(overlaps), dtype=torch.bool, device=overlaps.device)
-    sides = []
-    for near, queries, logits, also in zip(
-        (1, 0), (first, second), (similarity, similarity.T), (counted, counted.T), strict=True
-    ):
-        if others is not None:
-            beyond = queries @ others[near].T / temperature
-            logits, also = (
-                torch.cat([logits, beyond], 1),
-                torch.cat([also, torch.ones_like(beyond, dtype=torch.bool)], 1),
-            )
-        sides.append(_smoothed(logits, also, smoothing))
-    return (sides[0] + sides[1]) / 2
+    return (_smoothed(similarity, counted, smoothing) + _smoothed(similarity.T, counted.T, smoothing)) / 2
 
 
 def _smoothed(logits: Tensor, counted: Tensor, smoothing: float) -> Tensor:
-    """Cross-entropy of (B, B + M) towards its diagonal, over the columns that count; these alone share the smoothing."""
+    """Cross-entropy of (B, B) towards its diagonal, over the columns that count; these alone share the smoothing."""
     logs = logits.masked_fill(~counted, -torch.inf).log_softmax(dim=1)
     evenly = logs.masked_fill(~counted, 0.0).sum(dim=1) / counted.sum(dim=1)
     return -((1 - smoothing) * logs.diagonal() + smoothing * evenly).mean()
-
-
-def distillation_loss(first: Tensor, second: Tensor, taught: tuple[Tensor, Tensor], temperature: float) -> Tensor:
-    """Kullback-Leibler divergence from a teacher's similarities to those of two views, in both directions.
-
-    The similarities of each picture to all pictures of the other view in the batch become a distribution by a softmax.
-
-    Args:
-        first, second: descriptors (B, F).
-        taught: the teacher's descriptors of the same pictures, (B, T) each.
-        temperature: divides the mean cosine over parts, of both.
-    """
-    ours, theirs = first @ second.T / temperature, taught[0] @ taught[1].T / temperature
-    sides = [
-        F.kl_div(one.log_softmax(dim=1), other.log_softmax(dim=1), reduction="batchmean", log_target=True)
-        for one, other in ((ours, theirs), (ours.T, theirs.T))
-    ]
-    return (sides[0] + sides[1]) / 2
 
 
 def contrastive_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = False) -> Tensor:
@@ -142,18 +111,14 @@ def total_loss(
     labels: Mapping[str, Tensor],
     recipe: Recipe,
     overlaps: Tensor | None = None,
-    others: Mapping[str, Tensor] | None = None,
-    taught: Mapping[str, Tensor] | None = None,
 ) -> Tensor:
     """Compute a recipe's loss for one step.
 
     Args:
         outputs: part embeddings and class scores of each picture set (satellite, drone, street, google).
-        labels: class of each row of each set, (B,). The InfoNCE, metric, and distillation losses compare the rows of a set whose
-            label is that of the satellite's; others show another place, for want of a picture.
+        labels: class of each row of each set, (B,). The InfoNCE and the metric loss compare the rows of a set whose label is
+            that of the satellite's; others show another place, for want of a picture.
         overlaps: see `infonce_loss`.
-        others: descriptors (M, F) of further places by picture set, M of the set, as negatives of the InfoNCE loss.
-        taught: descriptors (B, T) that the teachers give each picture set; None without teachers.
     """
     loss = torch.zeros((), device=next(iter(labels.values())).device)
     if recipe.instance:
@@ -161,7 +126,7 @@ def total_loss(
             [instance_loss(s.float(), labels[name], recipe.label_smoothing) for name, (_, s) in outputs.items()]
         )
         loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
-    if (recipe.infonce or taught or recipe.metric != "none") and "satellite" in outputs:
+    if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
         embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
         tiles = embeddings.pop("satellite")
         pairs = []
@@ -171,49 +136,18 @@ def total_loss(
                 # Nothing to compare; the sum keeps the graph that a training by several processes expects.
                 pairs.append(0 * (tiles.sum() + parts.sum()))
                 continue
-            pairs.append(
-                _pair_loss(
-                    tiles[same],
-                    parts[same],
-                    recipe,
-                    None if overlaps is None else overlaps[same][:, same],
-                    (others["satellite"], others[name]) if others else None,
-                    (taught["satellite"][same], taught[name][same]) if taught else None,
-                )
-            )
+            shared = None if overlaps is None else overlaps[same][:, same]
+            pairs.append(_pair_loss(tiles[same], parts[same], recipe, shared))
         loss = loss + torch.stack(pairs).mean()
     return loss
 
 
-def drop_parts(descriptors: Tensor, n_parts: int, probability: float) -> Tensor:
-    """Leave parts out of descriptors (B, n D) at random, each with a probability, and at least one part of each in.
-
-    Parts that stay are scaled by n over their number, so a cosine with a whole descriptor is the mean over them.
-    """
-    b = len(descriptors)
-    draws = torch.rand(b, n_parts, device=descriptors.device)
-    stays = (draws >= probability) | (draws == draws.amax(dim=1, keepdim=True))
-    factors = stays * (n_parts / stays.sum(dim=1, keepdim=True))
-    return (descriptors.view(b, n_parts, -1) * factors[..., None]).flatten(1)
-
-
-def _pair_loss(
-    tiles: Tensor,
-    pictures: Tensor,
-    recipe: Recipe,
-    overlaps: Tensor | None,
-    others: tuple[Tensor, Tensor] | None,
-    taught: tuple[Tensor, Tensor] | None,
-) -> Tensor:
+def _pair_loss(tiles: Tensor, pictures: Tensor, recipe: Recipe, overlaps: Tensor | None) -> Tensor:
     """Sum the recipe's losses on the part embeddings (B, n, D) of two views."""
     loss = torch.zeros((), device=tiles.device)
     whole = descriptors(tiles), descriptors(pictures)
-    if taught:
-        loss = loss + recipe.distillation * distillation_loss(*whole, taught, recipe.temperature)
-    if recipe.part_dropout:
-        whole = whole[0], drop_parts(whole[1], tiles.shape[1], recipe.part_dropout)
     if recipe.infonce:
-        similar = infonce_loss(*whole, recipe.temperature, recipe.label_smoothing, overlaps, others)
+        similar = infonce_loss(*whole, recipe.temperature, recipe.label_smoothing, overlaps)
         loss = loss + recipe.infonce * similar
     if recipe.metric != "none" and not recipe.metric_per_part:
         loss = loss + _metric_loss(*whole, recipe)

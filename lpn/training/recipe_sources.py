@@ -213,9 +213,6 @@ _SOURCES: dict[str, dict[str, str]] = {
     },
     "infonce": {"*": _OFF},
     "temperature": {"*": _NOT_USED},
-    "memory": {"*": _OFF},
-    "part_dropout": {"*": _OFF},
-    "distillation": {"*": _OFF},
     "metric": {"safa-released": f"{_SAFA}/train_cvusa_lpn.py:67-107", "*": _OFF},
     "metric_per_part": {
         "safa-released": f"{_SAFA}/train_cvusa_lpn.py:141-152: SAFA + LPN with --multi_loss has one loss for each strip",

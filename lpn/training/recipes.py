@@ -28,7 +28,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
     **dict.fromkeys(("lr", "temperature", "alpha"), (_ABOVE_ZERO, _MAX, "a number above 0")),
     **dict.fromkeys(
-        ("dropout", "part_dropout", "backbone_dropout", "ema"),
+        ("dropout", "backbone_dropout", "ema"),
         (0, _BELOW_ONE, "a number from 0 up to, not including, 1"),
     ),
     **dict.fromkeys(
@@ -56,7 +56,6 @@ _RANGES: dict[str, tuple[float, float, str]] = {
             "weight_decay",
             "instance",
             "infonce",
-            "distillation",
             "width",
             "rotation",
             "satellite_rotation",
@@ -157,15 +156,6 @@ class Recipe:
     """Weight of a symmetric InfoNCE loss between each view's descriptors and the satellite's, over the batch."""
     temperature: float = 0.07
     """Temperature of the InfoNCE loss."""
-    memory: bool = False
-    """Compare each picture in the InfoNCE loss with the latest descriptors of all other places, too, not only with those of the
-    batch (cross-batch memory)."""
-    part_dropout: float = 0.0
-    """Probability that a part of a drone or street picture is left out where whole descriptors are compared, by the InfoNCE and
-    the metric loss; one part always stays."""
-    distillation: float = 0.0
-    """Weight of a loss by which the network learns the similarities that --teacher gives the pictures of the batch: the
-    Kullback-Leibler divergence of the softmax over the batch, at the temperature of the InfoNCE loss."""
     metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
     """Metric loss between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or weighted
     soft-margin triplet."""
@@ -261,29 +251,13 @@ class Recipe:
                 f"The recipe has backbone_dropout = {self.backbone_dropout} with {self.backbone}, which has no dropout; set "
                 "it to 0, or use vgg16."
             )
-        if self.instance <= 0 and self.infonce <= 0 and self.distillation <= 0 and self.metric == "none":
+        if self.instance <= 0 and self.infonce <= 0 and self.metric == "none":
             raise InputError(
-                "The recipe has no loss, as instance, infonce, and distillation are 0 and metric is none; set one of them."
+                "The recipe has no loss, as instance and infonce are 0 and metric is none; set one of them."
             )
         if self.pooling == "safa" and self.instance > 0:
             raise InputError(
                 f"The recipe has instance = {self.instance} with safa, which has no class layer; set it to 0 and choose a metric."
-            )
-        if self.memory and (self.infonce <= 0 or self.windows):
-            raise InputError(
-                "The recipe has memory = True, which gives the InfoNCE loss the descriptors of other places; set infonce above "
-                "0, and train on a data set, not on windows of a map."
-            )
-        compared = self.infonce > 0 or (self.metric != "none" and not self.metric_per_part)
-        if self.part_dropout and not compared:
-            raise InputError(
-                f"The recipe has part_dropout = {self.part_dropout} without a loss that compares whole descriptors; set infonce "
-                "above 0 or a metric, or part_dropout to 0."
-            )
-        if self.distillation and self.polar:
-            raise InputError(
-                f"The recipe has distillation = {self.distillation:g} with polar, and a teacher is shown no unrolled tile; set "
-                "it to 0."
             )
         if self.polar and self.ground_ratio != 1:
             raise InputError(

@@ -17,7 +17,9 @@ from lpn.core.formats import newer_version
 from lpn.training.model_selection import EpochMetrics
 from lpn.training.recipes import Recipe
 
-FORMAT = 3
+FORMAT = 4
+# The format before, whose descriptors of a cross-batch memory no recipe uses any more.
+_WITH_MEMORY = 3
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class ResumeState:
         history: the metrics of each epoch.
         first_loss: loss of the very first step, the reference for divergence.
         processes: number of processes that shared the training.
-        tensors: state dicts of network, average, optimizer, scaler, and memory of descriptors.
+        tensors: state dicts of network, average, optimizer, and scaler.
     """
 
     history: list[EpochMetrics]
@@ -67,27 +69,34 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
         version = values.get("format")
         if isinstance(version, int) and version > FORMAT:
             raise ModelFileError(newer_version(path, str(version), str(FORMAT)))
-        if version != FORMAT:
+        if version not in (FORMAT, _WITH_MEMORY):
             raise ModelFileError(
                 f"{path} was written by an earlier version of lpn, whose runs cannot be resumed; start anew in "
                 "another --out."
             )
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
-        tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler", "memory")}
+        tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
         state = ResumeState(history, float(values["first_loss"]), int(values["processes"]), tensors)
     except ModelFileError:
         raise
     except Exception as error:  # the unpickler raises any exception on unknown data
         raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
-    differs = [k for k, v in json.loads(recipe.to_json()).items() if saved.get(k) != v]
+    settings = json.loads(recipe.to_json())
+    removed = [name for name, value in saved.items() if value and name not in settings]
+    if removed:
+        raise InputError(
+            f"The run in {path.parent} was started with {', '.join(removed)}, which this version of lpn does not train with; "
+            "start anew in another --out."
+        )
+    differs = [name for name, value in settings.items() if saved.get(name) != value]
     if differs:
         raise InputError(
             f"The run in {path.parent} was started with another {', '.join(differs)}; resume it with the same values."
         )
     if digest != places:
         raise InputError(
-            f"The run in {path.parent} was started with other training pictures or teachers; give the same --data or --map, "
-            "--window-sizes, --validate, and --teacher, or start anew in another --out."
+            f"The run in {path.parent} was started with other training pictures; give the same --data or --map, "
+            "--window-sizes, and --validate, or start anew in another --out."
         )
     return state

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from itertools import islice
@@ -28,7 +28,6 @@ from lpn.models.network import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec, is_timm
-from lpn.training.distillation import Teachers
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.map_windows import MapWindows
@@ -63,7 +62,6 @@ class Trainer:
         test: measure the last model on the test split.
         compiled: compile the backbones by torch.compile.
         window_sizes: smallest and largest side in metres of the windows of a map; None chooses them.
-        teachers: trained models whose similarities the network learns; the recipe's `distillation` is their weight.
 
     Raises:
         DataError: when the data set cannot be trained on.
@@ -88,7 +86,6 @@ class Trainer:
         compiled: bool = False,
         from_scratch: bool = False,
         window_sizes: tuple[float, float] | None = None,
-        teachers: Sequence[Path] = (),
     ) -> None:
         self.group = group or single_process()
         self.console = (console or Console()) if self.group.is_leader else Console(quiet=True)
@@ -129,11 +126,6 @@ class Trainer:
             raise InputError(
                 "--validate chooses among tested epochs, but no epoch is tested; give --evaluate-every, too."
             )
-        if bool(teachers) != bool(recipe.distillation):
-            raise InputError(
-                f"The recipe has distillation = {recipe.distillation:g}, and {'a' if teachers else 'no'} --teacher is given; "
-                "give both, or neither."
-            )
         share = self.group.share(recipe.batch)
         self.loader = Loader(self.places, recipe, self.device, share, workers, self.group.local_size)
         self.steps = self.loader.steps
@@ -142,8 +134,7 @@ class Trainer:
         network = LPN(_spec(recipe, self.places))
         if init is not None and not resume:
             self._load_init(network, init)
-        loaded = Teachers.load(teachers, self.places.views) if teachers else None
-        self.learner = Learner(network, recipe, self.group, compiled, loaded)
+        self.learner = Learner(network, recipe, self.group, compiled)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         self.test_split: TestSplit | None = None
@@ -152,7 +143,7 @@ class Trainer:
             if tasks and (test or (evaluate_every and not held)):
                 self.test_split = TestSplit(source, tasks, recipe.zoom)
         self.validator: Validator | None = HeldOut(held, recipe.zoom) if held else self.test_split
-        self._places_digest = self.places.digest() + ("" if loaded is None else f" {loaded.digest}")
+        self._places_digest = self.places.digest()
         if resume:
             self._resume()
 

@@ -10,11 +10,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from lpn.core.errors import InputError
-from lpn.training.descriptor_memory import DescriptorMemory
 from lpn.training.losses import (
     contrastive_loss,
     descriptors,
-    drop_parts,
     infonce_loss,
     instance_loss,
     soft_margin_loss,
@@ -52,85 +50,6 @@ def test_infonce_is_symmetric_and_small_for_the_right_pairs(pair: tuple[Tensor, 
     assert infonce_loss(one, one, 0.05) < 1e-3
     torch.testing.assert_close(infonce_loss(one, other, 0.1), infonce_loss(other, one, 0.1))
     assert infonce_loss(one, one.roll(1, 0), 0.05) > 5
-
-
-def test_further_places_are_negatives_of_both_views(pair: tuple[Tensor, Tensor]) -> None:
-    one, other = pair
-    more = descriptors(drawn(3, 5, 4, 16)), descriptors(drawn(4, 5, 4, 16))
-    found = infonce_loss(one, other, 0.1, 0.2, others=more)
-    sides = ((one, torch.cat([other, more[1]])), (other, torch.cat([one, more[0]])))
-    terms = [F.cross_entropy(rows @ columns.T / 0.1, torch.arange(B), label_smoothing=0.2) for rows, columns in sides]
-    torch.testing.assert_close(found, torch.stack(terms).mean())
-    torch.testing.assert_close(
-        infonce_loss(one, other, 0.1, others=(more[0][:0], more[1][:0])), infonce_loss(one, other, 0.1)
-    )
-
-
-def test_parts_that_are_left_out_leave_the_mean_cosine_of_the_others(pair: tuple[Tensor, Tensor]) -> None:
-    one, other = pair
-    torch.manual_seed(0)
-    rows = torch.cat([other] * 200)
-    dropped = drop_parts(rows, 4, 0.5).unflatten(1, (4, 16))
-    stays = dropped.abs().sum(dim=2) > 0
-    assert stays.any(dim=1).all()
-    # Of 4 parts half stay, and one of them if all would go: 0.5 + 0.5 ** 4 / 4.
-    assert float(stays.double().mean()) == pytest.approx(0.5 + 0.5**4 / 4, abs=0.03)
-    cosines = 4 * (rows.unflatten(1, (4, 16)) * torch.cat([one] * 200).unflatten(1, (4, 16))).sum(dim=2)
-    expected = (cosines * stays).sum(dim=1) / stays.sum(dim=1)
-    torch.testing.assert_close((dropped.flatten(1) * torch.cat([one] * 200)).sum(dim=1), expected)
-    assert (drop_parts(other, 4, 0.999).unflatten(1, (4, 16)).abs().sum(dim=2) > 0).sum(dim=1).tolist() == [1] * B
-
-
-def test_a_recipe_drops_parts_and_looks_at_further_places() -> None:
-    outputs = {name: (drawn(seed, B, 4, 16), drawn(9, B, 4, B)) for seed, name in enumerate(("satellite", "drone"))}
-    labels = dict.fromkeys(outputs, torch.arange(B))
-    recipe = replace(RECIPES["small"], instance=0.0)
-    plain = total_loss(outputs, labels, recipe)
-    more = {name: descriptors(drawn(seed, 5, 4, 16)).float() for seed, name in enumerate(outputs, 7)}
-    with_more = total_loss(outputs, labels, recipe, others=more)
-    satellite, drone = (descriptors(outputs[name][0].float()) for name in outputs)
-    expected = infonce_loss(satellite, drone, 0.07, 0.1, others=(more["satellite"], more["drone"]))
-    torch.testing.assert_close(with_more, expected)
-    assert with_more > plain
-    torch.manual_seed(3)
-    dropped = total_loss(outputs, labels, replace(recipe, part_dropout=0.5))
-    torch.manual_seed(3)
-    torch.testing.assert_close(dropped, infonce_loss(satellite, drop_parts(drone, 4, 0.5), 0.07, 0.1))
-
-
-def test_a_memory_gives_the_latest_descriptors_of_places_beyond_the_batch() -> None:
-    memory = DescriptorMemory(7)
-    assert memory.others(torch.tensor([0, 1])) == {}
-
-    def outputs(seed: int) -> dict[str, tuple[Tensor, Tensor]]:
-        return {
-            name: (drawn(seed + at, 2, 4, 3).float(), torch.zeros(2, 4, 7))
-            for at, name in enumerate(("satellite", "drone"))
-        }
-
-    first, second = outputs(0), outputs(5)
-    memory.remember(first, torch.tensor([4, 1]))
-    memory.remember(second, torch.tensor([1, 6]))
-    again = DescriptorMemory(7)
-    again.restore(memory.state(), torch.device("cpu"))
-    for one in (memory, again):
-        others = one.others(torch.tensor([6, 0]))
-        for name in ("satellite", "drone"):
-            latest = torch.stack([descriptors(second[name][0])[0], descriptors(first[name][0])[0]])
-            torch.testing.assert_close(others[name], latest)
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"memory": True, "infonce": 0.0}, "memory = True, .* set infonce above 0"),
-        ({"part_dropout": 0.2, "infonce": 0.0}, "part_dropout = 0.2 without a loss that compares whole descriptors"),
-        ({"part_dropout": 1.0}, "part_dropout = 1.0; expected a number from 0 up to, not including, 1"),
-    ],
-)
-def test_levers_without_their_loss_are_refused(changes: dict[str, float], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        replace(RECIPES["small"], **changes)  # type: ignore[arg-type]
 
 
 def test_smoothed_infonce_leaves_overlapping_pairs_out(pair: tuple[Tensor, Tensor]) -> None:

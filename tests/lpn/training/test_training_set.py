@@ -190,7 +190,7 @@ def trainings() -> dict[str, Recipe]:
     tiny |= {"lr": 1e-5, "warmup_epochs": 0, "precision": "float32"}
     named = {name: RECIPES[name] for name in ("paper", "released", "cvusa-released", "small", "world")}
     named |= {f"released by {name}": find("released", name) for name in ("instance", "contrastive", "triplet-0.3")}
-    named |= {"soft-margin": find("small", "soft-margin"), "memory": replace(RECIPES["small"], memory=True)}
+    named |= {"soft-margin": find("small", "soft-margin")}
     named["without google"] = replace(RECIPES["released"], google=False)
     return {name: replace(recipe, **tiny) for name, recipe in named.items()}
 
@@ -222,7 +222,7 @@ def test_the_updates_that_are_announced_are_those_that_run(
 
 
 def test_a_run_on_places_with_gaps_is_resumed_to_the_same_losses(gaps: Path, tmp_path: Path) -> None:
-    recipe = replace(RECIPES["small"], memory=True, size=32, batch=3, epochs=3, precision="float32")
+    recipe = replace(RECIPES["small"], size=32, batch=3, epochs=3, precision="float32")
 
     def trainer(out: str, resume: bool = False) -> Trainer:
         quiet = Console(quiet=True)

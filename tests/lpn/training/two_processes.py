@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,12 +25,6 @@ INDEPENDENT = replace(
     RECIPE, epochs=1, sampling="pictures", infonce=0.0, flip="picture", place_rotation=0.0, joint_views=False
 )
 
-# On places with gaps: some rows of a batch show another place.
-GAPS = replace(RECIPE, memory=True)
-
-# Taught by a trained network.
-TAUGHT = replace(RECIPE, epochs=1, distillation=2.0)
-
 
 def trainer(
     data: Path,
@@ -39,7 +32,6 @@ def trainer(
     group: ProcessGroup | None = None,
     resume: bool = False,
     recipe: Recipe = RECIPE,
-    teachers: Sequence[Path] = (),
 ) -> Trainer:
     """Make a training with frozen BatchNorm, so that the division of a batch changes nothing."""
     with (out.parent / f"{out.name}.txt").open("a") as said:
@@ -51,7 +43,6 @@ def trainer(
             console=Console(file=said),
             group=group,
             from_scratch=True,
-            teachers=teachers,
         )
     run.console = Console(quiet=True)
     for module in run.network.modules():
@@ -67,8 +58,7 @@ def main(data: Path, out: Path) -> None:
     run.run()
     torch.save(dict(run.network.named_parameters()), out / f"weights{group.rank}.pt")
     trainer(data, out / "independent", group, recipe=INDEPENDENT).run()
-    trainer(data.with_name("gaps"), out / "gaps", group, recipe=GAPS).run()
-    trainer(data, out / "taught", group, recipe=TAUGHT, teachers=[out / "whole" / "last.safetensors"]).run()
+    trainer(data.with_name("gaps"), out / "gaps", group).run()
     run = trainer(data, out / "cut", group)
     original = Trainer._epoch
 
