@@ -146,12 +146,14 @@ def lead(analysis: StateAnalysis) -> Lead | None:
     first, others = analysis.matches[0], analysis.matches[1:]
     rival: Match | None
     if first.true is False and (rival := analysis.positive) is not None:
-        return Lead(first.shares - rival.shares, "the right picture", rival.index, of_answer=False)
+        return Lead(first.contributions - rival.contributions, "the right picture", rival.index, of_answer=False)
     if first.true:
         rival, name = next((match for match in others if not match.true), None), "the best wrong picture"
     else:
         rival, name = next(iter(others), None), "the next best picture"
-    return None if rival is None else Lead(rival.shares - first.shares, name, rival.index, sure=bool(first.true))
+    if rival is None:
+        return None
+    return Lead(rival.contributions - first.contributions, name, rival.index, sure=bool(first.true))
 
 
 def trust(analysis: StateAnalysis, workspace: Workspace) -> str:

@@ -216,5 +216,5 @@ def _card_label(layout: Layout, match: Match, full: float, palette: Palette, siz
     if match.true is not None:
         captions.draw_sign(draw, x, 20 - size / 3, sign, match.true, palette)
     draw.text((width - edge, 20), f"{match.distance2:.{digits}f}", palette.text, font, anchor="rm")
-    captions.draw_shares(draw, (0, 40, width - 1, 52), match.shares, full, palette)
+    captions.draw_shares(draw, (0, 40, width - 1, 52), match.contributions, full, palette)
     return np.asarray(image)

@@ -319,8 +319,8 @@ class Stage:
         size, small, middle = self._lettering.part, self._lettering.share, (left + right) / 2
         colour, name = theme.part_colour(part), self._workspace.part_names[part]
         number = name.partition(" ")[0]
-        off = chosen.shares[part] == 0 and chosen.cosines[part] < 1
-        share = "off" if off else f"{rounded_to_sum(chosen.shares.tolist())[part]:.3f}"
+        off = chosen.contributions[part] == 0 and chosen.cosines[part] < 1
+        share = "off" if off else f"{rounded_to_sum(chosen.contributions.tolist())[part]:.3f}"
         one_line = size + small + 31 > room
         if one_line:
             y = max(y, size + 4)
@@ -332,8 +332,8 @@ class Stage:
             name = captions.fitted(draw, name, size, right - left, number)
             draw.text((middle, y - 6), name, palette.ink(colour), captions.font(size), anchor="mb")
         draw.rectangle((left, y, right, y + 9), fill=palette.track)
-        full = max(0.4 * chosen.distance2, float(chosen.shares.max()), 1e-6)
-        length = (right - left) * float(chosen.shares[part]) / full
+        full = max(0.4 * chosen.distance2, float(chosen.contributions.max()), 1e-6)
+        length = (right - left) * float(chosen.contributions[part]) / full
         if length >= 1:
             draw.rectangle((left, y, left + length, y + 9), fill=colour)
         below = y + 16 + small / 2

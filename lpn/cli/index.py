@@ -154,7 +154,7 @@ def _matches(
     from lpn.retrieval import scoring
 
     cosines = scoring.part_cosines(query, found.vectors)
-    shares = scoring.contributions(cosines, weights)
+    contributions = scoring.contributions(cosines, weights)
     names = model.contract.names(view)
     matches = []
     for i, name in enumerate(found.ids[:top]):
@@ -162,7 +162,8 @@ def _matches(
         gap = 2 * (score - float(found.scores[i + 1])) if i + 1 < len(found) else None
         match: dict[str, Any] = {"rank": i + 1, "tile": name, "score": score, "distance2": 2 - 2 * score, "gap": gap}
         match["parts"] = [
-            {"name": part, "cosine": float(cosines[i, p]), "share": float(shares[i, p])} for p, part in enumerate(names)
+            {"name": part, "cosine": float(cosines[i, p]), "contribution": float(contributions[i, p])}
+            for p, part in enumerate(names)
         ]
         if not np.isnan(found.positions[i]).any():
             match["latitude"], match["longitude"] = found.positions[i].tolist()
@@ -176,13 +177,13 @@ def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
 
     from lpn.core.consoles import wide_console
 
-    table = Table(title="part: its share of the squared distance", title_justify="right")
+    table = Table(title="part: its contribution to the squared distance", title_justify="right")
     for name in ("rank", "tile", "score", "gap", *names):
         table.add_column(name, justify="left" if name == "tile" else "right")
     for match in matches:
         gap = "" if match["gap"] is None else f"{match['gap']:.4f}"
-        shares = (f"{part['share']:.4f}" for part in match["parts"])
-        table.add_row(str(match["rank"]), Text(printable(match["tile"])), f"{match['score']:.4f}", gap, *shares)
+        contributions = (f"{part['contribution']:.4f}" for part in match["parts"])
+        table.add_row(str(match["rank"]), Text(printable(match["tile"])), f"{match['score']:.4f}", gap, *contributions)
     console = wide_console(100)
     console.print(table if matches else "There is no tile to compare with.")
 

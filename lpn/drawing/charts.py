@@ -121,7 +121,7 @@ def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
     low, high = span
     scale = 100 / (high - low)
     drawn = []
-    for part, total in enumerate(evidence.contributions):
+    for part, total in enumerate(evidence.weighted_cosines):
         bars = [
             _Bar(
                 round((min(begin, end) - low) * scale, 2),

@@ -76,7 +76,7 @@ def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], t
     zero = left - low * scale
     for part, name in enumerate(names):
         y = top + _ROW * part + 8
-        total = float(evidence.contributions[part])
+        total = float(evidence.weighted_cosines[part])
         pen.text((_MARGIN, y + 9), f"part {name}", theme.part_colour(part), font(20), anchor="lm")
         numbers = f"cos {evidence.cosines[part]:+.3f}, weight {100 * evidence.weights[part]:.0f} %"
         pen.text((_MARGIN + 170, y + 9), numbers, DIM, font(18), anchor="lm")

@@ -57,25 +57,23 @@ def describe_position(cells: Float64Array, view: View) -> str:
 
 def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
     """Say which part, and which places of the two pictures, a pair's score comes from."""
-    contributions = evidence.contributions
-    best, worst = int(np.argmax(contributions)), int(np.argmin(contributions))
+    weighted = evidence.weighted_cosines
+    best, worst = int(np.argmax(weighted)), int(np.argmin(weighted))
     query_place = describe_position(evidence.query.cells[best], query_view)
     tile_place = describe_position(evidence.tile.cells[best], tile_view)
     if float(evidence.query.constants[best]) > evidence.cosines[best] / 2:
         places = "most of it by a constant that comes from no cell"
     else:
         places = f"where {_place('query', query_place)} agrees with {_place('tile', tile_place)}"
-    text = (
-        f"Part {names[best]} adds most to the score ({signed(contributions[best])} of {evidence.score:.3f}), {places}."
-    )
+    text = f"Part {names[best]} adds most to the score ({signed(weighted[best])} of {evidence.score:.3f}), {places}."
     constants = float(evidence.query.constants @ evidence.weights)
     if constants > evidence.score / 2 > 0:
         text += (
             f" Of the whole score, {signed(constants)} is constants: what the network takes both pictures for, rather than "
             "what they show."
         )
-    if contributions[worst] < 0:
-        text += f" Part {names[worst]} speaks against the pair ({signed(contributions[worst])})."
+    if weighted[worst] < 0:
+        text += f" Part {names[worst]} speaks against the pair ({signed(weighted[worst])})."
     return text
 
 
@@ -126,7 +124,7 @@ def verdict(
                 "there is no other tile" if first.gap is None else f"the next tile is {first.gap:.3f} further away (d²)"
             )
             return True, "Found: the top match is true", f"No wrong tile is near; {gap}."
-        margin = negative.shares - positive.shares
+        margin = negative.contributions - positive.contributions
         return (
             True,
             "Found: the top match is true",
@@ -139,7 +137,7 @@ def verdict(
             "Missed: the search did not return the true tile",
             f"It would lead the top match by {lead:.3f} (d²): the index searches approximately.",
         )
-    margin = first.shares - positive.shares
+    margin = first.contributions - positive.contributions
     off = "" if error_m is None else f" The answer is {distance(error_m)} off."
     return (
         False,

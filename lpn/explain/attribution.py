@@ -66,8 +66,8 @@ class Evidence:
     tile: SideEvidence
 
     @property
-    def contributions(self) -> Float64Array:
-        """Each part's weighted cosine; their sum is the score, (n,)."""
+    def weighted_cosines(self) -> Float64Array:
+        """w_i cos_i, each part's share of the score, (n,)."""
         return self.cosines * self.weights
 
     @property
@@ -83,7 +83,7 @@ class Evidence:
     @property
     def score(self) -> float:
         """Weighted mean cosine, -1 .. 1."""
-        return float(self.contributions.sum())
+        return float(self.weighted_cosines.sum())
 
     @property
     def distance2(self) -> float:
@@ -104,16 +104,15 @@ class Evidence:
             names: of the parts.
             level: how far the numbers are exact, see `Contract.claim`.
 
-        A part's `contribution` is its weight times its cosine; contributions add up to the score. `cells` (a list of
-        rows) and `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and add up
-        to the same cosine.
+        A part's `weighted_cosine` is its weight times its cosine; they add up to the score. `cells` (a list of rows) and
+        `constant` are the query's and add up to the part's cosine. Those in `match` are the tile's and add up to the same cosine.
         """
         parts = [
             {
                 "name": name,
                 "cosine": float(self.cosines[part]),
                 "weight": float(self.weights[part]),
-                "contribution": float(self.contributions[part]),
+                "weighted_cosine": float(self.weighted_cosines[part]),
                 "constant": float(self.query.constants[part]),
                 "cells": self.query.cells[part].tolist(),
                 "match": {"constant": float(self.tile.constants[part]), "cells": self.tile.cells[part].tolist()},

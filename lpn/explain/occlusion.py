@@ -68,7 +68,7 @@ def to_dict(
             "name": name,
             "cosine": float(cosines[part]),
             "weight": float(weights[part]),
-            "contribution": float(cosines[part] * weights[part]),
+            "weighted_cosine": float(cosines[part] * weights[part]),
             "losses": losses[part].tolist(),
         }
         for part, name in enumerate(names)

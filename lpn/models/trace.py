@@ -152,7 +152,7 @@ class Trace:
         return np.where(np.isfinite(share), share, np.inf)
 
     def region(self, cells: BoolArray, weights: Float32Array) -> Float32Array:
-        """Return the query of a region, (n, D), which ranks a gallery by the region's contribution to the scores.
+        """Return the query of a region, (n, D), which ranks a gallery by the region's share of the scores.
 
         Parts without a cell in the region are zero, and the constants are left out. The query is scaled to
         sum_i w_i n |q_i|^2 = 1, so that 2 - 2 score is a squared distance as for whole queries.

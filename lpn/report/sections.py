@@ -107,7 +107,7 @@ def _matches(case: Case, task: Task) -> list[tuple[Match, str, Markup, bool]]:
         (
             match,
             thumbnail(task.gallery[match.index].load()),
-            charts.share_bar(match.shares, full, task.part_names),
+            charts.share_bar(match.contributions, full, task.part_names),
             match.rank > above + 1,
         )
         for above, match in zip(ranks_above, case.matches, strict=False)

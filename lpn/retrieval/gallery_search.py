@@ -51,7 +51,7 @@ class Match:
         distance2: squared distance 2 - 2 score.
         gap: squared distance of the next tile minus that of this one; None for the last tile, and beyond the depth.
         cosines: of each part, (n,).
-        shares: each part's exact contribution to distance2, (n,).
+        contributions: each part's exact share of distance2, (n,).
         true: True for a tile of the query's place; None if the place is not known.
         beyond: the search did not return the tile, so its rank is not known.
         missed: the tile is `beyond`, but nearer than the last tile that an approximate search returned, so that its rank may be
@@ -64,7 +64,7 @@ class Match:
     distance2: float
     gap: float | None
     cosines: Float32Array
-    shares: Float32Array
+    contributions: Float32Array
     true: bool | None
     beyond: bool = False
     missed: bool = False
@@ -116,7 +116,7 @@ class Ranking:
             distance2=2.0 - 2.0 * float(self.scores[index]),
             gap=None if last else 2.0 * float(self.scores[index] - self.scores[self.order[position + 1]]),
             cosines=self.cosines[index],
-            shares=scoring.contributions(self.cosines[index], self.weights, self.lengths),
+            contributions=scoring.contributions(self.cosines[index], self.weights, self.lengths),
             true=None if self.relevant is None else bool(self.relevant[index]),
             beyond=beyond,
             missed=self.approximate and leads,

@@ -111,8 +111,8 @@ def test_regions_turns_and_own_pictures_are_searched_as_in_memory(
         names = [[analysis.task.gallery[m.index].name for m in analysis.matches] for analysis in (one, other)]
         assert names[0] == names[1]
         for match, expected in zip(one.matches, other.matches, strict=True):
-            np.testing.assert_allclose(match.shares, expected.shares, atol=1e-5)
-            assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)
+            np.testing.assert_allclose(match.contributions, expected.contributions, atol=1e-5)
+            assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
 
 
 def test_a_sweep_searches_at_every_step(workspace: Workspace, data: Path, model_file: Path) -> None:

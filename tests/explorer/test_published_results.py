@@ -41,7 +41,7 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
         one, other = (StateAnalyser(shown).analyse(shown.supported_state(state), 10) for shown in (workspace, live))
         assert [saved.gallery[m.index] for m in one.matches] == [task.gallery[m.index] for m in other.matches]
         for match, expected in zip(one.matches, other.matches, strict=True):
-            np.testing.assert_allclose(match.shares, expected.shares, atol=1e-5)
+            np.testing.assert_allclose(match.contributions, expected.contributions, atol=1e-5)
             assert match.true == expected.true
         assert one.tile.activation is None
         np.testing.assert_array_equal(one.tile.picture, other.tile.picture)

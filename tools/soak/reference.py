@@ -200,7 +200,9 @@ class Reference:
             expected = f"{match.rank} {SIGNS[match.true]} {side.gallery[row.index].name}"
             found.append(f"tile {row.index} is called {' '.join(row.texts[:3])}; expected {expected}")
         numbers = [("distance", row.distance, match.distance2), ("gap", row.gap, gap)]
-        numbers += [(f"share {i + 1}", *pair) for i, pair in enumerate(zip(row.shares, match.shares, strict=True))]
+        numbers += [
+            (f"share {i + 1}", *pair) for i, pair in enumerate(zip(row.shares, match.contributions, strict=True))
+        ]
         for what, here, there in numbers:
             if (here is None) != (there is None) or (
                 here is not None and there is not None and abs(here - there) > PRINTED
@@ -213,7 +215,7 @@ class Reference:
         found, (_, *lines, total) = [], shown.parts
         for i, line in enumerate(lines):
             text = [float(text.rstrip(" %").replace("−", "-")) for text in line[-3:]]
-            expected = [100 * ranking.weights[i], compared.cosines[i], compared.shares[i]]
+            expected = [100 * ranking.weights[i], compared.cosines[i], compared.contributions[i]]
             if line[0] != self.names[i] or any(
                 abs(here - there) > bound
                 for here, there, bound in zip(text, expected, (0.51, PRINTED, PRINTED), strict=True)

@@ -189,8 +189,8 @@ def test_a_region_ranks_by_what_its_cells_add(workspace: Workspace) -> None:
     ]
     assert [match.index for match in part.matches] == np.argsort(-np.array(added), kind="stable")[:10].tolist()
     for match in part.matches:
-        assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-5)
-        assert match.shares.min() >= -1e-6
+        assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
+        assert match.contributions.min() >= -1e-6
     assert "3 of 16 cells" in region.page(part, workspace)
     assert "whole query" in evidence.page(part, workspace)
     np.testing.assert_array_equal(analyser.analyse(state, 10).ranking.scores, whole.ranking.scores)

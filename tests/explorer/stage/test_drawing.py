@@ -77,7 +77,7 @@ def test_answers_reuse_what_did_not_change_and_are_exact(workspace: Workspace) -
     again = analyser.analyse(state, 10)
     np.testing.assert_array_equal(again.ranking.scores, first.ranking.scores)
     for match in first.matches:
-        assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-6)
+        assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-6)
     task = workspace.tasks["drone-to-satellite"]
     found = [analyser.analyse(replace(state, query=q), 10).positive for q in range(len(task.queries))]
     assert [truth.rank - 1 for truth in found if truth] == workspace.rankings[task.name].ranks.tolist()

@@ -121,7 +121,7 @@ def test_a_rank_its_sign_and_its_distance_stand_apart(workspace: Workspace, widt
     viewport, layout = Viewport(), workspace.layout
     viewport.update([width, height])
     size = Lettering.of(layout, 4, viewport).label
-    match: Any = SimpleNamespace(rank=10, true=False, distance2=1.141, shares=np.zeros(4, np.float32))
+    match: Any = SimpleNamespace(rank=10, true=False, distance2=1.141, contributions=np.zeros(4, np.float32))
     text = _card_label(layout, match, 2.0, DARK, size)[:39].astype(int)
     sign = np.flatnonzero((text[..., 2] - text[..., 0] > 60).any(axis=0))
     digits = np.flatnonzero((text.min(axis=2) > 120).any(axis=0))
@@ -138,7 +138,7 @@ def test_many_parts_and_panoramas_keep_their_texts_apart() -> None:
         stage._lettering = Lettering.of(stage._layout, parts, small)
         stage._workspace = SimpleNamespace(part_names=[f"{part + 1} strip" for part in range(parts)])
         match: Any = SimpleNamespace(
-            distance2=1.0, shares=np.full(parts, 1 / parts, np.float32), cosines=np.full(parts, 0.5, np.float32)
+            distance2=1.0, contributions=np.full(parts, 1 / parts, np.float32), cosines=np.full(parts, 0.5, np.float32)
         )
         draw = stage._gutter_row if stage._layout.stacked else stage._gutter_picture
         picture = np.asarray(draw(match, DARK), np.int64)

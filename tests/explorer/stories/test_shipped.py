@@ -37,7 +37,7 @@ def off_m(shown: StateAnalysis, match: Match) -> str:
 
 
 def adds(wrong: Match, part: int) -> str:
-    return f"adds only {wrong.shares[part]:.3f} to the wrong tile's d² of {wrong.distance2:.3f}"
+    return f"adds only {wrong.contributions[part]:.3f} to the wrong tile's d² of {wrong.distance2:.3f}"
 
 
 def is_found(shown: StateAnalysis) -> bool:
@@ -46,7 +46,7 @@ def is_found(shown: StateAnalysis) -> bool:
 
 def costs_most(shown: StateAnalysis, part: int) -> float:
     """Return what a part costs the true tile against the answer, and check that no other costs it more."""
-    cost = positive(shown).shares - shown.matches[0].shares
+    cost = positive(shown).contributions - shown.matches[0].contributions
     assert cost.argmax() == part
     return -float(cost[part])
 
@@ -56,7 +56,11 @@ FACTS: list[list[tuple[str, bool, Callable[[StateAnalysis], list[str]]]]] = [
     [
         ("0394", True, lambda a: [f"Of {len(a.task.gallery)} satellite tiles"]),
         ("0338", True, lambda a: [off_m(a, a.chosen), f"behind by {a.chosen.distance2 - positive(a).distance2:.2f}"]),
-        ("0394", True, lambda a: [f"{signed((negative(a).shares - positive(a).shares)[2], 2)} of the margin"]),
+        (
+            "0394",
+            True,
+            lambda a: [f"{signed((negative(a).contributions - positive(a).contributions)[2], 2)} of the margin"],
+        ),
         ("0394", True, lambda a: [off_m(a, a.chosen)]),
     ],
     [
@@ -69,7 +73,7 @@ FACTS: list[list[tuple[str, bool, Callable[[StateAnalysis], list[str]]]]] = [
     [
         ("0450", False, lambda a: [f"is {ordinal(positive(a).rank)}", off_m(a, a.chosen)]),
         ("0449", False, lambda a: [f"{-margin(a):.2f} behind", f"most: {signed(costs_most(a, 2), 2)}"]),
-        ("0450", False, lambda a: [adds(a.chosen, 2), f"but {positive(a).shares[2]:.3f} to the true tile's"]),
+        ("0450", False, lambda a: [adds(a.chosen, 2), f"but {positive(a).contributions[2]:.3f} to the true tile's"]),
         ("0449", True, lambda a: ["centre and ring 3", f"a margin of {margin(a):.2f}"]),
         ("0450", False, lambda _: ["both frames overlap"]),
     ],

@@ -33,11 +33,11 @@ def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list
     assert found["level"] == "exact"
     assert [part["weight"] for part in found["parts"]] == pytest.approx([0.25, 0.25, 0, 0.5])
     for part in found["parts"]:
-        assert part["contribution"] == pytest.approx(part["weight"] * part["cosine"], abs=1e-7)
+        assert part["weighted_cosine"] == pytest.approx(part["weight"] * part["cosine"], abs=1e-7)
         for side in (part, part["match"]):
             assert np.shape(side["cells"]) == (4, 4)
             assert np.sum(side["cells"]) + side["constant"] == pytest.approx(part["cosine"], abs=1e-5)
-    assert sum(part["contribution"] for part in found["parts"]) == pytest.approx(found["score"], abs=1e-6)
+    assert sum(part["weighted_cosine"] for part in found["parts"]) == pytest.approx(found["score"], abs=1e-6)
     assert found["distance2"] == pytest.approx(2 - 2 * found["score"])
     assert "adds most to the score" in run.stdout
     drawn = cv2.imread(str(picture))

@@ -35,7 +35,7 @@ def test_shares_fill_their_part_of_the_bar() -> None:
 
 def test_evidence_is_stacked_from_zero_and_its_sum_is_marked() -> None:
     sums = np.array([[0.4, 0.1], [-0.1, -0.3], [-0.1, 0.2]])
-    evidence = cast(Any, SimpleNamespace(part_sums=sums, contributions=sums.sum(axis=0), cosines=np.zeros(2)))
+    evidence = cast(Any, SimpleNamespace(part_sums=sums, weighted_cosines=sums.sum(axis=0), cosines=np.zeros(2)))
     assert charts.evidence_segments(evidence, 0) == [
         ("cells for", 0.0, 0.4),
         ("cells against", 0.0, -0.1),

@@ -58,7 +58,7 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
         assert found.parts.shape == (4,)
         assert found.total == pytest.approx(2 * (one.score - other.score), abs=1e-6)
         assert found.parts.sum() == pytest.approx(other.distance2 - one.distance2, abs=1e-6)
-        np.testing.assert_allclose(found.parts, other.shares - one.shares, atol=1e-6)
+        np.testing.assert_allclose(found.parts, other.contributions - one.contributions, atol=1e-6)
         assert found.parts[2] == 0
     with pytest.raises(InputError, match="no gallery picture 30"):
         counterfactual.margin(ranking, 3, 30)

@@ -552,7 +552,7 @@ def test_a_store_is_indexed_and_a_picture_found(
     assert first["score"] == pytest.approx(1, abs=1e-5)
     assert (first["latitude"], first["longitude"]) == pytest.approx((46 - 2 * 0.0009, 7 + 3 * 0.0013))
     for match, following in pairwise(found["matches"]):
-        assert sum(part["share"] for part in match["parts"]) == pytest.approx(match["distance2"], abs=1e-5)
+        assert sum(part["contribution"] for part in match["parts"]) == pytest.approx(match["distance2"], abs=1e-5)
         assert match["gap"] == pytest.approx(following["distance2"] - match["distance2"], abs=1e-9)
     # Without the tile's own place, another is the nearest.
     assert main(["search", *given, "--box", "40", "0", "45.9975", "20"]) == 0

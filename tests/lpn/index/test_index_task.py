@@ -87,8 +87,8 @@ def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: 
             assert names == [whole.gallery[match.index].name for match in wanted.matches]
             for one, other in zip(found.matches, wanted.matches, strict=True):
                 assert (one.rank, one.true, one.beyond) == (other.rank, other.true, False)
-                np.testing.assert_allclose(one.shares, other.shares, atol=1e-5)
-                assert one.shares.sum() == pytest.approx(one.distance2, abs=1e-5)
+                np.testing.assert_allclose(one.contributions, other.contributions, atol=1e-5)
+                assert one.contributions.sum() == pytest.approx(one.distance2, abs=1e-5)
             assert found.errors_m is not None
             assert wanted.errors_m is not None
             assert found.errors_m[found.chosen.index] == pytest.approx(wanted.errors_m[wanted.chosen.index], abs=0.01)
@@ -194,7 +194,7 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
     placed = TilePlaceholder("0001.png", "", lambda: np.array([48.1, 9.2]))
     assert (plain() != placed()).any()
     np.testing.assert_allclose(found.tile.descriptor, index.read([found.task.gallery[found.chosen.index].name])[0][0])
-    assert found.chosen.shares.sum() == pytest.approx(found.chosen.distance2, abs=1e-5)
+    assert found.chosen.contributions.sum() == pytest.approx(found.chosen.distance2, abs=1e-5)
     assert not task.metrics["queries"]
     # With the folder that was described, the same tiles have pictures.
     folder = places / "test" / "gallery_satellite"

@@ -64,7 +64,7 @@ def test_rankings_and_contributions_are_those_of_the_retrieval(task: Task, locat
     for i in range(count):
         assert analysis.matches[i].index == top.indices[i]
         assert analysis.matches[i].score == pytest.approx(top.scores[i], abs=1e-5)
-        np.testing.assert_allclose(analysis.matches[i].shares, top.shares[i], atol=1e-5)
+        np.testing.assert_allclose(analysis.matches[i].contributions, top.shares[i], atol=1e-5)
     assert bool(task.queries[query].note) == (query == 1)
 
 

@@ -35,8 +35,8 @@ def test_any_weights_are_one_inner_product_with_the_rescaled_query() -> None:
     scores = np.einsum("gnd,nd->g", gallery, weights[:, None] * 4 * query)
     np.testing.assert_allclose(ranking.scores, scores, atol=1e-6)
     match = ranking.match(0)
-    assert match.shares.sum() == pytest.approx(match.distance2, abs=1e-6)
-    assert match.shares[2] == 0
+    assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-6)
+    assert match.contributions[2] == 0
     assert match.index == int(np.argmax(scores))
 
 
