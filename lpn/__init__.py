@@ -1,16 +1,24 @@
 """The Local Pattern Network (LPN) for cross-view geo-localization, as a library.
 
-    model = lpn.load("model.onnx")                                  # a trained LPN
-    dataset = lpn.open_dataset("University-1652")                   # pictures, tasks, true matches
-    result = lpn.evaluate(model, dataset, "drone-to-satellite")     # recall and AP by the published protocol
-    evidence = lpn.evidence(query.trace, tile.trace)                # one score as a sum over parts and cells
-    ranking = lpn.rank(query, gallery)                              # one query against a gallery
-    lpn.explore(model, "University-1652")                           # all of it in a notebook's cell or a browser
+A folder of pictures is a gallery, and a picture of another view gets an answer with its reason:
 
-`Contract`, `ForwardPass`, and `Heads` make any part-based network a `Model`. `metrics` scores any descriptors, `Partition` cuts a
-feature map into parts, `ModelSpec` describes an LPN's architecture, and every error that a user can correct derives from
-`LPNError` (see `errors`). Nothing here knows a browser. Names are imported on first use, so `import lpn` needs neither NumPy
-nor torch.
+    >>> import lpn
+    >>> gallery = lpn.Gallery.of_folder("tiles", "city-lpn", view="satellite")
+    >>> answer = gallery.search(lpn.load_picture("query.jpg"), view="drone")
+    >>> for match in answer.top(1):
+    ...     print(match.rank, match.name, 0 <= match.distance2 <= 4, match.contributions.shape)
+    1 0007/0007.png True (4,)
+    >>> answer.figure().save("why.png")
+
+The published protocol measures a model on a data set:
+
+    >>> result = lpn.evaluate(lpn.load("city-lpn"), lpn.open_dataset("ROOT"), "drone-to-satellite")
+    >>> 0 <= result.recall["1"] <= 100
+    True
+
+`explore` shows a model on a data set in a notebook's cell or a browser. `Contract`, `ForwardPass`, `Heads`, and `Partition`
+make any part-based network a `Model`. Every error that a user can correct derives from `LPNError`. docs/library.md has a line
+for each name. Nothing here knows a browser. Names are imported on first use, so `import lpn` needs neither NumPy nor torch.
 """
 
 from __future__ import annotations
@@ -19,64 +27,58 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lpn.core import errors
-from lpn.core.errors import LPNError, MissingPackageError
+from lpn.core.errors import InputError, LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
     from lpn.analysis.task import Task
+    from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
-    from lpn.core.views import View
     from lpn.datasets import open_dataset
-    from lpn.explain import evidence
+    from lpn.descriptors.transforms import Change
+    from lpn.library import Answer, Gallery
     from lpn.models.adapters import Kind
     from lpn.models.base import Model
     from lpn.models.contract import Contract, ForwardPass, Heads
     from lpn.models.partition import Partition
-    from lpn.models.spec import ModelSpec
-    from lpn.retrieval import metrics, rank
     from lpn.retrieval.evaluate import evaluate
 
 __all__ = [
+    "Answer",
+    "Change",
     "Contract",
     "ForwardPass",
+    "Gallery",
     "Heads",
     "LPNError",
     "Model",
-    "ModelSpec",
     "Partition",
-    "View",
     "__version__",
-    "errors",
     "evaluate",
-    "evidence",
     "explore",
     "load",
-    "metrics",
+    "load_picture",
     "open_dataset",
-    "rank",
 ]
 
 _MODULE_OF = {
+    "Answer": "lpn.library",
+    "Change": "lpn.descriptors.transforms",
     "Contract": "lpn.models.contract",
     "ForwardPass": "lpn.models.contract",
+    "Gallery": "lpn.library",
     "Heads": "lpn.models.contract",
     "Model": "lpn.models.base",
-    "ModelSpec": "lpn.models.spec",
     "Partition": "lpn.models.partition",
-    "View": "lpn.core.views",
     "evaluate": "lpn.retrieval.evaluate",
-    "evidence": "lpn.explain",
+    "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",
-    "rank": "lpn.retrieval",
 }
 
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
-        if name == "metrics":
-            return import_module("lpn.retrieval.metrics")
         if name in _MODULE_OF:
             return getattr(import_module(_MODULE_OF[name]), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -114,11 +116,11 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
         from lpn.models.onnx_engine import Engine
 
         if compiled:
-            raise errors.InputError(
+            raise InputError(
                 f"torch.compile is for .safetensors and .pth, and {Path(path).name} is exported; leave --compile out."
             )
         if kind is not None:
-            raise errors.InputError(f"{Path(path).name} tells its kind itself; leave --kind out.")
+            raise InputError(f"{Path(path).name} tells its kind itself; leave --kind out.")
         return Engine(path, provider=provider)
     try:
         from lpn.models.adapters.load import load_file

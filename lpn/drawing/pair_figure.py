@@ -1,4 +1,4 @@
-"""A pair and its evidence as one picture: both photographs with their cells, and a bar for each part."""
+"""A pair and its evidence as one picture: both photographs with their cells, a bar for each part, and d² as one bar."""
 
 from __future__ import annotations
 
@@ -8,13 +8,15 @@ from PIL import Image, ImageDraw
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.core.numbers import rounded_to_sum
 from lpn.core.views import View
-from lpn.drawing import charts, overlays, theme, verdicts
+from lpn.drawing import captions, charts, overlays, theme, verdicts
 from lpn.drawing.captions import fitted, font
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import AGAINST, BACKGROUND, DIM, FOR, TEXT
 from lpn.explain import Evidence
 from lpn.models.contract import Contract
+from lpn.retrieval import scoring
 
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
 _COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": DIM}
@@ -46,7 +48,8 @@ def draw(
     height = round(width * contract.input_size[0] / contract.input_size[1])
     names = contract.names(views[0])
     bars_top = 96 + height + 40
-    image = Image.new("RGB", (_WIDTH, bars_top + _ROW * len(names) + 96), BACKGROUND)
+    distance_top = bars_top + _ROW * len(names)
+    image = Image.new("RGB", (_WIDTH, distance_top + _ROW + 96), BACKGROUND)
     pen = ImageDraw.Draw(image)
     # Pillow's typeface has no minus sign.
     sentence = verdicts.describe_evidence(evidence, names, *views).replace("−", "-")
@@ -62,7 +65,8 @@ def draw(
         drawn = overlays.with_parts(drawn, areas[column])
         image.paste(Image.fromarray(drawn), (left, 96))
     _draw_bars(pen, evidence, names, bars_top)
-    _draw_legend(image, pen, limit, bars_top + _ROW * len(names) + 30)
+    _draw_distance(pen, evidence, distance_top)
+    _draw_legend(image, pen, limit, distance_top + _ROW + 30)
     note = f"{contract.claim[0].upper()}{contract.claim[1:]}{_ACCOUNT}" if losses is None else OCCLUSION_NOTE
     pen.text((_MARGIN, image.height - 18), note, DIM, font(16), anchor="lm")
     return np.asarray(image)
@@ -88,6 +92,27 @@ def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], t
         pen.rectangle((mark - 2, y - 5, mark + 1, y + 23), fill=TEXT)
         pen.text((_WIDTH - _MARGIN, y + 9), f"{total:+.3f}", TEXT, font(20), anchor="rm")
     pen.line((zero, top, zero, top + _ROW * len(names) - 8), fill=DIM)
+
+
+def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int) -> None:
+    """Draw the squared distance as the parts' contributions to it, side by side, each with its number where it fits."""
+    shares = scoring.contributions(evidence.cosines.astype(np.float32), evidence.weights)
+    left, right, y, total = 420, _WIDTH - 190, top + 8, float(shares.sum())
+    pen.text((_MARGIN, y + 9), "contributions to the squared distance", TEXT, font(20), anchor="lm")
+    captions.draw_shares(pen, (left, y, right, y + 18), shares, total)
+    for part, (end, number) in enumerate(
+        zip(np.cumsum(np.maximum(shares, 0)), rounded_to_sum(shares.tolist()), strict=True)
+    ):
+        width = (right - left) * max(float(shares[part]), 0.0) / max(total, 1e-9)
+        text = fitted(pen, f"{number:.3f}", 15, width - 4, "")
+        pen.text(
+            (left + (right - left) * float(end) / max(total, 1e-9) - width / 2, y + 9),
+            text,
+            BACKGROUND,
+            font(15),
+            anchor="mm",
+        )
+    captions.draw_squared(pen, _WIDTH - _MARGIN, y + 9, f"{total:.3f}", 20, TEXT)
 
 
 def _draw_legend(image: Image.Image, pen: ImageDraw.ImageDraw, limit: float, y: int) -> None:

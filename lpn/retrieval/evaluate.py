@@ -14,6 +14,7 @@ import numpy as np
 from lpn import descriptors
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.core.notebook_html import percentages
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.datasets.base import PositionProtocol
@@ -156,6 +157,13 @@ class Result:
             "protocol": self.sentence,
             "seconds": self.seconds,
         }
+
+    def _repr_html_(self) -> str:
+        rows = {
+            one.name: {**{f"Recall@{k}": value for k, value in one.recall.items()}, "AP": one.ap}
+            for one in self.galleries
+        }
+        return percentages(f"{self.task}: {self.sentence}", "gallery", rows)
 
 
 def _known(value: float) -> float | None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import doctest
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,6 +16,7 @@ import lpn
 import lpn.__main__
 from lpn.core.errors import LPNError
 from tools.fixtures import small_worlds
+from tools.fixtures.without_torch import run_without_torch
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,6 +29,42 @@ def test_readme_snippet_runs(model_file: Path, data: Path) -> None:
     assert names["descriptors"].shape[:2] == (1, 4)
     assert isinstance(names["figures"], dict)
     assert 0 <= names["figures"]["recall@1"] <= names["figures"]["recall@5"] <= 100
+
+
+@pytest.fixture
+def desk(data: Path, tmp_path: Path) -> Path:
+    """A folder with what docs/library.md and the docstring of `lpn` name: tiles, a query of place 7, and a data set."""
+    (tmp_path / "tiles").symlink_to(data / "test" / "gallery_satellite")
+    (tmp_path / "ROOT").symlink_to(data)
+    small_worlds.write(tmp_path / "query.jpg", small_worlds.place(7))
+    return tmp_path
+
+
+def test_the_library_s_page_runs_in_a_base_install(desk: Path) -> None:
+    page = (ROOT / "docs" / "library.md").read_text("utf-8")
+    code = "\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL))
+    done = run_without_torch(f"{code}\nassert 'torch' not in sys.modules", folder=desk)
+    assert done.returncode == 0, done.stderr
+    assert "1 0007/0007.png" in done.stdout
+    assert "no model file" in done.stdout
+    assert cv2.imread(str(desk / "why.png")) is not None
+    assert not [name for name in lpn.__all__ if f"lpn.{name}" not in code]
+
+
+def test_the_library_s_page_is_one_screen() -> None:
+    assert len((ROOT / "docs" / "library.md").read_text("utf-8").splitlines()) <= 90
+
+
+def test_help_of_the_library_runs_as_it_says(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(desk)
+    lpn.Gallery.of_folder("tiles", "city-lpn")  # before the examples, which would have the progress bar in their output
+    lpn.evaluate(lpn.load("city-lpn"), lpn.open_dataset("ROOT"), "drone-to-satellite")
+    examples = doctest.DocTestParser().get_doctest(str(lpn.__doc__), {}, "lpn", None, None)
+    said: list[str] = []
+    outcome = doctest.DocTestRunner().run(examples, out=said.append)
+    assert outcome.attempted >= 7
+    assert not outcome.failed, "".join(said)
+    assert (desk / "why.png").is_file()
 
 
 @pytest.mark.parametrize("name", lpn.__all__)

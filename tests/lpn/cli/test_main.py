@@ -10,17 +10,7 @@ import pytest
 from lpn.cli import main
 from lpn.descriptors import open_store
 from tools.fixtures import small_worlds
-
-WITHOUT_TORCH = """
-import sys
-class Refuse:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in ("torch", "onnx", "onnxscript", "safetensors", "yaml"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-sys.meta_path.insert(0, Refuse())
-from lpn.cli.main import main
-sys.exit(main(sys.argv[1:]))
-"""
+from tools.fixtures.without_torch import run_without_torch
 
 
 def run(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -31,8 +21,7 @@ def run(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def without_torch(*arguments: object) -> subprocess.CompletedProcess[str]:
     """The command where only the base packages are installed."""
-    command = [sys.executable, "-c", WITHOUT_TORCH, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return run_without_torch("from lpn.cli.main import main\nsys.exit(main(sys.argv[1:]))", *arguments)
 
 
 def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
+from lpn.core.views import View
 from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
@@ -115,7 +116,7 @@ def test_a_sweep_computes_no_further_than_it_is_asked(
     asked: list[Change] = []
     describe = retrieval.describe_picture
 
-    def counted(model: Model, picture: UInt8Array, view: lpn.View, change: Change) -> retrieval.DescribedPicture:
+    def counted(model: Model, picture: UInt8Array, view: View, change: Change) -> retrieval.DescribedPicture:
         asked.append(change)
         return describe(model, picture, view, change)
 

@@ -1,0 +1,37 @@
+"""HTML tables by which results show themselves in a notebook: their own styles, and nothing from elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from markupsafe import Markup
+
+_CELL = Markup('<{0} style="text-align: {1}; padding: .2em .8em; vertical-align: middle">{2}</{0}>')
+_TABLE = Markup(
+    '<table style="border-collapse: collapse; font-variant-numeric: tabular-nums">'
+    '<caption style="caption-side: top; text-align: left; padding: .2em .8em; color: inherit">{}</caption>'
+    "<thead><tr>{}</tr></thead><tbody>{}</tbody></table>"
+)
+
+
+def table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> Markup:
+    """Return a table; numbers stand to the right, and every text that is no `Markup` is escaped."""
+    lines = [Markup("<tr>{}</tr>").format(_joined("td", row)) for row in rows]
+    return _TABLE.format(caption, _joined("th", headings), Markup().join(lines))
+
+
+def percentages(caption: str, heading: str, rows: Mapping[str, Mapping[str, float]]) -> Markup:
+    """Return a table of percentages; every row has the same names, and `heading` stands above the rows' names."""
+    names = next(iter(rows.values()))
+    return table(
+        caption,
+        (heading, *names),
+        ((row, *(Markup("{:.2f} %").format(value) for value in values.values())) for row, values in rows.items()),
+    )
+
+
+def _joined(tag: str, cells: Iterable[object]) -> Markup:
+    return Markup().join(
+        _CELL.format(tag, "left" if isinstance(cell, str) and not isinstance(cell, Markup) else "right", cell)
+        for cell in cells
+    )

@@ -1,0 +1,9 @@
+"""A folder of pictures as a gallery that answers pictures: the first lines of the library.
+
+It imports `drawing` and the packages below it.
+"""
+
+from lpn.library.answer import Answer, NamedMatch, PairPicture
+from lpn.library.gallery import Gallery
+
+__all__ = ["Answer", "Gallery", "NamedMatch", "PairPicture"]

@@ -1,0 +1,120 @@
+"""A folder as a gallery: matches, figures, and tables of its answers, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import lpn
+from lpn.cli import main
+from lpn.core.errors import LPNError
+from tools.fixtures import small_worlds
+
+
+@pytest.fixture
+def gallery(data: Path, model_file: Path) -> lpn.Gallery:
+    """The 14 satellite tiles of the small data set."""
+    return lpn.Gallery.of_folder(data / "test" / "gallery_satellite", model_file)
+
+
+def test_matches_are_ranked_named_and_split_exactly(gallery: lpn.Gallery) -> None:
+    answer = gallery.search(small_worlds.place(9), view="satellite")
+    matches = answer.top(100)
+    assert [match.rank for match in matches] == list(range(1, len(gallery) + 1))
+    assert (matches[0].name, matches[0].index) == ("0009/0009.png", 2)
+    assert matches[0].distance2 == pytest.approx(0, abs=1e-5)
+    assert all(one.distance2 <= other.distance2 for one, other in zip(matches, matches[1:], strict=False))
+    for match in matches:
+        assert match.contributions.shape == (4,)
+        assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
+
+
+def test_numbers_are_those_of_the_command_line(
+    gallery: lpn.Gallery, data: Path, model_file: Path, tmp_path: Path
+) -> None:
+    query = data / "test" / "query_drone" / "0008" / "image-01.png"
+    answer = gallery.search(lpn.load_picture(query), weights=[1, 1, 0, 2], change=30)
+    match = answer.top(1)[0]
+    tile = data / "test" / "gallery_satellite" / match.name
+    given = ["--model", model_file, "--query", query, "--match", tile, "--weights", "1,1,0,2", "--rotate", "30"]
+    assert main.main(["explain", *map(str, given), "--json", str(tmp_path / "why.json")]) == 0
+    explained = json.loads((tmp_path / "why.json").read_text())
+    assert match.distance2 == pytest.approx(explained["distance2"], abs=1e-5)
+    expected = [2 * part["weight"] * (1 - part["cosine"]) for part in explained["parts"]]
+    np.testing.assert_allclose(match.contributions, expected, atol=1e-5)
+    evidence = answer.evidence()
+    np.testing.assert_allclose(
+        evidence.weighted_cosines, [part["weighted_cosine"] for part in explained["parts"]], atol=1e-5
+    )
+
+
+def test_a_second_gallery_of_the_folder_describes_nothing(
+    gallery: lpn.Gallery, data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = lpn.load(model_file)
+    monkeypatch.setattr(model, "run", None)
+    again = lpn.Gallery.of_folder(data / "test" / "gallery_satellite", model)
+    np.testing.assert_array_equal(again.descriptors, gallery.descriptors)
+
+
+def test_a_figure_is_saved_as_it_is_shown(gallery: lpn.Gallery, tmp_path: Path) -> None:
+    figure = gallery.search(small_worlds.place(9)).figure(rank=2)
+    figure.save(tmp_path / "deep" / "why.png")
+    saved = cv2.imread(str(tmp_path / "deep" / "why.png"))
+    assert saved is not None
+    np.testing.assert_array_equal(saved[..., ::-1], figure.pixels)
+    assert figure._repr_png_() == (tmp_path / "deep" / "why.png").read_bytes()
+    other = gallery.search(small_worlds.place(9)).figure(rank=3)
+    assert (other.pixels != figure.pixels).any()
+
+
+def test_tables_of_a_notebook_hold_everything_and_escape_names(data: Path, model_file: Path, tmp_path: Path) -> None:
+    small_worlds.write(tmp_path / "tiles" / "<b>&.png", small_worlds.place(1))
+    small_worlds.write(tmp_path / "tiles" / "plain.png", small_worlds.place(2))
+    answer = lpn.Gallery.of_folder(tmp_path / "tiles", model_file).search(small_worlds.place(1), view="satellite")
+    html = answer._repr_html_()
+    assert "&lt;b&gt;&amp;.png" in html
+    assert "<b>&" not in html
+    assert html.count('src="data:image/jpeg;base64,') == 3  # the query, and two tiles
+    assert not re.search(r"https?:|<script|<link|url\(", html)
+    result = lpn.evaluate(lpn.load(model_file), lpn.open_dataset(data), "drone-to-satellite")
+    assert f"{result.ap:.2f} %" in result._repr_html_()
+    assert "full gallery, 14" in result._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"picture": "query.jpg"}, "lpn.load_picture"),
+        ({"picture": np.zeros((8, 8), np.uint8)}, "expected uint8"),
+        ({"picture": np.zeros((8, 8, 3), np.float32)}, "expected uint8"),
+        ({"view": "street"}, "street"),
+        ({"weights": [1, 2]}, "expected 4 numbers"),
+    ],
+)
+def test_a_search_refuses_in_one_sentence(gallery: lpn.Gallery, given: dict[str, object], expected: str) -> None:
+    with pytest.raises(LPNError, match=re.escape(expected)):
+        gallery.search(**({"picture": small_worlds.place(1)} | given))  # type: ignore[arg-type]
+
+
+def test_ranks_names_and_models_without_cells_are_refused(gallery: lpn.Gallery, tmp_path: Path) -> None:
+    answer = gallery.search(small_worlds.place(1))
+    for rank in (0, 15):
+        with pytest.raises(LPNError, match="ranks 1 to 14"):
+            answer.figure(rank)
+    with pytest.raises(LPNError, match=r"ends in \.png"):
+        answer.figure().save(tmp_path / "why.jpg")
+    object.__setattr__(answer.query, "trace", None)
+    with pytest.raises(LPNError, match="no figure"):
+        answer.figure()
+
+
+def test_a_folder_without_pictures_is_refused(model_file: Path, tmp_path: Path) -> None:
+    for folder in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(LPNError, match="pictures"):
+            lpn.Gallery.of_folder(folder, model_file)
