@@ -14,13 +14,14 @@ _TABLE = Markup(
 )
 
 
-def table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> Markup:
+def table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table; numbers stand to the right, and every text that is no `Markup` is escaped."""
     lines = [Markup("<tr>{}</tr>").format(_joined("td", row)) for row in rows]
-    return _TABLE.format(caption, _joined("th", headings), Markup().join(lines))
+    # A plain string: text that is added to a Markup would be escaped.
+    return str(_TABLE.format(caption, _joined("th", headings), Markup().join(lines)))
 
 
-def percentages(caption: str, heading: str, rows: Mapping[str, Mapping[str, float]]) -> Markup:
+def percentages(caption: str, heading: str, rows: Mapping[str, Mapping[str, float]]) -> str:
     """Return a table of percentages; every row has the same names, and `heading` stands above the rows' names."""
     names = next(iter(rows.values()))
     return table(
@@ -32,6 +33,8 @@ def percentages(caption: str, heading: str, rows: Mapping[str, Mapping[str, floa
 
 def _joined(tag: str, cells: Iterable[object]) -> Markup:
     return Markup().join(
-        _CELL.format(tag, "left" if isinstance(cell, str) and not isinstance(cell, Markup) else "right", cell)
+        _CELL.format(
+            tag, "left" if isinstance(cell, str) and (tag == "th" or not isinstance(cell, Markup)) else "right", cell
+        )
         for cell in cells
     )

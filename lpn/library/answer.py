@@ -140,8 +140,12 @@ class Answer:
             shares = _bar(match, full, names)
             picture = _thumbnail(self.pictures[match.index].load())
             rows.append((match.rank, picture, printable(match.name), Markup(f"{match.distance2:.4f}"), shares))
+        legend = Markup(", ").join(
+            Markup('<span style="border-bottom: .25em solid {}">{}</span>').format(charts.part_colour(part), name)
+            for part, name in enumerate(names)
+        )
         caption = f"{len(matches)} of {len(self.pictures):,} {self.views[1]} pictures, by their distance to the query"
-        return table(caption, ("rank", "", "name", "d²", "contributions of the parts"), rows)
+        return table(caption, ("rank", "", "name", "d²", Markup("contributions to d²: {}").format(legend)), rows)
 
 
 def _bar(match: NamedMatch, full: float, names: Sequence[str]) -> Markup:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from pathlib import Path
@@ -28,7 +29,7 @@ def test_matches_are_ranked_named_and_split_exactly(gallery: lpn.Gallery) -> Non
     assert [match.rank for match in matches] == list(range(1, len(gallery) + 1))
     assert (matches[0].name, matches[0].index) == ("0009/0009.png", 2)
     assert matches[0].distance2 == pytest.approx(0, abs=1e-5)
-    assert all(one.distance2 <= other.distance2 for one, other in zip(matches, matches[1:], strict=False))
+    assert all(one.distance2 <= other.distance2 for one, other in itertools.pairwise(matches))
     for match in matches:
         assert match.contributions.shape == (4,)
         assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
