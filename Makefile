@@ -38,6 +38,12 @@ $(VENV)/.world: $(VENV)/.train
 	$(PIP) -e '.[train,world]'
 	touch $@
 
+# TypeScript's checker and eslint, which read the page's scripts. Node.js and npm come with the development tools.
+JS := tools/javascript
+$(VENV)/.javascript: $(JS)/package.json $(JS)/package-lock.json $(VENV)/.dev
+	PATH="$(abspath $(BIN)):$$PATH" npm ci --prefix $(JS) --silent
+	touch $@
+
 # The Milvus server that the tests of that index run against, in an environment of its own: it needs packages of its time.
 $(VENV)/.milvus: | $(BIN)/python
 	$(PYTHON) -m venv $(VENV)/milvus
@@ -74,9 +80,11 @@ test-all: test
 	$(MAKE) fuzz INPUTS=300
 	$(MAKE) soak MINUTES=1 CLIENTS=8 PAGES=1
 
-check: $(VENV)/.dev
+check: $(VENV)/.javascript
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	PATH="$(abspath $(BIN)):$$PATH" $(JS)/node_modules/.bin/tsc -p $(JS)
+	PATH="$(abspath $(BIN)):$$PATH" $(JS)/node_modules/.bin/eslint -c $(JS)/eslint.config.js explorer
 	$(BIN)/mypy
 
 format: $(VENV)/.dev
@@ -116,4 +124,4 @@ audit: $(VENV)/.train $(VENV)/.audit
 	$(VENV)/audit/bin/pip-audit --vulnerability-service=osv --progress-spinner=off --skip-editable --path "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
 
 clean:
-	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache *.egg-info
+	rm -rf $(VENV) $(JS)/node_modules .mypy_cache .pytest_cache .ruff_cache *.egg-info

@@ -42,7 +42,7 @@
   let worker = null;
   let address = addresses[0];
   const post = Worker.prototype.postMessage;
-  let first = addresses.length > 1 ? Promise.any(addresses.map(async (one) => {
+  const first = addresses.length > 1 ? Promise.any(addresses.map(async (one) => {
     const { saw } = await tryAddress(one);
     return saw === "open" ? one : Promise.reject();
   })).then((one) => (address = one), () => address) : null;

@@ -1,7 +1,7 @@
 // An exported story: one slide at a time, by buttons, arrow keys, and Page keys. Without this script all slides stand below each other.
 (() => {
   const slides = [...document.querySelectorAll(".slide")];
-  const [previous, next] = document.querySelectorAll("nav button");
+  const [previous, next] = /** @type {NodeListOf<HTMLButtonElement>} */ (document.querySelectorAll("nav button"));
   let at = 0;
   const show = (to) => {
     at = Math.min(Math.max(to, 0), slides.length - 1);

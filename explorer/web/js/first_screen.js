@@ -5,6 +5,7 @@
   const STORAGE_KEY = "lpn-screen";
   const AT_ONCE = ["copy", "dark", "glossary", "upload"]; // these need no answer
   let newest = ""; // the screen's content when it was last shown
+  /** @type {"" | "first" | "all"} */
   let shown = ""; // "first", "all", or nothing before the first answer
 
   lpn.screen = () => shown;
@@ -21,7 +22,7 @@
     page.id = "lpn-first";
     page.className = "lpn";
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
-    const focused = page.contains(document.activeElement) ? document.activeElement.dataset.act : null;
+    const focused = page.contains(document.activeElement) ? document.activeElement.getAttribute("data-act") : null;
     page.innerHTML = html;
     page.onclick = (event) => {
       const pressed = event.target.closest("[data-act]");

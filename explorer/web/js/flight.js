@@ -3,6 +3,7 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.flight) return;
+  /** @type {Record<string, any>} */
   const flight = (lpn.flight = {});
   // Pixels within which the mouse points at a frame, and seconds that playing waits for the stage.
   const REACH = 12, PATIENCE = 8;
@@ -28,10 +29,12 @@
 
   // ---- from metres to pixels and to degrees
   const size = () => [root.map.clientWidth, root.map.clientHeight];
+  /** @param {Point} at */
   const toPixels = ([x, y]) => {
     const [width, height] = size();
     return [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
   };
+  /** @param {Point} at */
   const toMetres = ([left, top]) => {
     const [width, height] = size();
     return [view.x + (left - width / 2) / view.scale, view.y - (top - height / 2) / view.scale];
@@ -201,6 +204,7 @@
   // ---- tie points: four points of the photo that a person drags to their places on the map
   const TIES = [[0.15, 0.15], [0.85, 0.15], [0.85, 0.85], [0.15, 0.85]];
   let ties = null; // { frame, points: metres of each tie point, saves: how many were saved when these were sent }
+  /** @param {Point} at */
   const pixel = ([x, y]) => [x * followed.size[0] - 0.5, y * followed.size[1] - 0.5];
   const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
   const startTies = () => {

@@ -34,7 +34,7 @@
     const known = fetched.get(address);
     if (known) return known;
     const coming = fetch(address).then(async (answer) => {
-      if (!answer.ok) throw new Error(answer.status);
+      if (!answer.ok) throw new Error(String(answer.status));
       const bytes = await answer.arrayBuffer();
       return type === "picture" ? createImageBitmap(new Blob([bytes])) : new type(bytes);
     });
@@ -93,6 +93,7 @@
     const ratio = () => Math.min(window.devicePixelRatio || 1, 2);
     const x = (i) => plane[2 * i], y = (i) => plane[2 * i + 1];
     const toPixels = (px, py) => [box.clientWidth / 2 + (px - view.x) * view.scale, box.clientHeight / 2 - (py - view.y) * view.scale];
+    /** @param {Point} at */
     const toPlane = ([left, top]) => [view.x + (left - box.clientWidth / 2) / view.scale, view.y - (top - box.clientHeight / 2) / view.scale];
     const soon = () => (frame ||= requestAnimationFrame(draw));
     const ready = () => plane && flags && codes && view && box.isConnected;
@@ -312,6 +313,7 @@
     };
 
     // The query nearest to a place; selected ones go before others.
+    /** @param {Point} at */
     const near = ([left, top]) => {
       const best = [[REACH, -1], [REACH, -1]];
       for (let i = 0; i < data.queries; i++) {
@@ -332,7 +334,7 @@
           const [x0, y0] = corners[n], [x1, y1] = corners[m];
           if (y0 > py !== y1 > py && px < x0 + ((py - y0) / (y1 - y0)) * (x1 - x0)) inside = !inside;
         }
-        found += inside;
+        if (inside) found++;
       }
       return found;
     };
@@ -515,7 +517,7 @@
       view: () => view,
       pixels: (i) => toPixels(x(i), y(i)),
       update: async (next) => {
-        const select = document.getElementById("lpn-lab-colour");
+        const select = /** @type {HTMLSelectElement} */ (document.getElementById("lpn-lab-colour"));
         if (select && select.value !== next.colour) select.value = next.colour;
         const address = next.address;
         const wanted = [get(address + next.plane + "0", Float32Array), get(address + next.flags + "0", Uint8Array), get(address + next.codes + "0", Uint8Array)];
@@ -543,12 +545,12 @@
     };
   };
 
-  lpn.labMap = (next, tries = 60) => {
+  const labMap = (next, tries = 60) => {
     data = next;
     root = document.querySelector("#lpn-lab-map .lab-map");
     if (!root || root.dataset.map !== next.map) return tries && setTimeout(() => data === next && lpn.labMap(next, tries - 1), 50);
     if (current?.box !== root) current = LabMap(root);
     current.update(next);
   };
-  lpn.labMap.pixels = (i) => current.pixels(i);
+  lpn.labMap = Object.assign(labMap, { pixels: (i) => current.pixels(i) });
 })();

@@ -24,7 +24,7 @@
         const answer = await fetch(address + number, { signal: piece.control.signal });
         if (answer.ok) piece.entries = await answer.json();
         else if (answer.status === 404) return; // a newer list is on its way
-      } catch (error) {
+      } catch {
         if (piece.control.signal.aborted) return;
       }
       if (!piece.entries) setTimeout(() => (pieces.delete(number), arrived()), RETRY);

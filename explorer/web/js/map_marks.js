@@ -19,6 +19,7 @@
   };
   // Draw an arrow that points north, which is `turn` radians clockwise from up.
   const north = (pen, [x, y], turn = 0) => {
+    /** @type {(at: Point) => [number, number]} */
     const turned = ([right, down]) => [x + right * Math.cos(turn) - down * Math.sin(turn), y + right * Math.sin(turn) + down * Math.cos(turn)];
     pen.beginPath();
     for (const corner of [[0, -18], [7, 4], [0, -1], [-7, 4]]) pen.lineTo(...turned(corner));

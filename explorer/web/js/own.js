@@ -10,6 +10,7 @@
   // Entries of a dropped folder that are looked at.
   const LOOKED = 5000;
   let queue = [];
+  /** @returns {HTMLInputElement} */
   const box = () => document.querySelector('input[type="file"]');
 
   // The end of a name, without halves of letters, which the server does not take.
@@ -75,6 +76,7 @@
   const folder = () => choose({ webkitdirectory: true });
 
   // All files of what was dropped, folders included.
+  /** @returns {Promise<[any[], number]>} */
   const walk = async (entries) => {
     const files = [];
     let looked = 0, beyond = 0;
@@ -117,6 +119,7 @@
     sign.classList.remove("shown");
     const entries = [...event.dataTransfer.items].map((item) => item.webkitGetAsEntry?.()).filter(Boolean);
     const loose = [...event.dataTransfer.files];
+    /** @type {[any[], number]} */
     const [files, beyond] = entries.length ? await walk(entries) : [loose, 0];
     take(files, beyond);
   });

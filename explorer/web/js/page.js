@@ -3,7 +3,7 @@
 (() => {
   if (window.lpn) return;
   let count = 0;
-  const lpn = (window.lpn = {});
+  const lpn = (window.lpn = /** @type {Lpn} */ ({}));
 
   lpn.clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -154,7 +154,7 @@
     }
     const cell = lpn.cell(map, event);
     map._painted[map._erase ? "delete" : "add"](cell);
-    map.querySelectorAll(".paint").forEach((box) => (box.style.opacity = map._painted.has(+box.dataset.cell) ? 1 : 0));
+    map.querySelectorAll(".paint").forEach((box) => (box.style.opacity = map._painted.has(+box.dataset.cell) ? "1" : "0"));
     event.preventDefault();
   };
 

@@ -3,6 +3,7 @@
   const lpn = window.lpn;
   if (lpn.pens) return;
   // Clear a canvas, and return its context in CSS pixels and the ratio of its own pixels to them.
+  /** @type {Lpn["pens"]["canvas"]} */
   const canvas = (element) => {
     const ratio = window.devicePixelRatio || 1;
     const [width, height] = [Math.round(element.clientWidth * ratio), Math.round(element.clientHeight * ratio)];

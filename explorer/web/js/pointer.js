@@ -37,6 +37,7 @@
   const placed = (card, box) => {
     const width = card.offsetWidth, height = card.offsetHeight;
     const right = innerWidth - width - GAP, bottom = innerHeight - height - GAP;
+    /** @param {Point} at */
     const inside = ([x, y]) => [Math.min(Math.max(x, GAP), right), Math.min(Math.max(y, GAP), bottom)];
     box ||= { left: 0, top: innerHeight, right: 0, bottom: innerHeight, panel: 0 };
     const places = [

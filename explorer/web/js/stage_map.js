@@ -19,7 +19,8 @@
     '<div class="read"></div><div class="how"><span class="for-mouse">Drag to move, right button or arrow keys to turn, wheel to zoom</span><span class="for-touch">One finger moves, two turn and zoom</span></div>' +
     '<button type="button" title="Back to the pair (M or Escape)">✕ Close the map<span class="for-mouse">&nbsp;(M)</span></button><button type="button" title="Point the camera at the answer again">⟲ Reset view</button>' +
     '<canvas role="img" aria-label="Scale and north"></canvas>';
-  const [read, , close, whole, canvas] = box.children;
+  const canvas = box.querySelector("canvas"), read = box.querySelector(".read");
+  const [close, whole] = box.querySelectorAll("button");
   close.onclick = () => lpn.send("map-close");
   whole.onclick = () => lpn.straighten();
 
@@ -62,7 +63,8 @@
     const [west, east] = [0, 40].map((right) => ground(camera, [left + BAR[0] + right, top + BAR[1]], size));
     delete box.dataset.metres;
     if (!west || !east) return;
-    box.dataset.metres = lpn.mapMarks.bar(pen, BAR, 40 / Math.hypot(east[0] - west[0], east[1] - west[1]), size.width);
+    const metres = lpn.mapMarks.bar(pen, BAR, 40 / Math.hypot(east[0] - west[0], east[1] - west[1]), size.width);
+    box.dataset.metres = String(metres);
     const turn = Math.atan2(east[1] - west[1], east[0] - west[0]);
     box.dataset.turn = turn.toFixed(3);
     lpn.mapMarks.north(pen, NORTH, turn);

@@ -215,6 +215,7 @@
 
   // Mark what the style sheet changes: the stage takes the whole of the frame in which viser docks panels beside it.
   const frame = () => {
+    /** @type {HTMLElement} */
     let stage = lpn.canvas();
     while (stage.parentElement && !stage.parentElement.querySelector("#lpn-header")) stage = stage.parentElement;
     stage.classList.add("lpn-undocked");

@@ -21,7 +21,7 @@
       return found.ready ? found : null;
     };
     const load = (key, address, failures) => {
-      const one = new Image();
+      const one = Object.assign(new Image(), { ready: false, failures: 0, again: NaN });
       images.set(key, one);
       one.onload = () => ((one.ready = true), redraw());
       one.onerror = () => {

@@ -42,7 +42,7 @@
     for (const head of document.querySelectorAll('.mantine-Paper-root > .mantine-Paper-root[style*="cursor: pointer"]')) {
       head.tabIndex = 0;
       head.setAttribute("role", "button");
-      head.setAttribute("aria-expanded", !!head.querySelector(".tabler-icon-chevron-up"));
+      head.setAttribute("aria-expanded", String(!!head.querySelector(".tabler-icon-chevron-up")));
       head.dataset.lpnFolder = "";
     }
     for (const control of document.querySelectorAll('#root :is([role="slider"], input:not([type="hidden"])):is(:not([aria-label]), [aria-label=""])')) {
@@ -147,10 +147,11 @@
     legend.hidden = !html;
     placeLegend();
   };
+  let sizing = 0;
   const stage = new ResizeObserver(() => {
     placeLegend();
-    clearTimeout(stage.sending);
-    stage.sending = setTimeout(() => {
+    clearTimeout(sizing);
+    sizing = setTimeout(() => {
       const size = lpn.stageSize();
       if (size) lpn.send("viewport", size);
       // On a resize viser may report the camera with the size of before, and the stage would be framed for that.

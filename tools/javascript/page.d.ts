@@ -1,0 +1,144 @@
+// The types of what the page's scripts share, which `make check` reads. The page never loads this file.
+
+// Right and down in pixels, or east and north in metres.
+type Point = number[];
+// 9 numbers by rows.
+type Homography = number[];
+interface Box { left: number; top: number; right: number; bottom: number }
+// Names in the style sheets and the templates, or a box on the stage: west, south, east, north.
+interface Place { selectors: string[]; box: number[] | null }
+interface Step { caption: string; notes: string; points_at: string; shows: string }
+interface Story { name: string; steps: Step[] }
+interface Ground { middle: Point; metres: number; degrees: Point[] }
+
+interface Lpn {
+  // Set by the server when it installs the script, see `PageBridge`.
+  bridge: string;
+  keys: string[];
+  title: string;
+  ownHint: string;
+  tour: Story;
+  scene: { width: number; height: number; middle: Point };
+  places: Record<string, Place>;
+
+  // page.js
+  clamp(value: number, low: number, high: number): number;
+  stored(storage: "local" | "session", key: string): string | null | undefined;
+  store(storage: "local" | "session", key: string, text: string | null): void;
+  send(kind: string, value?: unknown): void;
+  mouse: Point;
+  cell(map: HTMLElement, event: MouseEvent): number;
+  hover(map: HTMLElement, event: MouseEvent, held?: boolean): void;
+  leave(map: HTMLElement): void;
+  hold(map: HTMLElement, event: MouseEvent): void;
+  value(map: HTMLImageElement, event: MouseEvent): void;
+  stroke(map: HTMLElement & { _painted: Set<number> | null; _erase: boolean }, event: PointerEvent): void;
+  typed(box: HTMLInputElement & { _timer: number }, kind: string): void;
+  entered(box: HTMLInputElement, event: KeyboardEvent, kind: string): void;
+  tip(tip: HTMLElement): void;
+
+  // viewport.js
+  canvas(): HTMLCanvasElement | null;
+  field(uuid: string): HTMLInputElement | null;
+  head(html: string): void;
+  say(text: string, seconds?: number): void;
+  focus(uuid: string): void;
+  small: MediaQueryList;
+  stageSize(): Point | null;
+  legend(html: string): void;
+  watch(): void;
+  reveal(selector: string): void;
+  tab(name: string, tries?: number): void;
+  once(key: string): boolean;
+
+  // focus.js
+  refocus(element: HTMLElement | null): void;
+  lastFocus(): HTMLElement | null;
+  raise(element: HTMLElement | null): void;
+  revealReasons(): void;
+  raiseReasons(): void;
+
+  // Panels and windows, each in a file of its name.
+  glossary: { open(): boolean };
+  backClosesGlossary(): boolean;
+  straighten(): void;
+  list(id: string, data: any, tries?: number): void;
+  note(element: HTMLElement): void;
+  noteTyped(box: HTMLElement): void;
+  noteOpened(path: string): void;
+  noteStored(path: string, texts: string[]): void;
+  own: { go(number: number, total: number): Promise<void>; folder(): void; take(files: any[], beyond?: number): unknown };
+  upload(): void;
+  point(card: HTMLElement | null, name?: string): void;
+  screen(): "" | "first" | "all";
+  prefersFirst(): boolean;
+  opening(): unknown;
+  firstAgain(): unknown;
+  first(html: string, free: boolean, unasked: boolean): void;
+  hideTip(): void;
+  stageMap(ground: Ground | null): void;
+
+  // Maps and their drawing.
+  tiles(redraw: () => void): { draw(pen: CanvasRenderingContext2D, ratio: number, data: any, shown: any): number; clear(): void };
+  pens: {
+    canvas(element: HTMLCanvasElement): [CanvasRenderingContext2D, number];
+    stroke(pen: CanvasRenderingContext2D, colour: string, width: number, dash?: number[]): void;
+    dot(pen: CanvasRenderingContext2D, at: Point, radius: number, colour: string, hollow: boolean): void;
+    text(pen: CanvasRenderingContext2D, words: string, left: number, top: number, align?: CanvasTextAlign): void;
+  };
+  mapMarks: {
+    bar(pen: CanvasRenderingContext2D, at: Point, scale: number, width: number): number;
+    north(pen: CanvasRenderingContext2D, at: Point, turn?: number): void;
+    degrees(at: Point): string;
+  };
+  labMap: { (next: any, tries?: number): void; pixels(i: number): Point };
+  through(h: Homography, at: Point): Point;
+  homography(from: Point[], to: Point[]): Homography | null;
+  product(one: Homography, other: Homography): Homography;
+  transform(h: Homography): string;
+  timeline: {
+    draw(element: HTMLCanvasElement, data: any, bands: { plot: string; lines: any[] }[], chosen: number, colour: string): void;
+    nearest(left: number, element: HTMLElement, data: any): number;
+  };
+  flight: any;
+
+  // stories.js and url_state.js
+  tell(story: Story): void;
+  telling(): boolean;
+  welcome(unasked: boolean): void;
+  keepDraft(draft: unknown): void;
+  restoreDraft(): void;
+  storyAddress(): "replaceState" | "pushState" | null;
+  backEndsStory(): boolean;
+  backQuietly(): void;
+  keepTheme(name: string): void;
+  linked: boolean;
+  greet(): void;
+  address(query: string, keys: string[]): void;
+  copy(): Promise<void>;
+}
+
+interface Fault { title: string; texts: string[]; lines: Record<string, string[]> }
+interface Window {
+  lpn: Lpn;
+  lpnWay: { look(): Promise<Fault | null> };
+  // Of viser.
+  __viserMutable: any;
+  __viserSceneTree: any;
+}
+
+// The page has elements of HTML only, and its events happen to them, or to the document or the window, which lack these functions.
+interface ParentNode {
+  querySelector<K extends keyof HTMLElementTagNameMap>(selectors: K): HTMLElementTagNameMap[K] | null;
+  querySelector<E extends Element = HTMLElement>(selectors: string): E | null;
+  querySelectorAll<K extends keyof HTMLElementTagNameMap>(selectors: K): NodeListOf<HTMLElementTagNameMap[K]>;
+  querySelectorAll<E extends Element = HTMLElement>(selectors: string): NodeListOf<E>;
+}
+interface Element {
+  closest<E extends Element = HTMLElement>(selectors: string): E | null;
+}
+interface EventTarget {
+  closest?<E extends Element = HTMLElement>(selectors: string): E | null;
+  matches?: any; // a boolean where the target is a media query
+  click?(): void;
+}
