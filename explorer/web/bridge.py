@@ -24,6 +24,7 @@ MAX_WAITING = 200
 _SCRIPT = ";".join(
     (Path(__file__).parent / "js" / name).read_text("utf-8")
     for name in (
+        "viser_compat.js",
         "page.js",
         "viewport.js",
         "focus.js",

@@ -22,6 +22,7 @@ interface Lpn {
   places: Record<string, Place>;
 
   // page.js
+  canvas(): HTMLCanvasElement | null;
   clamp(value: number, low: number, high: number): number;
   stored(storage: "local" | "session", key: string): string | null | undefined;
   store(storage: "local" | "session", key: string, text: string | null): void;
@@ -37,9 +38,28 @@ interface Lpn {
   entered(box: HTMLInputElement, event: KeyboardEvent, kind: string): void;
   tip(tip: HTMLElement): void;
 
+  // viser_compat.js
+  viser: {
+    SELECTORS: Record<
+      | "app" | "canvas" | "stageFrame" | "shade" | "window" | "folderHead" | "unfolded" | "sheet" | "scrollRoot" | "scrolled" | "dialog"
+      | "dialogTitle" | "dialogHeader" | "dialogButton" | "palette" | "notification" | "notificationText" | "softwareNotice" | "upload" | "tab",
+      string
+    >;
+    UPLOADED: string;
+    EXPAND: string;
+    SCHEME: string;
+    mend(): void;
+    onRetry(tries: (goOn: () => void) => void): void;
+    field(uuid: string): HTMLInputElement | null;
+    camera(): any;
+    cameraControls(): any;
+    sendCamera(): void;
+    axes(): number[] | undefined;
+    shaded(): boolean | null;
+  };
+  every(period: number, look: () => void): number;
+
   // viewport.js
-  canvas(): HTMLCanvasElement | null;
-  field(uuid: string): HTMLInputElement | null;
   head(html: string): void;
   say(text: string, seconds?: number): void;
   focus(uuid: string): void;

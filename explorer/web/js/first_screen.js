@@ -2,6 +2,7 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.first) return;
+  const { SELECTORS } = lpn.viser;
   const STORAGE_KEY = "lpn-screen";
   const AT_ONCE = ["copy", "dark", "glossary", "upload"]; // these need no answer
   let newest = ""; // the screen's content when it was last shown
@@ -13,7 +14,7 @@
 
   const close = () => {
     document.getElementById("lpn-first")?.remove();
-    document.getElementById("root")?.removeAttribute("inert");
+    document.querySelector(SELECTORS.app)?.removeAttribute("inert");
   };
 
   const open = (html) => {
@@ -43,11 +44,11 @@
       const heading = page.querySelector("h1").getBoundingClientRect().top - 8; // no half of the header stays
       if (beyond > 0) page.scrollTop += Math.min(Math.max(beyond, heading), top);
     }
-    document.getElementById("root")?.setAttribute("inert", "");
+    document.querySelector(SELECTORS.app)?.setAttribute("inert", "");
   };
 
   // Escape closes the reason, unless it closes what lies over it; in the capture phase all of that is still there.
-  const OVER = "#lpn-term, .mantine-Modal-content";
+  const OVER = "#lpn-term, " + SELECTORS.dialog;
   const escaped = (event) => {
     if (event.key !== "Escape" || lpn.telling() || document.querySelector(OVER)) return;
     document.querySelector("#lpn-first:has(.reason) [data-act='why']")?.click();

@@ -305,7 +305,7 @@
     if (!root) return;
     const layer = find(".laid");
     layer.style.visibility = "visible";
-    if (mode === "blink") blinking = setInterval(() => (layer.style.visibility = layer.style.visibility === "hidden" ? "visible" : "hidden"), 600);
+    if (mode === "blink") blinking = lpn.every(600, () => (layer.style.visibility = layer.style.visibility === "hidden" ? "visible" : "hidden"));
     mark();
     draw();
   };
@@ -376,7 +376,7 @@
       if (chosen >= total() - 1) flight.choose(0);
       position = Math.max(chosen, 0);
       last = performance.now();
-      playing = setInterval(tick, 50);
+      playing = lpn.every(50, tick);
     }
     mark();
   };
@@ -589,7 +589,7 @@
       if (frame >= 0) flight.choose(frame);
     }
   };
-  new MutationObserver(draw).observe(document.documentElement, { attributeFilter: ["data-mantine-color-scheme"] });
+  new MutationObserver(draw).observe(document.documentElement, { attributeFilter: [lpn.viser.SCHEME] });
   // The flight is fitted into the window again when that changes its size, unless the user has looked elsewhere.
   const resized = new ResizeObserver(() => {
     if (!moved) view = null;

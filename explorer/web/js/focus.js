@@ -5,7 +5,8 @@
   if (lpn.refocus) return;
   // Milliseconds between two looks, and until an element that is gone is given up.
   const PERIOD = 150, WAIT = 3000;
-  const DIALOG = ".mantine-Modal-content, .mantine-Spotlight-content";
+  const { SELECTORS } = lpn.viser;
+  const DIALOG = `${SELECTORS.dialog}, ${SELECTORS.palette}`;
   const WHY = "#lpn-why, #lpn-heatmaps, #lpn-counterfactual, #lpn-profile, #lpn-region, #lpn-second-model, #lpn-model-comparison";
   // What shows that a window is open, and what of it takes the focus.
   const WINDOWS = [
@@ -34,7 +35,7 @@
   const focus = (selectors) => shown(selectors)?.focus({ preventScroll: true });
   const ANSWER = "#lpn-first [data-act=why], #lpn-matches [tabindex], #lpn-header [tabindex='0']";
   // The window that an element lies in, in its panel.
-  const home = (element) => WINDOWS.find(([selector]) => element.closest(selector) || element.closest(".mantine-Paper-root")?.querySelector(selector));
+  const home = (element) => WINDOWS.find(([selector]) => element.closest(selector) || element.closest(SELECTORS.window)?.querySelector(selector));
 
   // An element that stands for one that is gone: of the same id, or that does the same.
   const successor = (element) => {
@@ -91,7 +92,7 @@
     if (lastHome) focus(lastHome[1]);
     if (lost()) focus(ANSWER);
   };
-  setInterval(follow, PERIOD);
+  lpn.every(PERIOD, follow);
 
   const skip = document.body.insertBefore(document.createElement("a"), document.body.firstChild);
   skip.id = "lpn-skip";

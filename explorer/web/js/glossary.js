@@ -3,9 +3,10 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.glossary) return;
+  const { SELECTORS } = lpn.viser;
   let opener = null, content = null;
   let stepped = false; // the browser's history has the open glossary as a step of its own
-  const viserClose = () => content?.querySelector(".mantine-Modal-body button");
+  const viserClose = () => content?.querySelector(SELECTORS.dialogButton);
   const plain = (text) => text.toLowerCase().replaceAll("²", "2");
 
   const search = (box, found) => {
@@ -36,7 +37,7 @@
     box.oninput = () => search(box, found);
     bar.onkeydown = (event) => event.key !== "Escape" && event.key !== "Tab" && event.stopPropagation(); // letters are no commands here
     close.onclick = () => viserClose()?.click();
-    content.querySelector(".mantine-Modal-header").append(bar);
+    content.querySelector(SELECTORS.dialogHeader).append(bar);
     content.classList.add("lpn-glossary");
     search(box, found);
     (matchMedia("(pointer: coarse)").matches ? close : box).focus(); // a keyboard on the screen would cover the terms
@@ -52,8 +53,8 @@
   };
 
   const follow = () => {
-    const shown = [...document.querySelectorAll(".mantine-Modal-content")].find(
-      (one) => one.querySelector(".mantine-Modal-title")?.textContent === "Glossary" && one.querySelector("table"),
+    const shown = [...document.querySelectorAll(SELECTORS.dialog)].find(
+      (one) => one.querySelector(SELECTORS.dialogTitle)?.textContent === "Glossary" && one.querySelector("table"),
     );
     if (shown && shown !== content) {
       content = shown;

@@ -331,10 +331,10 @@
     lists.get(id).update(data);
   };
   // viser may put another element in a list's place, without its script, while the page is being built.
-  setInterval(() => {
+  lpn.every(500, () => {
     for (const [id, data] of newest) {
       const root = document.getElementById(id);
       if (root && root !== lists.get(id)?.root) lpn.list(id, data);
     }
-  }, 500);
+  });
 })();

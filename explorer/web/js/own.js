@@ -11,12 +11,12 @@
   const LOOKED = 5000;
   let queue = [];
   /** @returns {HTMLInputElement} */
-  const box = () => document.querySelector('input[type="file"]');
+  const box = () => document.querySelector(lpn.viser.SELECTORS.upload);
 
   // The end of a name, without halves of letters, which the server does not take.
   const short = (name) => [...name].slice(-NAME).join("").replace(/\p{Surrogate}/gu, "\ufffd");
   const begin = (files, beyond = 0) => {
-    if (!box()) return lpn.say(lpn.field(lpn.bridge) ? "A picture of your own needs the network: open the data set with a model." : "Unfold the panel on the right first.");
+    if (!box()) return lpn.say(lpn.viser.field(lpn.bridge) ? "A picture of your own needs the network: open the data set with a model." : "Unfold the panel on the right first.");
     const refused = [], taken = [];
     for (const file of files) {
       const kind = file.unread ? "unread" : file.size > LARGEST ? "large" : !file.size ? "empty" : PICTURE.test(file.name) || TYPES.test(file.type) ? "" : "kind";

@@ -1,14 +1,14 @@
 // The page's script: messages to the server, the linked cursor over a pair's cells, and painting.
 // A message goes to the server through a hidden text control of viser, as {"kind": ..., "value": ..., "count": ...}.
 (() => {
-  if (window.lpn) return;
+  const lpn = window.lpn;
+  if (lpn.send) return;
   let count = 0;
-  const lpn = (window.lpn = /** @type {Lpn} */ ({}));
 
   lpn.clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
   // The canvas of the stage; null while there is none.
-  lpn.canvas = () => document.querySelector("canvas[data-engine]");
+  lpn.canvas = () => document.querySelector(lpn.viser.SELECTORS.canvas);
 
   // A text in the browser's "local" or "session" storage: null without one, undefined if the browser denies its storage.
   lpn.stored = (storage, key) => {
@@ -25,16 +25,10 @@
     } catch {}
   };
 
-  lpn.field = (uuid) => {
-    let row = document.querySelector('label[for="' + uuid + '"]');
-    while (row && !row.querySelector("input")) row = row.parentElement;
-    return row && row.querySelector("input");
-  };
-
   // Sizes that wait for the hidden control: viser removes it while the right panel is folded.
   const sizes = new Map();
   const write = (kind, value) => {
-    const input = lpn.field(lpn.bridge);
+    const input = lpn.viser.field(lpn.bridge);
     sizes.delete(kind);
     if (!input && ["small", "viewport"].includes(kind)) return sizes.set(kind, value);
     if (!input) return kind === "hello" || lpn.say("Unfold the panel on the right first.");
@@ -57,9 +51,9 @@
     waiting.push([kind, value]);
     if (!sending) next();
   };
-  setInterval(() => {
-    if (sizes.size && !sending && lpn.field(lpn.bridge)) sizes.forEach((value, kind) => lpn.send(kind, value));
-  }, 500);
+  lpn.every(500, () => {
+    if (sizes.size && !sending && lpn.viser.field(lpn.bridge)) sizes.forEach((value, kind) => lpn.send(kind, value));
+  });
 
   const sized = (map) => map.dataset.size.split(",").map(Number);
   const numbers = (map, name) => (map["_" + name] ||= JSON.parse(map.dataset[name]));

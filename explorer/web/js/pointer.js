@@ -11,7 +11,7 @@
     for (const selector of selectors) {
       const found = document.querySelector(selector)?.getBoundingClientRect();
       if (!found || !found.width) continue;
-      const scrolled = document.querySelector(selector).closest(".mantine-ScrollArea-viewport")?.getBoundingClientRect();
+      const scrolled = document.querySelector(selector).closest(lpn.viser.SELECTORS.scrolled)?.getBoundingClientRect();
       const frame = scrolled || { left: 0, top: 0, right: innerWidth, bottom: innerHeight };
       const left = Math.max(found.left, frame.left), top = Math.max(found.top, frame.top);
       const right = Math.min(found.right, frame.right), bottom = Math.min(found.bottom, frame.bottom);
@@ -83,6 +83,6 @@
       [card.style.left, card.style.top] = placed(card, box).map((pixels) => pixels + "px");
     };
     place();
-    placing = setInterval(place, 200); // the stage and the panels move when they are fitted anew, seconds after a resize
+    placing = lpn.every(200, place); // the stage and the panels move when they are fitted anew, seconds after a resize
   };
 })();

@@ -26,7 +26,7 @@
 
   // The point of the ground under a place on the screen, in metres east and north; null above the horizon.
   const ground = (camera, [left, top], size) => {
-    const [w, x, y, z] = window.__viserSceneTree.getState()[""].wxyz; // from the server's axes to those of the page
+    const [w, x, y, z] = lpn.viser.axes(); // from the server's axes to those of the page
     const turned = camera.quaternion.clone().set(x, y, z, w).invert();
     const eye = camera.position.clone().setFromMatrixPosition(camera.matrixWorld).applyQuaternion(turned);
     const at = [(2 * (left - size.left)) / size.width - 1, 1 - (2 * (top - size.top)) / size.height];
@@ -38,7 +38,7 @@
 
   // viser turns the camera by a drag, also below the ground. `on`: while the map is shown.
   const steer = (on) => {
-    const controls = window.__viserMutable?.cameraControl;
+    const controls = lpn.viser.cameraControls();
     if (!controls || on === !!kept) return;
     const action = controls.constructor.ACTION;
     if (on) {
@@ -72,8 +72,8 @@
 
   const follow = () => {
     const size = lpn.canvas()?.getBoundingClientRect();
-    const camera = window.__viserMutable?.camera;
-    if (!size || !camera || !window.__viserSceneTree) return;
+    const camera = lpn.viser.camera();
+    if (!size || !camera || !lpn.viser.axes()) return;
     steer(true);
     if (!box.isConnected) document.body.append(box);
     // A window over the stage covers the marks as well.
@@ -106,7 +106,7 @@
       box.classList.remove("used");
       return box.remove();
     }
-    following = setInterval(follow, PERIOD);
+    following = lpn.every(PERIOD, follow);
     follow();
   };
 })();

@@ -129,7 +129,7 @@
   const wait = (query) => {
     clearInterval(waiting);
     const end = performance.now() + LONGEST_WAIT, over = () => query === null || drawn() === query || performance.now() > end;
-    waiting = over() ? 0 : setInterval(() => over() && wait(null), 100);
+    waiting = over() ? 0 : lpn.every(100, () => over() && wait(null));
     document.getElementById("lpn-told")?.classList.toggle("waiting", waiting !== 0);
   };
 
@@ -187,7 +187,7 @@
   window.addEventListener("keydown", keys, true);
   // A notice may be pressed meanwhile; all but its button lets presses through.
   const inNotice = ({ clientX, clientY }) =>
-    [...document.querySelectorAll(".mantine-Notification-root")].some((notice) => {
+    [...document.querySelectorAll(lpn.viser.SELECTORS.notification)].some((notice) => {
       const { left, right, top, bottom } = notice.getBoundingClientRect();
       return clientX >= left && clientX <= right && clientY >= top && clientY <= bottom;
     });

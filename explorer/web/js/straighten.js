@@ -15,7 +15,7 @@
 
   // The camera's orientation: a pan or a zoom is no turn.
   const pose = () => {
-    const camera = window.__viserMutable?.camera;
+    const camera = lpn.viser.camera();
     return camera ? camera.quaternion.toArray() : null;
   };
   const alike = (one, other) => one && other && one.every((value, i) => Math.abs(value - other[i]) < 0.01);
@@ -51,5 +51,5 @@
     button.style.left = size.left + 8 + "px";
     button.style.top = size.top + 24 + "px"; // below the heatmaps' legend
   };
-  setInterval(follow, PERIOD);
+  lpn.every(PERIOD, follow);
 })();

@@ -45,7 +45,7 @@
     const first = lpn.prefersFirst() && !named;
     if (first) lpn.opening();
     const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
-    greeting = setInterval(hello, 500);
+    greeting = lpn.every(500, hello);
     hello();
   };
 

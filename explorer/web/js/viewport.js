@@ -25,42 +25,21 @@
     if (seconds) notice.hiding = setTimeout(() => notice.classList.remove("shown"), 1000 * seconds);
   };
 
-  // viser calls its page after itself, says that an upload has succeeded when it is sent, before it is read, and opens its folders
-  // by clicks only. Screen readers are told the verdict, whose element is replaced whenever it changes.
-  // Its sliders, boxes, and icons have no names.
-  const ICONS = [
-    [".mantine-CloseButton-root, .tabler-icon-x", "Close"],
-    [".tabler-icon-list-search, .tabler-icon-search", "Every command"],
-    [".tabler-icon-adjustments, .tabler-icon-settings", "Settings of the connection and the stage"],
-    [".tabler-icon-arrow-back", "Back"],
-  ];
+  const { SELECTORS } = lpn.viser;
+  // viser calls its page after itself. Screen readers are told the verdict, whose element is replaced whenever it changes.
   const live = element("lpn-live", document.body);
   live.setAttribute("role", "status");
   const mended = new MutationObserver(() => {
     const verdict = document.getElementById("lpn-verdict")?.textContent.replace(/\s+/g, " ").trim() || live.textContent;
     if (live.textContent !== verdict) live.textContent = verdict;
-    for (const head of document.querySelectorAll('.mantine-Paper-root > .mantine-Paper-root[style*="cursor: pointer"]')) {
-      head.tabIndex = 0;
-      head.setAttribute("role", "button");
-      head.setAttribute("aria-expanded", String(!!head.querySelector(".tabler-icon-chevron-up")));
-      head.dataset.lpnFolder = "";
-    }
-    for (const control of document.querySelectorAll('#root :is([role="slider"], input:not([type="hidden"])):is(:not([aria-label]), [aria-label=""])')) {
-      let row = control.parentElement;
-      while (row && !row.querySelector("label")) row = row.parentElement;
-      if (row) control.setAttribute("aria-label", row.querySelector("label").textContent || "value");
-    }
-    for (const button of document.querySelectorAll("button:not([aria-label])"))
-      if (!button.textContent.trim()) button.setAttribute("aria-label", ICONS.find(([icon]) => button.matches(icon) || button.querySelector(icon))?.[1] || "Button");
+    lpn.viser.mend();
     if (lpn.title && document.title !== lpn.title) document.title = lpn.title;
-    for (const text of document.querySelectorAll(".mantine-Notification-description"))
-      if (text.textContent === "File uploaded successfully.") text.textContent = "Sent; it is being read.";
     if (softwareNotice()) seeOnce();
   });
 
   // viser's notice about software WebGL would stay over the page, and return whenever it is loaded. viser may draw it twice.
   const NOTICE_SEEN = "lpn-software-webgl", NOTICE_SHOWN = 12000;
-  const softwareNotice = () => document.getElementById("webgl-software-rendering");
+  const softwareNotice = () => document.querySelector(SELECTORS.softwareNotice);
   const noticeSeen = lpn.stored("session", NOTICE_SEEN) === "seen";
   let noticeLeaves = 0;
   const seeOnce = () => {
@@ -76,38 +55,35 @@
   mended.observe(document.head, { childList: true, subtree: true, characterData: true });
   mended.observe(document.body, { childList: true, subtree: true });
 
-  // viser opens a websocket every second while the connection is lost, in place of the one before. After some thirty failures
-  // Chromium opens each up to 5 s later, so none would open any more. A try therefore waits for an answer to a request, and for its end.
-  const post = Worker.prototype.postMessage;
+  // After some thirty failures to open a websocket, Chromium opens each up to 5 s later, so none would open any more. A try of viser
+  // therefore waits for an answer to a request, and for its end.
   const PATIENCE = 6000;
   let trying = false;
   let lost = false;
-  Worker.prototype.postMessage = function (message, ...rest) {
-    if (message?.type !== "retry") return post.call(this, message, ...rest);
+  lpn.viser.onRetry((goOn) => {
     if (trying) return;
     const asked = fetch("pictures/", { cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
     trying = true;
     const answered = asked.then((answer) => answer.status < 500, () => false);
     answered.then((up) => {
-      if (up) post.call(this, message, ...rest);
+      if (up) goOn();
       // Pages come through, but websockets may not: a proxy was changed meanwhile.
       if (up) window.lpnWay?.look().then((fault) => fault && lost && lpn.say([fault.title + ".", ...fault.texts].join(" "), 0));
       setTimeout(() => (trying = false), up ? PATIENCE : 0);
     });
-  };
+  });
 
   // viser shades the panels while the connection is lost, and reconnects by itself.
-  setInterval(() => {
-    const shade = document.getElementById("lpn-header")?.closest('div[style*="transition: opacity 150ms"]');
-    const now = !!shade && parseFloat(shade.style.opacity) < 1;
+  lpn.every(1000, () => {
+    const now = lpn.viser.shaded();
     if (now && !lost) lpn.say("The server does not answer. Start it again: the page goes on with what you see.", 0);
-    if (lost && shade && !now) lpn.say("The server answers again.");
-    if (shade) lost = now;
-  }, 1000);
+    if (lost && now === false) lpn.say("The server answers again.");
+    if (now !== null) lost = now;
+  });
 
   // The closing command palette restores the focus; set it afterwards.
   lpn.focus = (uuid) =>
-    setTimeout(() => (lpn.field(uuid) ? lpn.field(uuid).focus() : lpn.say("Unfold the panel Query first.")), 400);
+    setTimeout(() => (lpn.viser.field(uuid) ? lpn.viser.field(uuid).focus() : lpn.say("Unfold the panel Query first.")), 400);
 
   // viser would move the camera by these keys, which are the app's shortcuts.
   document.documentElement.addEventListener("keydown", (event) => {
@@ -155,7 +131,7 @@
       const size = lpn.stageSize();
       if (size) lpn.send("viewport", size);
       // On a resize viser may report the camera with the size of before, and the stage would be framed for that.
-      window.__viserMutable?.sendCamera?.();
+      lpn.viser.sendCamera();
     }, 250);
   });
   lpn.watch = () => {
@@ -163,19 +139,19 @@
     if (canvas) stage.observe(canvas);
     canvas?.setAttribute("role", "img");
     canvas?.setAttribute("aria-label", "Stage: the query, the compared tile, and the ranked tiles");
-    canvas?.closest('div[style*="flex-grow: 1"]')?.classList.add("lpn-stage");
+    canvas?.closest(SELECTORS.stageFrame)?.classList.add("lpn-stage");
     sheet.disconnect();
-    const panel = document.querySelector('.mantine-Paper-root[style*="max-height: 60%"]');
+    const panel = document.querySelector(SELECTORS.sheet);
     if (panel) sheet.observe(panel);
   };
   // The page itself never scrolls: a finger could not scroll it back. Focus and scrollIntoView may scroll what only hides its overflow.
   const unscroll = ({ target }) => {
     const box = target === document ? document.scrollingElement : target;
-    if (box.matches(".mantine-ScrollArea-root") || (lpn.canvas() && box.contains(lpn.canvas()))) box.scrollTo({ left: 0, top: 0, behavior: "instant" });
+    if (box.matches(SELECTORS.scrollRoot) || (lpn.canvas() && box.contains(lpn.canvas()))) box.scrollTo({ left: 0, top: 0, behavior: "instant" });
   };
   document.addEventListener("scroll", unscroll, { capture: true, passive: true });
   // Scroll the panel around an element to it, and nothing else.
-  const panelOf = (target) => target.closest(".mantine-ScrollArea-viewport");
+  const panelOf = (target) => target.closest(SELECTORS.scrolled);
   const belowTop = (target) => target.getBoundingClientRect().top - panelOf(target).getBoundingClientRect().top;
   const scrollPanel = (target) => panelOf(target)?.scrollBy({ top: belowTop(target), behavior: "smooth" });
   // A part of the sheet that opens lies below its visible part: scroll to it. Its contents come later and move it, so it is
@@ -189,14 +165,14 @@
     stopFollowing();
     if (!phone.matches) return;
     const end = performance.now() + 60000;
-    following = setInterval(() => {
+    following = lpn.every(500, () => {
       const target = [...document.querySelectorAll(selector)].find((one) => one.offsetHeight);
       if (performance.now() > end) return stopFollowing();
       const panel = target && panelOf(target);
       if (!panel) return;
       const below = belowTop(target), atEnd = panel.scrollTop + panel.clientHeight >= panel.scrollHeight - 1;
       if (below < -20 || (below > 60 && !atEnd)) scrollPanel(target); // the tabs above it may stay
-    }, 500);
+    });
   };
   // A window that takes a phone's whole screen, or gives it back, is what one goes on to read.
   document.addEventListener("click", ({ target }) => {
@@ -204,7 +180,7 @@
     if (whole) lpn.reveal(whole.id === "lpn-flight-tall" ? "#lpn-flight" : ".lab-bar");
   });
   // A folded panel at the end of the sheet would unfold below it. viser renames its head at once.
-  const EXPAND = "Expand panel ";
+  const { EXPAND } = lpn.viser;
   const unfolds = ({ target }) => {
     const name = phone.matches && target.closest?.(`[aria-label^="${EXPAND}"]`)?.ariaLabel.slice(EXPAND.length);
     if (name) setTimeout(() => tabs().filter((one) => one.textContent.trim() === name).forEach(scrollPanel), 400);
@@ -213,7 +189,7 @@
   // Open a tab of a window by its name, as soon as the window is in the page, and bring the window in front of others.
   let opening = 0;
   let newest = ""; // the tab that was opened last
-  const tabs = () => [...document.querySelectorAll('[role="tab"]')].filter((one) => one.offsetHeight);
+  const tabs = () => [...document.querySelectorAll(SELECTORS.tab)].filter((one) => one.offsetHeight);
   lpn.tab = (name, tries = 40) => {
     clearTimeout(opening);
     newest = name;
@@ -221,7 +197,7 @@
     if (!tab) return tries && (opening = setTimeout(() => lpn.tab(name, tries - 1), 250));
     tab.click(); // viser's tabs take it on a phone only, and a key elsewhere only
     tab.dispatchEvent(new KeyboardEvent("keydown", { key: "Enter", bubbles: true }));
-    lpn.raise(tab.closest(".mantine-Paper-root"));
+    lpn.raise(tab.closest(SELECTORS.window));
     if (phone.matches) setTimeout(() => scrollPanel(tab), 300);
   };
   // viser draws a panel anew when it is unfolded, and runs the scripts in it again; `run_once` asks here first.
@@ -231,10 +207,10 @@
   const selected = (one) => one.ariaSelected === "true";
   let keeping = 0;
   const told = ({ target, type, isTrusted }) => {
-    const tab = isTrusted && target.closest?.('[role="tab"]');
+    const tab = isTrusted && target.closest?.(SELECTORS.tab);
     if (!tab) return;
     if (type === "click") newest = tab.textContent.trim(); // at once, as the page may be drawn anew before it is told
-    const list = tab.closest(".mantine-Paper-root");
+    const list = tab.closest(SELECTORS.window);
     const tell = () => {
       const open = tabs().find((one) => list?.contains(one) && selected(one));
       if (open) lpn.send("tab", (newest = open.textContent.trim()));
@@ -247,11 +223,11 @@
   phone.addEventListener("change", () => {
     const end = performance.now() + KEPT;
     clearInterval(keeping);
-    keeping = setInterval(() => {
+    keeping = lpn.every(300, () => {
       if (performance.now() > end) return clearInterval(keeping);
       lpn.watch();
       const again = tabs().filter((one) => one.textContent.trim() === newest);
       if (again.length && !again.some(selected)) lpn.tab(newest);
-    }, 300);
+    });
   });
 })();
