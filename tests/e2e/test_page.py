@@ -575,9 +575,9 @@ def test_a_panel_that_is_unfolded_repeats_no_call(explorer: ExplorerPage) -> Non
     handle = box(page.locator("[data-dock-region-collapse=right]"))
     x, y = handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2
     page.mouse.click(x, y)
-    page.wait_for_function("!lpn.field(lpn.bridge)")
+    page.wait_for_function("!lpn.viser.field(lpn.bridge)")
     page.mouse.click(x, y)
-    page.wait_for_function("lpn.field(lpn.bridge)")
+    page.wait_for_function("lpn.viser.field(lpn.bridge)")
     page.keyboard.press("s")
     page.wait_for_function("said.length > 1")
     first, second = page.evaluate("said")
