@@ -30,9 +30,8 @@ from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.retrieval.plain_arrays import PlainArrays
 from lpn.retrieval.published_results import PublishedResult
-from lpn.sources import Flown, Indexed, ModelOptions, OpenedSource
+from lpn.sources import Flown, Indexed, ModelOptions, OpenedSource, open_data
 from lpn.sources.opened import progress_bars
-from lpn.sources.sources import open_data
 
 log = logging.getLogger(__name__)
 

@@ -16,7 +16,13 @@ The published protocol measures a model on a data set:
     >>> 0 <= result.recall["1"] <= 100
     True
 
-`explore` shows a model on a data set in a notebook's cell or a browser. `Contract`, `ForwardPass`, `Heads`, and `Partition`
+A task has the outcome of each query, and `explore` shows it, or a model on a data set, in a notebook's cell or a browser:
+
+    >>> task = lpn.open_task("ROOT", "drone-to-satellite", model="city-lpn")
+    >>> task.evaluate().queries
+    14
+
+ `Contract`, `ForwardPass`, `Heads`, and `Partition`
 make any part-based network a `Model`. Every error that a user can correct derives from `LPNError`. docs/library.md has a line
 for each name. Nothing here knows a browser. Names are imported on first use, so `import lpn` needs neither NumPy nor torch.
 """
@@ -35,6 +41,7 @@ if TYPE_CHECKING:
     from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
+    from lpn.core.views import TaskName
     from lpn.datasets import open_dataset
     from lpn.descriptors.transforms import Change
     from lpn.library import Answer, Gallery
@@ -54,12 +61,14 @@ __all__ = [
     "LPNError",
     "Model",
     "Partition",
+    "Task",
     "__version__",
     "evaluate",
     "explore",
     "load",
     "load_picture",
     "open_dataset",
+    "open_task",
 ]
 
 _MODULE_OF = {
@@ -71,6 +80,7 @@ _MODULE_OF = {
     "Heads": "lpn.models.contract",
     "Model": "lpn.models.base",
     "Partition": "lpn.models.partition",
+    "Task": "lpn.analysis.task",
     "evaluate": "lpn.retrieval.evaluate",
     "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",
@@ -135,6 +145,27 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
         ) from error
     device = device_of(provider, Path(path).name)
     return load_file(path, device, compiled, kind)
+
+
+def open_task(data: str | Path, task: TaskName | None = None, model: Model | str | Path = "city-lpn") -> Task:
+    """Open a task of a data set under a model: its queries and gallery are described, or read from the cache.
+
+    Args:
+        data: a data set in any layout of docs/data.md.
+        task: such as "drone-to-satellite"; by default the first that data set and model offer.
+        model: a model, or what `load` opens.
+
+    Raises:
+        LPNError: when model or data set cannot be used, or they do not offer the task.
+    """
+    from lpn.core.files import printable
+    from lpn.datasets import open_dataset
+    from lpn.models.base import Model
+    from lpn.sources import open_data
+
+    opened = model if isinstance(model, Model) else load(model)
+    name = opened.contract.method if isinstance(model, Model) else Path(model).name
+    return open_data(opened, printable(name), open_dataset(Path(data)), task).task
 
 
 def explore(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy.typing as npt
 
@@ -30,6 +30,11 @@ from lpn.retrieval import Ranking, metrics, scoring
 from lpn.retrieval.calibration import Calibration, calibrate
 from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.retrieval.metrics import Retrieval
+
+
+if TYPE_CHECKING:
+    from lpn.retrieval.evaluate import Result
+    from lpn.retrieval.protocol import Protocol as EvaluationProtocol
 
 
 class RankUnderWeights(Protocol):
@@ -194,6 +199,12 @@ class Task:
     def known(self) -> BoolArray | None:
         """The queries whose truth is known, (Q,); None for all."""
         return metrics.known_queries(self.truth)
+
+    def evaluate(self, protocol: EvaluationProtocol | None = None) -> Result:
+        """Evaluate the task, see `lpn.analysis.evaluation.evaluate_task`."""
+        from lpn.analysis.evaluation import evaluate_task
+
+        return evaluate_task(self, protocol)
 
     def check_truth(self) -> None:
         """Raise InputError unless the truth of some query is known."""
