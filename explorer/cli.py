@@ -67,11 +67,11 @@ class ExploreSource(ABC):
         from explorer.app import serve
 
         authenticator = self.serve.authenticator()
-        open_workspace, offered = self._workspaces()
+        open_workspace, offered = self.workspaces()
         serve(open_workspace, self.serve.host, self.serve.port, authenticator, offered)
 
     @abstractmethod
-    def _workspaces(self) -> Workspaces:
+    def workspaces(self) -> Workspaces:
         """Return what opens the workspaces."""
 
 
@@ -83,7 +83,7 @@ class ExplorePublished(ExploreSource):
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
 
-    def _workspaces(self) -> Workspaces:
+    def workspaces(self) -> Workspaces:
         from explorer.opening import open_saved
         from lpn.retrieval.published_results import check_n_parts, load_saved
 
@@ -99,7 +99,7 @@ class ExploreArrays(ExploreSource):
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
 
-    def _workspaces(self) -> Workspaces:
+    def workspaces(self) -> Workspaces:
         from explorer.opening import open_arrays
 
         source = self.source
@@ -114,7 +114,7 @@ class ExploreIndex(ExploreSource):
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
 
-    def _workspaces(self) -> Workspaces:
+    def workspaces(self) -> Workspaces:
         from explorer.opening import open_indexed
 
         source, model = self.source, self.source.model
@@ -147,7 +147,7 @@ class ExploreFlight(ExploreSource):
     beside_kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
     """Method of --beside, as --kind is that of --model."""
 
-    def _workspaces(self) -> Workspaces:
+    def workspaces(self) -> Workspaces:
         from explorer.opening import open_flight_over
 
         _check_beside(self.beside, self.beside_kind)
@@ -213,10 +213,10 @@ class Explore(ExploreSource):
         if isinstance(source, Model):
             query = DEMO_QUERY if data is None else None
             return serve_in_background(partial(open_model, data or DEMO, source, query), host, port, authenticator, {})
-        open_workspace, offered = Explore(data=data, model=source)._workspaces()
+        open_workspace, offered = Explore(data=data, model=source).workspaces()
         return serve_in_background(open_workspace, host, port, authenticator, offered)
 
-    def _workspaces(self) -> Workspaces:
+    def workspaces(self) -> Workspaces:
         from explorer.opening import offered_flight, open_model
 
         if self.kind is not None and self.model is None:

@@ -31,7 +31,6 @@ from lpn.retrieval.calibration import Calibration, calibrate
 from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.retrieval.metrics import Retrieval
 
-
 if TYPE_CHECKING:
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol as EvaluationProtocol

@@ -15,7 +15,7 @@ from lpn.core.files import distinct_names
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Flown, Indexed, ModelOptions, Published, Source
+from lpn.sources import Arrays, Flown, Indexed, ModelOptions, Published, TaskSource
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -66,7 +66,7 @@ class ComparisonOfSources(ABC):
     def _ranked(self) -> Iterator[RankedModel]:
         """Rank the task by each model."""
 
-    def _ranked_sources(self, sources: Sequence[tuple[str, Source]]) -> Iterator[RankedModel]:
+    def _ranked_sources(self, sources: Sequence[tuple[str, TaskSource]]) -> Iterator[RankedModel]:
         """Rank the first task of each source, under a name that tells it from the others."""
         from lpn.analysis.model_table import rank_task
         from lpn.sources.opened import open_task

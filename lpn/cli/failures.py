@@ -14,7 +14,7 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Data, Flown, Indexed, Published, Source
+from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
 from lpn.sources.opened import open_task, with_notes
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class FailuresOptions:
 class FailuresOfSource(ABC):
     """List the queries of a task with rank, margin, and the part that decides, and say what fails most."""
 
-    source: Source
+    source: TaskSource
     listing: FailuresOptions = field(default_factory=FailuresOptions)
 
     def run(self) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from lpn.core.errors import InputError
-from lpn.sources import Arrays, Data, Flown, Indexed, Published, Source
+from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
 from lpn.sources.opened import open_task, query_positions, with_notes
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ class RotationOptions:
 class ReportOfSource(ABC):
     """Write a printable, self-contained HTML report about some queries."""
 
-    source: Source
+    source: TaskSource
     report: ReportOptions
 
     def run(self) -> None:

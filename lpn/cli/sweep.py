@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 from lpn.cli.explain import part_values
 from lpn.core.errors import InputError
 from lpn.core.numbers import signed
-from lpn.sources import Arrays, Data, Flown, Indexed, Published, Source
+from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
 from lpn.sources.opened import progress_bars, query_positions
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class SweepOptions:
 class SweepOfSource(ABC):
     """Rotate, shift, or zoom one query step by step."""
 
-    source: Source
+    source: TaskSource
     sweep: SweepOptions
 
     def run(self) -> None:

@@ -8,6 +8,6 @@ everything below it.
 from __future__ import annotations
 
 from lpn.sources.opened import OpenedSource
-from lpn.sources.sources import Arrays, Data, Flown, Indexed, ModelOptions, Published, Source, open_data
+from lpn.sources.sources import Arrays, Data, Flown, Indexed, ModelOptions, Published, TaskSource, open_data
 
-__all__ = ["Arrays", "Data", "Flown", "Indexed", "ModelOptions", "OpenedSource", "Published", "Source", "open_data"]
+__all__ = ["Arrays", "Data", "Flown", "Indexed", "ModelOptions", "OpenedSource", "Published", "TaskSource", "open_data"]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lpn.locate.pipeline import LocatedFlight
     from lpn.maps import Map
     from lpn.models.base import Model
-    from lpn.sources.sources import Source
+    from lpn.sources.sources import TaskSource
 
 # Receives the stage, such as "frames", and the numbers of finished and of all its steps.
 Progress = Callable[[str, int, int], None]
@@ -63,11 +63,11 @@ def weighted(task: Task, weights: Sequence[float] | None) -> Task:
     return replace(task, weights=weights)
 
 
-def open_task(source: Source, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> Task:
+def open_task(source: TaskSource, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> Task:
     """Open the first task of a source, with a bar on the terminal for work that takes long.
 
     Args:
-        names, weights: see `Source.open`.
+        names, weights: see `TaskSource.open`.
     """
     with progress_bars() as on_progress:
         return source.open(names, weights, on_progress).task

@@ -50,7 +50,7 @@ class ModelOptions:
         return lpn.load(self.model, self.provider, compiled, kind=self.kind)
 
 
-class Source(ABC):
+class TaskSource(ABC):
     """A source of tasks; `open` opens them.
 
     Attributes:
@@ -93,7 +93,7 @@ def open_data(
     Args:
         model_name: the model's name to display.
         every: open every task that model and data set offer, in place of one.
-        names, weights: see `Source.open`.
+        names, weights: see `TaskSource.open`.
 
     Raises:
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
@@ -116,7 +116,7 @@ def open_data(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Data(Source):
+class Data(TaskSource):
     """A data set, described by a model."""
 
     WORD = "data"
@@ -146,7 +146,7 @@ class Data(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Published(Source):
+class Published(TaskSource):
     """A result of the published test code on its pictures, without a network."""
 
     WORD = "published"
@@ -175,7 +175,7 @@ class Published(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arrays(Source):
+class Arrays(TaskSource):
     """Descriptors that any model made, without a network."""
 
     WORD = "arrays"
@@ -217,7 +217,7 @@ class Arrays(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Indexed(Source):
+class Indexed(TaskSource):
     """An index of tiles, searched with queries of a data set, of a folder of pictures, or of a flight."""
 
     WORD = "index"
@@ -283,7 +283,7 @@ class Indexed(Source):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flown(Source):
+class Flown(TaskSource):
     """A flight over a map: frames are the queries, windows of the map the gallery."""
 
     WORD = "flight"

@@ -43,7 +43,7 @@ ANGLE = 30.0
 _MEAN, _STD = (np.array(values, np.float32) for values in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]))
 
 
-class Published:
+class PublishedCode:
     """The published pipeline from a file's bytes to a descriptor."""
 
     def __init__(self, model: TorchModel) -> None:
@@ -78,7 +78,7 @@ def measure(name: str, spec: ModelSpec, dataset: Dataset, folder: Path) -> list[
     save(LPN(spec), folder / "model.safetensors")
     export(folder / "model.safetensors", folder / "model.onnx")
     quantize(folder / "model.onnx", dataset, folder / "int8.onnx", 32)
-    published = Published(load_torch(folder / "model.safetensors"))
+    published = PublishedCode(load_torch(folder / "model.safetensors"))
     engines = {kind: Engine(folder / file) for kind, file in (("float32", "model.onnx"), ("int8", "int8.onnx"))}
     sessions = {kind: bare(folder / file) for kind, file in (("float32", "model.onnx"), ("int8", "int8.onnx"))}
     data = dataset.train("satellite")[0].path.read_bytes()
