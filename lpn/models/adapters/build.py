@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import NamedTuple, cast
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import torch
 
@@ -20,29 +21,36 @@ from lpn.models.adapters.network import MeanVector, PartBranch
 from lpn.models.adapters.pooled import PooledTokens, RegionWeights, first_alone
 from lpn.models.adapters.published import (
     NORM_HELD,
-    PAIR,
     PublishedParts,
+    by_role,
     by_view,
     check_option,
     check_views,
     count_regions,
+    distinct,
     equal,
     has,
+    numbered,
+    published,
     region_names,
     regions_level,
-    roles_of,
     size_of,
 )
 from lpn.models.adapters.recognise import Kind
 from lpn.models.adapters.sues import build_sues
-from lpn.models.contract import Contract, Level
+from lpn.models.contract import Level
 
 log = logging.getLogger(__name__)
 
 # ResNets by the blocks of their third stage.
 RESNETS = {6: "ResNet-50", 23: "ResNet-101", 36: "ResNet-152"}
-# Methods whose option `model` is the name of a network of timm.
-_OF_TIMM = ("Sample4Geo", "Game4Loc")
+# Methods of one vector, each with the prefixes of its networks of timm, see `_one_vector`.
+_VECTORS: dict[Kind, tuple[str, tuple[tuple[str, ...], ...]]] = {
+    "sample4geo": ("Sample4Geo", (("model.",),)),
+    "game4loc": ("Game4Loc", (("model.",), ("model1.", "model2."))),
+    "dac": ("DAC", ()),
+    "camp": ("CAMP", ()),
+}
 _CONVNEXTS = {
     (9, 96): "ConvNeXt-T",
     (27, 96): "ConvNeXt-S",
@@ -66,8 +74,7 @@ def _fsra(entries: Entries) -> PublishedParts:
     size = size_of(entries, (256, 256))
     regions = count_regions(entries.under("model_1."))
 
-    def branch(name: str) -> PartBranch:
-        own = entries.under(name)
+    def branch(own: Entries) -> PartBranch:
         trunk = transformers.Tokens(own.under("transformer."), size, wide_scale=True)
         heads = own.heads([*(f"classifier_heat{i + 1}" for i in range(regions)), "classifier1"], trunk.channels)
         count = 1 + trunk.grid[0] * trunk.grid[1]
@@ -106,9 +113,6 @@ def _mccg(entries: Entries) -> PublishedParts:
             entries.options,
         )
 
-    def branch(name: str) -> PartBranch:
-        return convnext.Mccg(entries.under(name), size, blocks)
-
     own = entries.under("model_1.")
     resnet = convnext.on_resnet(own)
     if resnet:
@@ -117,7 +121,7 @@ def _mccg(entries: Entries) -> PublishedParts:
         backbone = _convnext_name(convnext.with_timm_names(own.under("convnext.")))
     return by_view(
         entries,
-        branch,
+        lambda branch: convnext.Mccg(branch, size, blocks),
         "MCCG",
         backbone,
         size,
@@ -129,46 +133,18 @@ def _mccg(entries: Entries) -> PublishedParts:
 
 def _sdpl(entries: Entries) -> PublishedParts:
     check_views(entries, 2)
-    names = ["model_1.", "model_2."] if has(entries, "model_2.") else ["model_1."]
-    shared = len(names) == 1 or equal(entries, *names)
-    shifted = has(entries, "model_1.shift_blocks.")
     size = size_of(entries, (512, 512))
-    first, parts = sdpl.build_branch(entries.under(names[0]), entries, size)
-    contract = Contract(
-        method="SDPL",
-        title=f"SDPL ResNet-50, n = {len(parts)}, {size[0]} x {size[1]}",
-        views=PAIR,
-        input_size=size,
-        n_parts=len(parts),
-        embedding=cast(torch.Tensor, first.bias).shape[1],
+    shifted = has(entries, "model_1.shift_blocks.")
+    made = [sdpl.build_branch(branch, entries, size) for branch in numbered(entries)]
+    return published(
+        by_role([branch for branch, _ in made]),
+        "SDPL",
+        "ResNet-50",
+        size,
         level="exact, with held" if shifted else "exact",
         held="pooled values and shift weights" if shifted else "",
-        **roles_of(shared),
-        part_names=dict.fromkeys(PAIR, parts),
+        parts=made[0][1],
     )
-    if shared:
-        return PublishedParts(contract, dict.fromkeys(PAIR, first))
-    return PublishedParts(
-        contract, {"query": first, "gallery": sdpl.build_branch(entries.under("model_2."), entries, size)[0]}
-    )
-
-
-def _sample4geo(entries: Entries) -> PublishedParts:
-    return _one_vector("Sample4Geo", [entries.under("model." if has(entries, "model.") else "")])
-
-
-def _game4loc(entries: Entries) -> PublishedParts:
-    names = next((names for names in (["model."], ["model1.", "model2."]) if has(entries, names[0])), [""])
-    shared = len(names) == 1 or equal(entries, *names)
-    return _one_vector("Game4Loc", [entries.under(name) for name in names[: 1 if shared else 2]])
-
-
-def _dac(entries: Entries) -> PublishedParts:
-    return _one_vector("DAC", [entries])
-
-
-def _camp(entries: Entries) -> PublishedParts:
-    return _one_vector("CAMP", [entries])
 
 
 def _hand_made_network(entries: Entries, resnet: bool) -> _Network:
@@ -202,44 +178,30 @@ class _Network(NamedTuple):
     tells_normalisation: bool = True
 
 
-def _one_vector(method: str, networks: list[Entries]) -> PublishedParts:
-    """Build a model of one network of timm for both views, or of one for queries and one for the gallery."""
-    if method in _OF_TIMM:
-        made = [_network_of_timm(entries) for entries in networks]
-    else:
-        made = [_hand_made_network(entries, method == "DAC") for entries in networks]
+def _one_vector(method: str, prefixes: tuple[tuple[str, ...], ...], entries: Entries) -> PublishedParts:
+    """Build a model of one network for both views, or of one for queries and one for the gallery.
+
+    Args:
+        prefixes: those that the entries of one or two networks of timm may have; none for DAC's or CAMP's own network.
+    """
+    networks = distinct(entries, *next((names for names in prefixes if has(entries, names[0])), ("",)))
+    made = [_network_of_timm(one) if prefixes else _hand_made_network(one, method == "DAC") for one in networks]
     own = made[0]
     mean, std = own.mean, own.std
-    stated = networks[0].options.get("model")
-    if isinstance(stated, str) and method in _OF_TIMM:
+    stated = entries.options.get("model")
+    if isinstance(stated, str) and prefixes:
         mean, std = timm_networks.normalisation(stated)
     elif not own.tells_normalisation:
         log.warning(
             "%s does not tell which network of timm it holds; pictures are normalised with the mean %s and the standard "
             "deviation %s. If its network takes others, write its name as `model: NAME` into an opts.yaml beside the file.",
-            printable(networks[0].name),
+            printable(entries.name),
             mean,
             std,
         )
-    contract = Contract(
-        method=method,
-        title=f"{method} {own.name}, {own.size[0]} x {own.size[1]}",
-        views=PAIR,
-        input_size=own.size,
-        n_parts=1,
-        embedding=own.width,
-        level=own.level,
-        held=own.held,
-        **roles_of(len(made) == 1),
-        resize="linear",
-        mean=mean,
-        std=std,
-        mirror="none",
-        part_names=dict.fromkeys(PAIR, ("1 whole",)),
-    )
-    if len(made) == 1:
-        return PublishedParts(contract, dict.fromkeys(PAIR, own.branch))
-    return PublishedParts(contract, {"query": own.branch, "gallery": made[1].branch})
+    branches = by_role([network.branch for network in made])
+    further: dict[str, Any] = {"resize": "linear", "mean": mean, "std": std, "mirror": "none"}
+    return published(branches, method, own.name, own.size, own.level, own.held, embedding=own.width, **further)
 
 
 def _network_of_timm(entries: Entries) -> _Network:
@@ -320,10 +282,7 @@ _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "fsra": _fsra,
     "mccg": _mccg,
     "sdpl": _sdpl,
-    "sample4geo": _sample4geo,
-    "dac": _dac,
-    "camp": _camp,
-    "game4loc": _game4loc,
     "denseuav": build_denseuav,
     "sues200": build_sues,
+    **{kind: partial(_one_vector, *of) for kind, of in _VECTORS.items()},
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -39,9 +39,48 @@ class PublishedParts:
     length: float = 1.0
 
 
+def published(
+    branches: Mapping[View | Role, PartBranch],
+    method: str,
+    backbone: str,
+    size: tuple[int, int],
+    level: Level,
+    held: str = "",
+    parts: Sequence[str] = (),
+    embedding: int = 0,
+    **further: Any,
+) -> PublishedParts:
+    """Return a model of branches by view, or by the roles query and gallery; views of the same branch share its weights.
+
+    Args:
+        parts: their names with numbers; none for a method of one vector.
+        embedding: numbers of a part; 0 for those of the branch's heads.
+        further: other fields of the contract.
+    """
+    roles = "query" in branches
+    views = PAIR if roles else cast("tuple[View, ...]", tuple(branches))
+    by_branch = [tuple(view for view in views if branches.get(view) is one) for one in dict.fromkeys(branches.values())]
+    names = tuple(parts) or ("1 whole",)
+    contract = Contract(
+        method=method,
+        title=f"{method} {backbone}, {f'n = {len(names)}, ' if parts else ''}{size[0]} x {size[1]}",
+        views=views,
+        input_size=size,
+        n_parts=len(names),
+        embedding=embedding or cast(torch.Tensor, next(iter(branches.values())).bias).shape[1],
+        level=level,
+        held=held,
+        groups=() if roles else tuple(by_branch),
+        roles="role" if roles else "view",
+        part_names=dict.fromkeys(views, names),
+        **further,
+    )
+    return PublishedParts(contract, branches)
+
+
 def by_view(
     entries: Entries,
-    branch: Callable[[str], PartBranch],
+    branch: Callable[[Entries], PartBranch],
     method: str,
     backbone: str,
     size: tuple[int, int],
@@ -52,30 +91,28 @@ def by_view(
     """Build a model whose satellite and drone share `model_1`; `model_2`, where there is one, describes the street."""
     three = has(entries, "model_2.")
     check_views(entries, 3 if three else 2)
-    shared = not three or equal(entries, "model_1.", "model_2.")
-    first = branch("model_1.")
-    numbered = tuple(f"{number + 1} {name}" for number, name in enumerate(names))
-    branches: dict[View | Role, PartBranch] = dict.fromkeys(_TRIPLE if three else PAIR, first)
-    if not shared:
-        branches["street"] = branch("model_2.")
-    bias = cast(torch.Tensor, first.bias)
-    parts, embedding = bias.shape
-    views = _TRIPLE if three else PAIR
-    return PublishedParts(
-        Contract(
-            method=method,
-            title=f"{method} {backbone}, n = {parts}, {size[0]} x {size[1]}",
-            views=views,
-            input_size=size,
-            n_parts=parts,
-            embedding=embedding,
-            level=level,
-            held=held,
-            groups=(views,) if shared else (PAIR, ("street",)),
-            part_names=dict.fromkeys(views, numbered),
-        ),
-        branches,
-    )
+    made = [branch(own) for own in numbered(entries)]
+    branches: dict[View | Role, PartBranch] = dict.fromkeys(_TRIPLE if three else PAIR, made[0])
+    if three:
+        branches["street"] = made[-1]
+    parts = [f"{number + 1} {name}" for number, name in enumerate(names)]
+    return published(branches, method, backbone, size, level, held, parts)
+
+
+def distinct(entries: Entries, *prefixes: str) -> list[Entries]:
+    """Return the entries of one or two branches by their prefixes; those of the first alone if both describe alike."""
+    alike = len(prefixes) == 2 and equal(entries, *prefixes)
+    return [entries.under(prefix) for prefix in (prefixes[:1] if alike else prefixes)]
+
+
+def numbered(entries: Entries) -> list[Entries]:
+    """Return the entries of `model_1`, and those of `model_2` where they are there and describe otherwise."""
+    return distinct(entries, "model_1.", *(["model_2."] if has(entries, "model_2.") else []))
+
+
+def by_role(made: Sequence[PartBranch]) -> dict[View | Role, PartBranch]:
+    """Return one branch for both views, or the first of two for queries and the second for the gallery."""
+    return dict.fromkeys(PAIR, made[0]) if len(made) == 1 else {"query": made[0], "gallery": made[1]}
 
 
 def count_regions(entries: Entries) -> int:
@@ -97,11 +134,6 @@ def region_names(count: int) -> list[str]:
 
 def regions_level(regions: int) -> dict[str, Any]:
     return {"level": "exact, with held", "held": "the regions of each picture"} if regions else {"level": "one vector"}
-
-
-def roles_of(shared: bool) -> dict[str, Any]:
-    """Return roles and groups of a contract; a branch for each role is a group for the view of that role outside of a task."""
-    return {} if shared else {"roles": "role", "groups": (("satellite",), ("drone",))}
 
 
 def has(entries: Entries, prefix: str) -> bool:

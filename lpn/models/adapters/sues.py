@@ -8,12 +8,10 @@ import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import ModelFileError
-from lpn.core.views import View
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.named import matching, named_vector
 from lpn.models.adapters.network import Account, MeanVector, PartBranch, by_heads
-from lpn.models.adapters.published import PAIR, PublishedParts, equal, has, size_of
-from lpn.models.contract import Contract, Role
+from lpn.models.adapters.published import PublishedParts, numbered, published, size_of
 
 # The networks of the option `model` that timm has, each with an entry that those behind it lack, and its shape.
 _NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
@@ -82,25 +80,15 @@ def build_sues(entries: Entries) -> PublishedParts:
     channels = entries.shape("classifier.add_block.0.weight", 2)[1]
     matrix, bias = entries.linear("classifier.add_block.0", channels)
 
-    def branch(prefix: str) -> LopsidedSum:
-        return LopsidedSum(named_vector(name, entries.under(prefix), size), (matrix[None], bias[None]))
-
-    shared = not has(entries, "model_2.") or equal(entries, "model_1.", "model_2.")
-    first = branch("model_1.")
-    branches: dict[View | Role, PartBranch] = {"satellite": first, "drone": first if shared else branch("model_2.")}
-    cells = isinstance(first.vector, MeanVector)
-    contract = Contract(
-        method="SUES-200",
-        title=f"SUES-200 {name}, {size[0]} x {size[1]}",
-        views=PAIR,
-        input_size=size,
-        n_parts=1,
-        embedding=len(bias),
+    made = [LopsidedSum(named_vector(name, branch, size), (matrix[None], bias[None])) for branch in numbered(entries)]
+    cells = isinstance(made[0].vector, MeanVector)
+    return published(
+        {"satellite": made[0], "drone": made[-1]},
+        "SUES-200",
+        name,
+        size,
         level="exact, with held" if cells else "one vector",
         held="the length of the picture's own pass" if cells else "",
-        groups=(PAIR,) if shared else (("satellite",), ("drone",)),
         # The branch adds the mirror itself.
         mirror="none",
-        part_names=dict.fromkeys(PAIR, ("1 whole",)),
     )
-    return PublishedParts(contract, branches)
