@@ -65,7 +65,7 @@
   };
 
   // viser opens a websocket every second while the connection is lost, in place of the one before. Each of its tries passes to `tries`
-  // with a function that goes on with it. templates/connection.js, which runs before viser, hands on all but the first address alike.
+  // with a function that goes on with it. templates/connection.js, which runs before viser, has rewritten the address of each.
   const onRetry = (tries) => {
     const post = Worker.prototype.postMessage;
     Worker.prototype.postMessage = function (message, ...rest) {
