@@ -128,6 +128,8 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
     first = next((i for i, (_, line) in enumerate(lines[:_MOST_HEAD]) if not line.startswith("#")), 0)
     for delimiter in _DELIMITERS:
         if _is_picture_row(lines[first][1], delimiter):
+            if first and _names(lines[first - 1][1], delimiter) == len(_split(lines[first][1], delimiter)):
+                raise DataError(_no_position(lines[first - 1 :], name))
             note = "latitude before longitude was taken, as in Pix4D's files"
             return first - 1, delimiter, ["file", "lat", "lon", "alt"], [_without_names(name, note)]
         if (
@@ -138,6 +140,12 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
             note = "longitude before latitude was taken, as in geo.txt of OpenDroneMap"
             return first, delimiter, ["file", "lon", "lat", "alt"], [_without_names(name, note)]
     raise DataError(_no_position(lines, name))
+
+
+def _names(line: str, delimiter: str | None) -> int:
+    """Return the number of names in a line; 0 if one of its cells is a number or empty."""
+    cells = _split(line.lstrip("#% "), delimiter)
+    return len(cells) if all(cell and values.angle(cell) is None for cell in cells) else 0
 
 
 def _without_names(name: str, note: str) -> str:

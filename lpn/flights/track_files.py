@@ -13,6 +13,7 @@ import math
 import re
 import zipfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -201,24 +202,31 @@ def _cut_note(name: str) -> str:
 
 def _kml_points(text: str, name: str) -> _Points:
     points = _Points()
-    parser: Any = ElementTree.XMLPullParser(("end",))
+    parser: Any = ElementTree.XMLPullParser(("start", "end"))
+    parents: list[ElementTree.Element] = []
     try:
         parser.feed(text)
         parser.close()
     except ElementTree.ParseError:
         points.notes.append(_cut_note(name))
     try:
-        for _, element in parser.read_events():
-            _add_element(element, points)
+        for event, element in parser.read_events():
+            if event == "start":
+                parents.append(element)
+                continue
+            parents.pop()
+            _add_element(element, parents[-1] if parents else None, points)
     except ElementTree.ParseError:
         pass  # the note is there already
     return points
 
 
-def _add_element(element: ElementTree.Element, points: _Points) -> None:
+def _add_element(element: ElementTree.Element, parent: ElementTree.Element | None, points: _Points) -> None:
     """Add the points of a KML element that is complete, and forget what is in it."""
     tag = _tag(element)
     if tag == "Track":
+        # A gx:MultiTrack has one mode for its tracks.
+        mode = _mode(element) or ("" if parent is None else _mode(parent))
         parts = [(child.text or "", _tag(child)) for child in element if _tag(child) in ("when", "coord")]
         times, places = ([text for text, kind in parts if kind == wanted] for wanted in ("when", "coord"))
         pairs = list(zip(times, places, strict=False))
@@ -231,23 +239,31 @@ def _add_element(element: ElementTree.Element, points: _Points) -> None:
                 if wanted == "coord"
             ]
         for time, place in pairs:
-            _add(points, place.split(), time, None, _mode(element))
+            _add(points, place.split(), time, None, mode)
         element.clear()
     elif tag == "Placemark":
         inside = list(element.iter())
         name = next((child.text for child in inside if _tag(child) == "name"), None)
-        located = [
-            place for child in inside if _tag(child) == "coordinates" for place in _after_comma(child.text).split()
-        ]
+        located = list(_coordinates(element))
         moments = [child.text for child in inside if _tag(child) == "when"] or [
             next((child.text for child in inside if _tag(child) == "begin"), None) or _time_in_data(inside)
         ]
         # One time is that of a point; a line has one for each of its points, or none that can be told.
         moments = moments if len(moments) == len(located) else [None] * len(located)
-        mode = next((mode for child in inside if (mode := _mode(child))), "")
-        for place, moment in zip(located, moments, strict=True):
+        for (place, mode), moment in zip(located, moments, strict=True):
             _add(points, place.split(","), moment, name, mode)
         element.clear()
+
+
+def _coordinates(element: ElementTree.Element, mode: str = "") -> Iterator[tuple[str, str]]:
+    """Yield each place below a KML element with its altitudeMode: that of its own geometry, else of the one around it."""
+    waiting = [(element, mode)]
+    while waiting:
+        here, mode = waiting.pop()
+        if _tag(here) == "coordinates":
+            yield from ((place, mode) for place in _after_comma(here.text).split())
+        mode = _mode(here) or mode
+        waiting += [(child, mode) for child in reversed(here)]
 
 
 def _after_comma(text: str | None) -> str:

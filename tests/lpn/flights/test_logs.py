@@ -576,3 +576,15 @@ def test_angles_of_photogrammetry_are_named_and_not_read(tmp_path: Path) -> None
 def test_a_gimbal_s_pitch_needs_no_heading(tmp_path: Path) -> None:
     (row,) = read_log(written(tmp_path, "file,latitude,longitude,gimbal_pitch\na.jpg,47.3,8.5,-60\n")).rows
     assert (row.entry.heading, row.entry.pitch) == (None, -60.0)
+
+
+def test_a_line_of_other_names_is_not_taken_for_none(tmp_path: Path) -> None:
+    for names, sentence in (
+        ("#Label,X/Easting,Y/Northing,Z/Altitude", "Eastings and northings of a map are not read"),
+        ("#photo,first,second,third", "first and second look like degrees; if they are, name them so"),
+    ):
+        (tmp_path / "cameras.txt").write_text(f"{names}\na.jpg,8.512345,47.312345,450\n")
+        with pytest.raises(DataError, match=sentence):
+            read_log(tmp_path / "cameras.txt")
+    (tmp_path / "cameras.txt").write_text("# exported by hand, 2024\na.jpg,47.312345,8.512345,450\n")
+    assert read_log(tmp_path / "cameras.txt").rows[0].entry.latitude == 47.312345

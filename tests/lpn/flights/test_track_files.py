@@ -336,3 +336,16 @@ def test_decimal_commas_of_kml_are_refused_and_those_of_gpx_read() -> None:
         (47.3, 8.5, 450.5)
     ] * 2
     assert "1 points of a.gpx are outside of the Earth's degrees, and were left out." in track.notes
+
+
+def test_each_geometry_of_kml_has_its_own_mode_and_tracks_have_that_of_the_multitrack() -> None:
+    start = '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Placemark>'
+    track = "<gx:Track><when>2024-05-01T10:00:0{0}Z</when><gx:coord>8.5 47.3 {0}0</gx:coord></gx:Track>"
+    several = "<gx:MultiTrack><altitudeMode>relativeToGround</altitudeMode>" + track.format(4) + track.format(5)
+    rows = parse_track((start + several + "</gx:MultiTrack></Placemark></kml>").encode(), "a.kml").rows
+    assert [(row.entry.altitude, row.entry.height_above_ground) for row in rows] == [(None, 40.0), (None, 50.0)]
+    times = "".join(f"<when>2024-05-01T10:00:0{second}Z</when>" for second in (1, 2))
+    points = "<Point><altitudeMode>{}</altitudeMode><coordinates>8.5,47.3,{}</coordinates></Point>"
+    several = f"<MultiGeometry>{points.format('relativeToGround', 40)}{points.format('absolute', 450)}</MultiGeometry>"
+    rows = parse_track(f"{start}{times}{several}</Placemark></kml>".encode(), "a.kml").rows
+    assert [(row.entry.altitude, row.entry.height_above_ground) for row in rows] == [(None, 40.0), (450.0, None)]
