@@ -22,9 +22,9 @@ A task has the outcome of each query, and `explore` shows it, or a model on a da
     >>> task.evaluate().queries
     14
 
- `Contract`, `ForwardPass`, `Heads`, and `Partition`
-make any part-based network a `Model`. Every error that a user can correct derives from `LPNError`. docs/library.md has a line
-for each name. Nothing here knows a browser. Names are imported on first use, so `import lpn` needs neither NumPy nor torch.
+`Contract`, `ForwardPass`, `Heads`, and `Partition` make any part-based network a `Model`. Every error that a user can correct
+derives from `LPNError`. docs/library.md has a line for each name. Nothing here knows a browser. Names are imported on first use,
+so `import lpn` needs neither NumPy nor torch.
 """
 
 from __future__ import annotations

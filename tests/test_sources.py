@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.flights import write_flight
 from lpn.models.onnx_engine import Engine
+from lpn.sources import Arrays
 from tests.lpn.locate.scenery import land, small_flight, write_map
 from tools.fixtures.published_results import save_result
 
@@ -163,3 +165,22 @@ def test_few_options_are_seen_at_once(command: str) -> None:
     default = commands()[command]
     for one in (default, *default.SOURCES.values()):
         assert len(set(by_source.options(one))) <= 19, one
+
+
+def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -> None:
+    both = np.eye(4, dtype=np.float32).reshape(4, 2, 2)
+    for name in ("q", "g"):
+        np.save(tmp_path / f"{name}.npy", both + 0.01)
+    lines = [f"q{i},query,{i if i < 2 else ''}" for i in range(4)] + [f"g{i},gallery,{i}" for i in range(4)]
+    (tmp_path / "paths.csv").write_text("\n".join(["file,side,label", *lines]))
+    source = Arrays(queries=tmp_path / "q.npy", gallery=tmp_path / "g.npy", paths=tmp_path / "paths.csv")
+    task = source.open().task
+    result = task.evaluate()
+    assert (result.queries, result.recall["1"]) == (2, 100.0)
+    assert replace(task, weights=[1, 0]).evaluate().recall == result.recall
+    assert "Recall@1" in task._repr_html_()
+
+
+def test_a_word_that_is_no_source_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "indx", "--index", "tiles"]) == 2
+    assert "no source indx; it has data, published, arrays, index, flight" in capsys.readouterr().err

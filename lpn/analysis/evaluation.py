@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,11 +26,12 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
         InputError: when no query's truth is known, or the protocol needs pictures, or descriptors that a search does not return.
         StoreError: when an index cannot be read.
     """
+    task = replace(task, weights=None)
     task.check_truth()
     if not task.lists_gallery:
         return _evaluate_searches(task, protocol or Protocol())
     made = "descriptors as saved" if task.model is None else "each part normalised"
-    return evaluate_descriptors(
+    result = evaluate_descriptors(
         (task.query_descriptors, task.gallery_descriptors),
         (task.query_labels, task.gallery_labels),
         task.truth,
@@ -37,6 +39,8 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
         protocol,
         clauses=[made, *([] if task.calibration is None else [task.calibration.describe()])],
     )
+    changed = protocol is not None and (protocol.average or protocol.csls or protocol.centre or protocol.parts)
+    return result if changed else replace(result, errors=_errors(task))
 
 
 def _evaluate_searches(task: Task, protocol: Protocol) -> Result:

@@ -11,7 +11,7 @@ import html
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
@@ -289,26 +289,21 @@ def rank_saved(
     return _ranked(name, dataset.root, task, gallery, (queries, tiles), (saved.query, saved.gallery), labels, truth)
 
 
-def rank_task(task: Task, name: str, gallery: GalleryChoice = "full", neighbours: int = 0) -> RankedModel:
+def rank_task(task: Task, name: str) -> RankedModel:
     """Rank an opened task, whatever it was opened from, under equal part weights.
 
-    Args:
-        neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks by inner product alone.
+    Galleries of indexes are compared by their numbers of tiles alone.
 
     Raises:
-        InputError: when no query's truth is known, the gallery has no distractors, or a search cannot be ranked anew.
+        InputError: when no query's truth is known.
         StoreError: when an index cannot be read.
     """
+    task = replace(task, weights=None)
     task.check_truth()
     if task.lists_gallery:
-        sides: tuple[Any, Any] = task.query_descriptors, task.gallery_descriptors
-        if neighbours:
-            csls.check_neighbours(neighbours, len(task.queries))
-            sides = csls.scaled(*sides, neighbours)
+        sides = task.query_descriptors, task.gallery_descriptors
         labels = task.query_labels, task.gallery_labels
-        return _ranked(name, task.root, task.name, gallery, (task.queries, task.gallery), sides, labels, task.truth)
-    if gallery != "full" or neighbours:
-        raise InputError("An index ranks all its tiles by itself; leave --gallery and --csls out.")
+        return _ranked(name, task.root, task.name, "full", (task.queries, task.gallery), sides, labels, task.truth)
     retrieval, known = task.retrieved, task.known
     kept = np.ones(len(task.queries), bool) if known is None else known
     queries = np.array(geo.names_below(task.root, task.queries), object)

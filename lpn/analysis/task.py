@@ -19,6 +19,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Int64Array
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
+from lpn.core.notebook_html import percentages
 from lpn.core.tables import Column, Table
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth
@@ -208,7 +209,19 @@ class Task:
     def check_truth(self) -> None:
         """Raise InputError unless the truth of some query is known."""
         if self.known is not None and not self.known.any():
-            raise InputError(f"The true place of no query of {self.data_name} is known, so nothing can be measured.")
+            raise InputError(self.no_truth)
+
+    @property
+    def no_truth(self) -> str:
+        """Why nothing can be measured where no query's truth is known, as a sentence."""
+        return f"The true place of no query of {self.data_name} is known, so nothing can be measured."
+
+    def _repr_html_(self) -> str:
+        """The task in a notebook: recall and AP of all queries."""
+        names = {"recall@1": "Recall@1", "recall@5": "Recall@5", "recall@10": "Recall@10", "ap": "AP"}
+        figures = {title: self.metrics[name] for name, title in names.items()}
+        caption = f"{self.data_name}, {self.name}: {len(self.queries):,} queries, {self.gallery_description}"
+        return percentages(caption, "model", {self.model_name: figures})
 
     @cached_property
     def metrics(self) -> dict[str, float]:

@@ -14,6 +14,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import tyro
 
 from lpn.core.errors import InputError
+from lpn.core.files import printable
 
 
 def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:
@@ -30,6 +31,8 @@ def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:
     if arguments and (chosen := sources.get(arguments[0])) is not None:
         return tyro.cli(chosen, args=arguments[1:], prog=f"{program} {arguments[0]}", config=config)
     own = arguments[1:] if sources and arguments[:1] == ["data"] else arguments
+    if sources and own and not own[0].startswith("-") and not _takes_words(command):
+        raise InputError(f"{program} has no source {printable(own[0])}; it has data, {', '.join(sources)}.")
     _check_options(command, sources, own, program)
     others = ", ".join(f"{program} {word}" for word in sources)
     description = (command.__doc__ or "") + (
@@ -53,6 +56,12 @@ def options(command: type[Any]) -> Iterator[str]:
             yield f"--{field.name.replace('_', '-')}"
 
 
+def _takes_words(command: type[Any]) -> bool:
+    """Return True if a command takes arguments without a name."""
+    hints = get_type_hints(command, include_extras=True).values()
+    return any(tyro.conf.Positional in getattr(hint, "__metadata__", ()) for hint in hints)
+
+
 def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments: Sequence[str], program: str) -> None:
     """Refuse an option that only another source has, and name that source."""
     own = set(options(command)) if sources else set()
@@ -64,6 +73,6 @@ def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments:
         words = [word for word, other in sources.items() if names & set(options(other))]
         if words:
             raise InputError(
-                f"{written} is no option of a data set, which is the source if none is named; give the source as the first word: "
-                f"{' or '.join(f'{program} {word}' for word in words)}."
+                f"{program} has no {written} for a data set, which is the source if none is named (see {program} --help); "
+                f"{' and '.join(f'{program} {word}' for word in words)} {'has' if len(words) == 1 else 'have'} it."
             )

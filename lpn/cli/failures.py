@@ -15,7 +15,7 @@ from lpn.core.errors import InputError
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
-from lpn.sources.opened import open_task, with_notes
+from lpn.sources.opened import open_task, open_with_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -61,7 +61,7 @@ class FailuresOfSource(ABC):
             raise InputError(f"The number of queries listed is {listing.top}; expected 1 or more.")
         if listing.csv is not None:
             check_writable(listing.csv)
-        task = with_notes(open_task(self.source), listing.notes)
+        task = open_with_notes(self.source, listing.notes)
         made = self._compared(task, task.table)
         rows = made.sort(made.filter(made.rows(), listing.where), listing.sort, listing.descending)
         console = wide_console()

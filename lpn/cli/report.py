@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from lpn.core.errors import InputError
 from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
-from lpn.sources.opened import open_task, query_positions, with_notes
+from lpn.sources.opened import open_with_notes, query_positions
 
 if TYPE_CHECKING:
     from lpn.analysis.task import Task
@@ -70,7 +70,7 @@ class ReportOfSource(ABC):
             raise InputError(f"The number of failures is {options.failures}; expected 1 or more.")
         contents = self._contents()
         check_writable(options.out)
-        task = with_notes(open_task(self.source, options.query, part_values(options.weights)), options.notes)
+        task = open_with_notes(self.source, options.notes, options.query, part_values(options.weights))
         if options.query:
             chosen, selection = query_positions(options.query, task.queries, task.data_name), "chosen by name"
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 from markupsafe import Markup
@@ -22,13 +23,17 @@ def table(caption: str, headings: Sequence[str], rows: Iterable[Sequence[object]
 
 
 def percentages(caption: str, heading: str, rows: Mapping[str, Mapping[str, float]]) -> str:
-    """Return a table of percentages; every row has the same names, and `heading` stands above the rows' names."""
+    """Return a table of percentages; every row has the same names, NaN is unknown, and `heading` stands above the rows' names."""
     names = next(iter(rows.values()))
     return table(
         caption,
         (heading, *names),
-        ((row, *(Markup("{:.2f} %").format(value) for value in values.values())) for row, values in rows.items()),
+        ((row, *(_percent(value) for value in values.values())) for row, values in rows.items()),
     )
+
+
+def _percent(value: float) -> Markup:
+    return Markup("-") if math.isnan(value) else Markup("{:.2f} %").format(value)
 
 
 def _joined(tag: str, cells: Iterable[object]) -> Markup:

@@ -177,6 +177,13 @@ class IndexTask(Task):
         return Ranking(cosines, weights, all_scores, places, relevant, lengths, depth, self.approximate)
 
     @property
+    def no_truth(self) -> str:
+        return (
+            f"The index holds no tile that {self.data_name} names as true for a query, so nothing can be measured; the names in "
+            "the index must be those of its gallery, below the folder that was described."
+        )
+
+    @property
     def lists_gallery(self) -> bool:
         return False
 

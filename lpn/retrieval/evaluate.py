@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lpn import descriptors
-from lpn.core.arrays import Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.notebook_html import percentages
 from lpn.core.views import View, views_of
@@ -420,7 +420,7 @@ def evaluate_descriptors(
     Args:
         sides: descriptors of queries and gallery, (Q, n, D) and (G, n, D).
         labels: the place of each, (Q,) and (G,), -1 for junk.
-        truth: true matches and junk of each query, in place of labels.
+        truth: true matches and junk of each query, in place of labels; queries whose truth is not known do not count.
         task: its name.
         positions: of the queries and of the gallery, for errors in metres.
         clauses: how the descriptors were made, for the protocol's sentence.
@@ -467,7 +467,7 @@ def _measure(
         query, query_labels = averaged(query, query_labels)
     query, gallery = protocol.compared(query, gallery)
     retrieval = metrics.retrieve(query, query_labels, gallery, gallery_labels, truth)
-    galleries = [_figures(FULL, retrieval, len(gallery))]
+    galleries = [_figures(FULL, retrieval, len(gallery), metrics.known_queries(truth))]
     if truth is None:
         kept = metrics.without_distractors(gallery_labels, query_labels)
         ranked = int(np.count_nonzero(kept != metrics.JUNK))
@@ -494,10 +494,10 @@ def _measure(
     return result, retrieval
 
 
-def _figures(name: str, retrieval: metrics.Retrieval, ranked: int) -> Figures:
-    values = retrieval.metrics()
+def _figures(name: str, retrieval: metrics.Retrieval, ranked: int, known_queries: BoolArray | None = None) -> Figures:
+    values = retrieval.metrics(known_queries)
     recall = {key.removeprefix("recall@"): value for key, value in values.items() if key.startswith("recall@")}
-    return Figures(name, recall, values["ap"], len(retrieval.first), ranked)
+    return Figures(name, recall, values["ap"], int(values["queries"]), ranked)
 
 
 def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:

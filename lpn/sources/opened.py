@@ -8,14 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 
 if TYPE_CHECKING:
     from lpn.analysis.task import Task
-    from lpn.datasets import Picture
     from lpn.locate.pipeline import LocatedFlight
     from lpn.maps import Map
     from lpn.models.base import Model
@@ -73,19 +72,23 @@ def open_task(source: TaskSource, names: Sequence[str] = (), weights: Sequence[f
         return source.open(names, weights, on_progress).task
 
 
-def with_notes(task: Task, file: Path | None = None) -> Task:
-    """Return a task with a person's tags and notes.
+def open_with_notes(
+    source: TaskSource, file: Path | None, names: Sequence[str] = (), weights: Sequence[float] | None = None
+) -> Task:
+    """Open the first task of a source with a person's tags and notes, see `open_task`.
 
     Args:
-        file: of the notes; by default notes.csv in the folder of the queries.
+        file: of the notes, read first; None takes notes.csv in the folder of the queries.
 
     Raises:
-        DataError: if the file is damaged.
+        DataError: also if the file is damaged.
     """
     from lpn.analysis import notes
     from lpn.core.demo import own_file
 
-    return replace(task, notes=notes.read_notes(own_file(task.root, notes.NAME) if file is None else file))
+    named = None if file is None else notes.read_notes(file)
+    task = open_task(source, names, weights)
+    return replace(task, notes=notes.read_notes(own_file(task.root, notes.NAME)) if named is None else named)
 
 
 @contextmanager
@@ -113,7 +116,16 @@ def progress_bars() -> Iterator[Progress]:
             bars.stop()
 
 
-def query_positions(names: Sequence[str], queries: Sequence[Picture], data_name: str) -> list[int]:
+class Named(Protocol):
+    """Something with a name, such as a picture or a frame."""
+
+    @property
+    def name(self) -> str:
+        """The name."""
+        ...
+
+
+def query_positions(names: Sequence[str], queries: Sequence[Named], data_name: str) -> list[int]:
     """Return the positions of queries by their names, each once.
 
     Raises:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -230,7 +230,7 @@ class Indexed(TaskSource):
     pictures: Path | None = None
     """Folder of plain pictures to search for, whose places nobody knows."""
     map: Path | None = None
-    """Map whose windows the index holds; with --flight."""
+    """Map whose windows the index holds, from which their pictures are cut; --flight needs it."""
     flight: Path | None = None
     """Flight over that map, a folder of lpn flight or one of photos, whose frames are the queries."""
     depth: int = 100
@@ -250,9 +250,11 @@ class Indexed(TaskSource):
         from lpn.index.task import index_task
         from lpn.locate.index_queries import flight_queries
         from lpn.maps import open_map
+        from lpn.retrieval import scoring
 
         self._check_queries()
         model = self.model.load()
+        scoring.part_weights(model.n_parts, weights)
         index = SharedIndex(open_index(self.index))
         ground = None if self.map is None else open_map(self.map)
         if self.flight is not None and ground is not None:
@@ -300,24 +302,29 @@ class Flown(TaskSource):
         weights: Sequence[float] | None = None,
         on_progress: Progress = no_progress,
     ) -> OpenedSource:
-        opened = self.locate(None, on_progress, names)
-        return replace(opened, tasks=[weighted(opened.task, weights)])
+        return self.locate(None, on_progress, names, weights)
 
     def locate(
-        self, overlap: float | None = None, on_progress: Progress = no_progress, names: Sequence[str] = ()
+        self,
+        overlap: float | None = None,
+        on_progress: Progress = no_progress,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
     ) -> OpenedSource:
         """Open the flight with windows that overlap by a share of their sides, `LocateOptions.overlap` by default."""
         from lpn.flights import open_flight
         from lpn.locate.pipeline import LocateOptions, locate
         from lpn.locate.task import flight_task
         from lpn.maps import open_map
+        from lpn.retrieval import scoring
 
         ground, flight, model = open_map(self.map), open_flight(self.flight), self.model.load()
         for view in ("satellite", "drone"):
             model.check_view(view)
+        scoring.part_weights(model.n_parts, weights)
+        query_positions(names, flight.frames, flight.name)
         options = LocateOptions(register=False, overlap=LocateOptions.overlap if overlap is None else overlap)
         located = locate(ground, flight, model, options, on_progress)
         task = flight_task(model, self.model.name, located, self.flight)
-        query_positions(names, task.queries, task.data_name)
         notes = [printable(note) for note in (*ground.notes, *flight.notes, *located.notes)]
-        return OpenedSource([task], task.model, model, located, notes=notes)
+        return OpenedSource([weighted(task, weights)], task.model, model, located, notes=notes)
