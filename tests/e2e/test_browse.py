@@ -81,13 +81,15 @@ def bare(browser: Browser) -> Iterator[Page]:
     """A page of an upload button and the script of one's own pictures; `sent` and `put` are what it sends and uploads."""
     page = browser.new_page()
     page.set_content("<input type=file>")
+    scripts = Path(explorer.web.__file__).parent / "js"
+    page.add_script_tag(path=scripts / "viser_compat.js")
     page.evaluate("""() => {
       window.sent = []; window.put = [];
-      window.lpn = {say: () => 0, send: (kind, value) => sent.push(JSON.stringify({kind, value, count: 1000}))};
+      Object.assign(window.lpn, {say: () => 0, send: (kind, value) => sent.push(JSON.stringify({kind, value, count: 1000}))});
       document.querySelector('input').addEventListener('change', (event) => put.push(event.target.files[0].name));
       window.file = (name) => new File(['x'], name);
     }""")
-    page.add_script_tag(path=Path(explorer.web.__file__).parent / "js" / "own.js")
+    page.add_script_tag(path=scripts / "own.js")
     yield page
     page.close()
 
