@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from lpn.core.served_page import ServedPage
     from lpn.models.base import Model
 
-# What opens the page's data, and further workspaces that the page offers, by the keys of their addresses.
+# The function that opens the page's data, and further workspaces that the page offers, by the keys of their addresses.
 Workspaces = tuple[Callable[[], "Workspace"], dict[str, "LazyWorkspace"]]
 
 

@@ -18,6 +18,7 @@ from lpn.models.adapters import Kind
 from lpn.sources.opened import OpenedSource, Progress, query_positions, weighted
 
 if TYPE_CHECKING:
+    from lpn.analysis.task import Task
     from lpn.datasets import Dataset
     from lpn.models.base import Model
     from lpn.retrieval.plain_arrays import PlainArrays
@@ -145,6 +146,12 @@ class Data(TaskSource):
         )
 
 
+def _without_network(task: Task, names: Sequence[str], weights: Sequence[float] | None) -> OpenedSource:
+    """Return the source of a task of descriptors alone; the arguments are checked as by `TaskSource.open`."""
+    query_positions(names, task.queries, task.data_name)
+    return OpenedSource([weighted(task, weights)])
+
+
 @dataclass(frozen=True, kw_only=True)
 class Published(TaskSource):
     """A result of the published test code on its pictures, without a network."""
@@ -170,8 +177,7 @@ class Published(TaskSource):
 
         del on_progress
         task = published_task(load_saved(self.saved, check_n_parts(self.n_parts)), open_dataset(self.data))
-        query_positions(names, task.queries, task.data_name)
-        return OpenedSource([weighted(task, weights)])
+        return _without_network(task, names, weights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,8 +210,7 @@ class Arrays(TaskSource):
 
         del on_progress
         task = array_task(self.load(), printable(self.queries.name))
-        query_positions(names, task.queries, task.data_name)
-        return OpenedSource([weighted(task, weights)])
+        return _without_network(task, names, weights)
 
     def load(self) -> PlainArrays:
         """Read the arrays, see `load_arrays` for the errors."""

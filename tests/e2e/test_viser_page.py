@@ -39,7 +39,7 @@ ALWAYS = (
     *("app", "canvas", "stageFrame", "shade", "window", "folderHead", "unfolded", "scrollRoot", "scrolled", "upload"),
     *("tab", "softwareNotice"),
 )
-# What must be true of viser's globals, attributes, and controls.
+# Conditions on viser's globals, attributes, and controls, which viser_compat.js relies on.
 TRUE = {
     "__viserMutable.camera": "lpn.viser.camera().matrixWorld.elements.length === 16",
     "camera.quaternion": "lpn.viser.camera().quaternion.toArray().length === 4",
@@ -56,7 +56,7 @@ TRUE = {
 
 
 def lacks(page: Page, script: str) -> bool:
-    """Whether a condition does not come true in a page."""
+    """Return True if a condition does not come true in a page."""
     try:
         page.wait_for_function(f"() => {{ try {{ return {script} }} catch {{ return false }} }}", timeout=WAIT)
     except Error:
