@@ -20,9 +20,9 @@ from lpn.sources import Arrays, Flown, Indexed, Published
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
     from explorer.workspace import LazyWorkspace, Workspace
-    from lpn.analysis.task import Task
     from lpn.core.served_page import ServedPage
     from lpn.models.base import Model
+    from lpn.tasks.task import Task
 
 # The function that opens the page's data, and further workspaces that the page offers, by the keys of their addresses.
 Workspaces = tuple[Callable[[], "Workspace"], dict[str, "LazyWorkspace"]]
@@ -202,8 +202,8 @@ class Explore(ExploreSource):
         """Serve until the page is closed or the process ends, see `lpn.explore`."""
         from explorer.app import serve_in_background
         from explorer.opening import open_model, open_tasks
-        from lpn.analysis.task import Task
         from lpn.models.base import Model
+        from lpn.tasks.task import Task
 
         authenticator = ServeOptions(host=host, port=port).authenticator()
         if isinstance(source, Task):

@@ -15,9 +15,6 @@ import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import LazyWorkspace, Workspace
-from lpn.analysis.array_task import array_task
-from lpn.analysis.published_task import published_task
-from lpn.analysis.task import Task
 from lpn.core.errors import DataError, LPNError
 from lpn.core.files import distinct_names, printable
 from lpn.core.requirements import missing_package
@@ -32,6 +29,9 @@ from lpn.retrieval.plain_arrays import PlainArrays
 from lpn.retrieval.published_results import PublishedResult
 from lpn.sources import Flown, Indexed, ModelOptions, OpenedSource, open_data
 from lpn.sources.opened import progress_bars
+from lpn.tasks.array_task import array_task
+from lpn.tasks.published_task import published_task
+from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
 

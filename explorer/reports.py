@@ -11,13 +11,13 @@ from explorer.compute.background_jobs import BackgroundJob, ReportProgress, Work
 from explorer.compute.request_context import QueuedModel
 from explorer.workspace import StateAnalysis, Workspace
 from lpn import report
-from lpn.analysis import notes
-from lpn.analysis.task import Task
 from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
 from lpn.core.errors import InputError, LPNError
 from lpn.locate.task import stage_columns
 from lpn.models.base import Model
+from lpn.tasks import notes
+from lpn.tasks.task import Task
 
 # Seconds for which the page tells that a file is made.
 _TOLD = 6.0

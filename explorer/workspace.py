@@ -20,8 +20,6 @@ from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.layout import layout_for
 from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
-from lpn.analysis.query_outcomes import Outcomes
-from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, LPNError, PictureError
@@ -38,6 +36,8 @@ from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
 from lpn.retrieval.calibration import zoom_note
+from lpn.tasks.query_outcomes import Outcomes
+from lpn.tasks.task import Task
 
 # Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
 TILES = 48

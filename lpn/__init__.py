@@ -37,7 +37,6 @@ from lpn.core.errors import InputError, LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
-    from lpn.analysis.task import Task
     from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
@@ -50,6 +49,7 @@ if TYPE_CHECKING:
     from lpn.models.contract import Contract, ForwardPass, Heads
     from lpn.models.partition import Partition
     from lpn.retrieval.evaluate import evaluate
+    from lpn.tasks.task import Task
 
 __all__ = [
     "Answer",
@@ -80,7 +80,7 @@ _MODULE_OF = {
     "Heads": "lpn.models.contract",
     "Model": "lpn.models.base",
     "Partition": "lpn.models.partition",
-    "Task": "lpn.analysis.task",
+    "Task": "lpn.tasks.task",
     "evaluate": "lpn.retrieval.evaluate",
     "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",

@@ -13,7 +13,7 @@ from weakref import WeakSet
 
 from explorer.server.picture_route import PREFIX, EncodedPicture
 from explorer.workspace import Workspace
-from lpn.analysis.task import Task
+from lpn.tasks.task import Task
 
 # Entries of a list in one piece.
 CHUNK = 100

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
-from lpn.analysis import ranking_cache
-from lpn.analysis.task import Task
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import LPNError
 from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
+from lpn.tasks import ranking_cache
+from lpn.tasks.task import Task
 
 # A ranking of up to this many multiplications (half a second on two cores) is computed before the app starts.
 QUICK_COST = 20_000_000_000

@@ -22,7 +22,7 @@ from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.comparison import Comparison
+from lpn.analysis.comparison import Comparison, effect_on
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Ranking
 
@@ -369,7 +369,7 @@ class ExplainWindow:
         task, weights = content.analysis.task, pair.comparison.change.weights
         effect = None
         try:
-            effect = task.effect(pair.ranking.weights, weights)
+            effect = effect_on(task, pair.ranking.weights, weights)
         finally:
             self._replace_pair(pair, replace(pair, effect=effect, computing=False))
 

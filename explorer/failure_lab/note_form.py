@@ -9,9 +9,9 @@ from explorer.failure_lab.messages import SaveNote
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.web.html import Html
 from explorer.web.render import call, run_once
-from lpn.analysis import notes
-from lpn.analysis.notes import Note
 from lpn.core.errors import LPNError
+from lpn.tasks import notes
+from lpn.tasks.notes import Note
 
 
 class NoteForm:

@@ -14,11 +14,8 @@ import numpy as np
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
 from explorer.session_state import MapKind
 from explorer.workspace import Workspace
-from lpn.analysis import embedding_map, named_views, notes, query_outcomes
+from lpn.analysis import embedding_map, named_views
 from lpn.analysis.named_views import NamedView
-from lpn.analysis.notes import Note
-from lpn.analysis.query_outcomes import Outcomes
-from lpn.analysis.task import Task
 from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import LPNError
@@ -27,6 +24,10 @@ from lpn.datasets.geo import Position
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.locate.pipeline import LocatedFlight
 from lpn.locate.task import stage_columns
+from lpn.tasks import notes, query_outcomes
+from lpn.tasks.notes import Note
+from lpn.tasks.query_outcomes import Outcomes
+from lpn.tasks.task import Task
 
 _CHANGED = "rank B: none. The data set changed before the second model was opened; stop the app and start it again."
 
@@ -282,11 +283,11 @@ class FailureLab:
             ground = self._workspace.mosaic(task), places.bounds()
             return MapPoints(places.query_ground, places.ground, ground=ground, origin=places.origin)
         if kind == "umap":
-            descriptors = np.asarray(task.query_descriptors), np.asarray(task.gallery_descriptors)
-            embedding = run_in_process(progress, embedding_map.umap, *descriptors)
+            queries, gallery = map(np.asarray, task.sides())
+            embedding = run_in_process(progress, embedding_map.umap, queries, gallery)
             axes = "neighbours are alike; distances between groups mean little"
             return MapPoints(embedding.queries, embedding.tiles, axes)
-        embedding = embedding_map.pca(task.query_descriptors, task.gallery_descriptors)
+        embedding = embedding_map.pca(*task.sides())
         assert embedding.variance is not None
         first, second = 100 * embedding.variance
         axes = f"{first:.0f} % of the variance across, {second:.0f} % upwards"

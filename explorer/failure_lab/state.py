@@ -10,14 +10,15 @@ import numpy as np
 from explorer import session_state
 from explorer.failure_lab.service import Findings
 from explorer.session_state import Chosen, LabChoices, MapKind, OutcomeFilter, Tab
-from lpn.analysis import breakdown, query_outcomes
+from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
 from lpn.analysis.named_views import ChosenQueries, NamedView
-from lpn.analysis.query_outcomes import RANK_A, RANK_B
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table
 from lpn.locate.task import REASON
+from lpn.tasks import query_outcomes
+from lpn.tasks.query_outcomes import RANK_A, RANK_B
 
 # The part of the page that is open below the summary.
 Drawer = Literal["", "columns", "tag", "views"]

@@ -15,14 +15,14 @@ from explorer.session_state import Tab
 from explorer.web.render import call, render, run
 from explorer.workspace import Workspace
 from lpn.analysis.named_views import LONGEST_NAME, NamedView
-from lpn.analysis.notes import Note
-from lpn.analysis.query_outcomes import RANK_A, RANK_B
-from lpn.analysis.task import Task
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.numbers import signed
 from lpn.core.tables import Column
 from lpn.drawing import theme
 from lpn.report.page import MOST
+from lpn.tasks.notes import Note
+from lpn.tasks.query_outcomes import RANK_A, RANK_B
+from lpn.tasks.task import Task
 
 _HINTS = {
     "rank": "Rank of the nearest true tile",

@@ -11,8 +11,8 @@ from explorer.panels import answer_text
 from explorer.stage import pair_picture
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.task import Task
 from lpn.drawing import overlays
+from lpn.tasks.task import Task
 
 _SCALE = 90, 8  # width and height of the heatmap legend's colours in pixels
 HEAT_NOTE = (

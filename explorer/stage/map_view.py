@@ -14,12 +14,12 @@ from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_CAPTION, SIGN_PICTURE, 
 from explorer.stage.image_planes import Plane, Rotation, rank_title
 from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.core.numbers import distance
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from lpn.drawing import captions, overlays, theme
+from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Height of lines over the mosaic, in stage units.
 _LINE_HEIGHT = 0.2

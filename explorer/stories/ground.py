@@ -6,9 +6,9 @@ import numpy as np
 
 from explorer.stories.map_picture import TEXT, WHITE, MapPicture
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import UInt8Array
 from lpn.drawing import captions, theme
+from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # The smallest width of what is shown, in metres, and the space around it as a share.
 _LEAST, _BORDER = 260.0, 0.16

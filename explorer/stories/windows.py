@@ -22,11 +22,11 @@ from explorer.flight_window.service import FlightService, FlightView
 from explorer.stories.map_picture import EMPTY, WHITE, Bounds, MapPicture
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.task import Task
 from lpn.core.arrays import Int64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.drawing import overlays, theme
 from lpn.locate.belief import belief
+from lpn.tasks.task import Task
 
 # Rows of an exported table.
 ROWS = 12

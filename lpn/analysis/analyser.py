@@ -13,7 +13,6 @@ from typing import Generic, Literal, TypeVar
 import numpy as np
 
 from lpn import explain, retrieval
-from lpn.analysis.task import RankUnderWeights, Task
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
@@ -23,6 +22,7 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Correspondences, Evidence
 from lpn.models.base import Model
 from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
+from lpn.tasks.task import RankUnderWeights, Task
 
 T = TypeVar("T")
 

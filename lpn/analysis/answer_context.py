@@ -9,10 +9,10 @@ import numpy as np
 
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
-from lpn.analysis.query_outcomes import Outcomes, picture_columns
 from lpn.core.arrays import BoolArray
 from lpn.core.tables import Column, Table
 from lpn.retrieval.metrics import Retrieval
+from lpn.tasks.query_outcomes import Outcomes, picture_columns
 
 # So many answers of the nearest gaps, or this share of all where that is more, are alike; fewer than `_FEWEST_GRADED` have no
 # neighbourhood.

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column
+from lpn.tasks.query_outcomes import Outcomes
 
 # The two-sided 95 % quantile of the normal distribution.
 _NORMAL_95 = 1.959963984540054

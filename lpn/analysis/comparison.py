@@ -1,12 +1,16 @@
-"""Comparison of two tiles of one ranking: the positive, and a tile that is mistaken for it or could be."""
+"""Comparison of two tiles of one ranking, and what the part weights that swap them do to all queries."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy.typing as npt
+
+from lpn.core.arrays import Int64Array
 from lpn.explain import counterfactual
-from lpn.explain.counterfactual import RanksWithoutParts, Reweighting
+from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
 from lpn.retrieval import Match, Ranking
+from lpn.tasks.task import Task
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,3 +47,16 @@ class Comparison:
             counterfactual.ranks_without_parts(ranking, index),
             counterfactual.smallest_change(ranking, index),
         )
+
+
+def effect_on(
+    task: Task, before: npt.ArrayLike | None, after: npt.ArrayLike, first: Int64Array | None = None
+) -> Effect:
+    """Compare two sets of part weights over all queries of a task, see `counterfactual.effect`.
+
+    Raises:
+        InputError: when the task searches its gallery, as that takes a search for each query.
+    """
+    return counterfactual.effect(
+        *task.sides(), before, after, task.query_labels, task.gallery_labels, task.truth, first
+    )

@@ -19,20 +19,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lpn.analysis.task import Task
-from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.views import views_of
-from lpn.datasets import Dataset, Picture, Truth, geo
+from lpn.datasets import Dataset, geo
 from lpn.descriptors import Reader, cached_descriptors
-from lpn.descriptors.transforms import UNCHANGED
 from lpn.models.base import Model
 from lpn.retrieval import csls, metrics
-from lpn.retrieval.calibration import calibrate
 from lpn.retrieval.evaluate import FULL, WITHOUT
-from lpn.retrieval.published_results import PublishedResult, truth_of_rows
+from lpn.retrieval.sides import TaskPictures
+from lpn.tasks.task import Task
 
 GalleryChoice = Literal["full", "without-distractors"]
 DEPTHS = (1, 5, 10)
@@ -248,62 +245,34 @@ def rank_model(
             calibration is not possible.
         DataError: when the test split is incomplete.
     """
-    if task not in dataset.tasks():
-        offered = ", ".join(dataset.tasks()) or "none"
-        raise InputError(f"The task is {task!r}; {dataset.root.name} offers {offered} in its test split.")
-    views = views_of(task)
-    for view in views:
+    pictures = TaskPictures.of(dataset, task)
+    for view in pictures.views:
         model.check_view(view)
-    model = model.for_task(*views)
-    queries, tiles = dataset.queries(views[0]), dataset.gallery(views[1])
     if neighbours:
-        csls.check_neighbours(neighbours, len(queries))
-    if calibrated:
-        calibration = calibrate(model, {views[0]: [queries], views[1]: [tiles]}, read)
-        sides = calibration.read(model, queries, views[0], read), calibration.read(model, tiles, views[1], read)
-    else:
-        sides = read(model, queries, views[0], UNCHANGED), read(model, tiles, views[1], UNCHANGED)
-    if neighbours:
-        sides = csls.scaled(*sides, neighbours)
-    labels = _labels(queries, tiles)
-    return _ranked(name, dataset.root, task, gallery, (queries, tiles), sides, labels, dataset.truth(task))
+        csls.check_neighbours(neighbours, len(pictures.queries))
+    sides = pictures.described(model.for_task(*pictures.views), read, calibrated=calibrated)
+    compared = csls.scaled(sides.query, sides.gallery, neighbours) if neighbours else (sides.query, sides.gallery)
+    return _ranked(name, dataset.root, pictures, gallery, compared, pictures.labels)
 
 
-def rank_saved(
-    saved: PublishedResult, name: str, dataset: Dataset, task: str, gallery: GalleryChoice = "full"
-) -> RankedModel:
-    """Rank a task by the descriptors of a published result.
-
-    Raises:
-        InputError: when the result is of another task, names a picture twice, or the gallery has no distractors to leave out.
-        DataError: when its pictures are not in the data set.
-    """
-    views, queries, tiles = saved.pictures(dataset)
-    if (found := "-to-".join(views)) != task:
-        raise InputError(f"{name} is a result of {found}; expected {task}, so choose it with --task.")
-    for side in (queries, tiles):
-        if repeated := _repeated([picture.path.as_posix() for picture in side]):
-            raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
-    truth = truth_of_rows(dataset, task, queries, tiles)
-    labels = (saved.query_labels, saved.gallery_labels) if truth is None else _labels(queries, tiles)
-    return _ranked(name, dataset.root, task, gallery, (queries, tiles), (saved.query, saved.gallery), labels, truth)
-
-
-def rank_task(task: Task, name: str) -> RankedModel:
+def rank_task(task: Task, name: str, gallery: GalleryChoice = "full") -> RankedModel:
     """Rank an opened task, whatever it was opened from, under equal part weights.
 
     Galleries of indexes are compared by their numbers of tiles alone.
 
     Raises:
-        InputError: when no query's truth is known.
+        InputError: when no query's truth is known, a picture occurs twice, or the gallery has no distractors to leave out.
         StoreError: when an index cannot be read.
     """
     task = replace(task, weights=None)
     task.check_truth()
+    if task.model is None:  # rows of one picture are not told apart in another result
+        for side in (task.queries, task.gallery):
+            if repeated := _repeated([picture.path.as_posix() for picture in side]):
+                raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
     if task.lists_gallery:
-        sides = task.query_descriptors, task.gallery_descriptors
-        labels = task.query_labels, task.gallery_labels
-        return _ranked(name, task.root, task.name, "full", (task.queries, task.gallery), sides, labels, task.truth)
+        pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
+        return _ranked(name, task.root, pictures, gallery, task.sides(), (task.query_labels, task.gallery_labels))
     retrieval, known = task.retrieved, task.known
     kept = np.ones(len(task.queries), bool) if known is None else known
     queries = np.array(geo.names_below(task.root, task.queries), object)
@@ -319,11 +288,6 @@ def rank_task(task: Task, name: str) -> RankedModel:
     )
 
 
-def _labels(queries: Sequence[Picture], gallery: Sequence[Picture]) -> tuple[Int64Array, Int64Array]:
-    of_query, of_gallery = (np.array([one.label for one in side], np.int64) for side in (queries, gallery))
-    return of_query, of_gallery
-
-
 def _repeated(names: Sequence[str]) -> str:
     """Return the first name that occurs twice, or ""."""
     return next((name for name, count in Counter(names).items() if count > 1), "")
@@ -332,14 +296,12 @@ def _repeated(names: Sequence[str]) -> str:
 def _ranked(
     name: str,
     root: Path,
-    task: str,
+    pictures: TaskPictures,
     gallery: GalleryChoice,
-    pictures: tuple[Sequence[Picture], Sequence[Picture]],
-    sides: tuple[Any, Any],
+    sides: tuple[Float32Array, Float32Array],
     labels: tuple[Int64Array, Int64Array],
-    truth: Sequence[Truth] | None,
 ) -> RankedModel:
-    of_gallery = labels[1]
+    truth, of_gallery = pictures.truth, labels[1]
     kept = np.ones(len(of_gallery), bool)
     if gallery != "full":
         if truth is not None:
@@ -352,20 +314,22 @@ def _ranked(
             raise InputError(
                 f"Each place of the gallery of {root.name} has a query, so it has no distractors; leave --gallery out."
             )
-    found = metrics.retrieve(sides[0], labels[0], sides[1], of_gallery, truth)
-    query_names, tiles = (np.array(geo.names_below(root, of_side), object) for of_side in pictures)
+    retrieval = metrics.retrieve(sides[0], labels[0], sides[1], of_gallery, truth)
+    query_names, tiles = (
+        np.array(geo.names_below(root, side), object) for side in (pictures.queries, pictures.gallery)
+    )
     known = metrics.known_queries(truth)
     known = np.ones(len(query_names), bool) if known is None else known
     size = int(kept.sum())
     return RankedModel(
         name,
-        task,
+        pictures.name,
         f"{FULL if gallery == 'full' else WITHOUT}, {size:,}",
         tuple(query_names[known].tolist()),
         frozenset(tiles[kept].tolist()),
         labels[0][known],
-        found.first[known],
-        found.precision[known],
+        retrieval.first[known],
+        retrieval.precision[known],
     )
 
 

@@ -186,10 +186,11 @@ class CompareCommand(ComparisonOfSources):
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.analysis.model_table import rank_model, rank_saved
+        from lpn.analysis.model_table import rank_model, rank_task
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.published_results import load_saved
+        from lpn.tasks.published_task import published_task
 
         if self.csls < 0:
             raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
@@ -216,7 +217,10 @@ class CompareCommand(ComparisonOfSources):
             if file.suffix.lower() == ".mat":
                 if kind is not None:
                     raise InputError(f"{name} holds descriptors and needs no kind; give auto in place of {kind}.")
-                yield rank_saved(load_saved(file), name, dataset, task, self.gallery)
+                result = published_task(load_saved(file), dataset)
+                if result.name != task:
+                    raise InputError(f"{name} is a result of {result.name}; expected {task}, so choose it with --task.")
+                yield rank_task(result, name, self.gallery)
             else:
                 model = ModelOptions(model=file, kind=kind, provider=self.provider).load()
                 read = descriptor_reader(dataset.root)

@@ -165,7 +165,7 @@ class EvaluationOfIndex(EvaluationOfSource):
     source: Indexed
 
     def _evaluate(self) -> tuple[str, Result]:
-        from lpn.analysis.evaluation import evaluate_task
+        from lpn.tasks.evaluation import evaluate_task
 
         task = open_task(self.source)
         return f"{task.model_name} on {task.data_name}, {task.gallery_description}", evaluate_task(task)

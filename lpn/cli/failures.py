@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.analysis.breakdown import Rate
-    from lpn.analysis.task import Task
     from lpn.core.tables import Table
+    from lpn.tasks.task import Task
 
 
 @dataclass(kw_only=True)
@@ -51,10 +51,10 @@ class FailuresOfSource(ABC):
     listing: FailuresOptions = field(default_factory=FailuresOptions)
 
     def run(self) -> None:
-        from lpn.analysis.query_outcomes import OUTCOME_COLUMNS, RANK_A
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, write_atomic
         from lpn.datasets import metadata
+        from lpn.tasks.query_outcomes import OUTCOME_COLUMNS, RANK_A
 
         listing = self.listing
         if listing.top < 1:
@@ -129,7 +129,7 @@ class FailuresCommand(FailuresOfSource):
     """Method of --beside, as --kind is that of --model."""
 
     def _compared(self, task: Task, table: Table) -> Table:
-        from lpn.analysis.query_outcomes import compared_ranks
+        from lpn.tasks.query_outcomes import compared_ranks
 
         if self.beside is None:
             if self.beside_kind is not None:
@@ -156,7 +156,7 @@ def _print(console: Console, table: Table, rows: Int64Array, names: list[str], t
 def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -> None:
     """Print the common properties of the failures among some rows."""
     from lpn.analysis import breakdown
-    from lpn.analysis.query_outcomes import picture_columns
+    from lpn.tasks.query_outcomes import picture_columns
 
     table, outcomes, part_names = task.table, task.outcomes, task.part_names
     task = task.current()

@@ -12,8 +12,8 @@ from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
 from lpn.sources.opened import open_with_notes, query_positions
 
 if TYPE_CHECKING:
-    from lpn.analysis.task import Task
     from lpn.report import Options
+    from lpn.tasks.task import Task
 
 
 @dataclass(kw_only=True)

@@ -16,10 +16,10 @@ from lpn.sources.opened import progress_bars, query_positions
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lpn.analysis.task import Task
     from lpn.core.views import View
     from lpn.explain.sweeps import Point, SweepResult
     from lpn.models.base import Model
+    from lpn.tasks.task import Task
 
 _BAR = 24
 

@@ -24,6 +24,7 @@ from lpn.datasets.base import (
     Truth,
     files_below,
     hidden,
+    labels_of,
     unread_below,
     warn_left_out,
 )
@@ -57,6 +58,7 @@ __all__ = [
     "University",
     "files_below",
     "hidden",
+    "labels_of",
     "open_dataset",
     "unread_below",
     "warn_left_out",

@@ -82,6 +82,11 @@ class Picture:
         return zoom(self.load_cropped(), self.zoom)
 
 
+def labels_of(pictures: Sequence[Picture]) -> Int64Array:
+    """The label of each picture, (N,)."""
+    return np.array([picture.label for picture in pictures], np.int64)
+
+
 def _no_tiles() -> Int64Array:
     return np.zeros(0, np.int64)
 

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import PictureError
 from lpn.datasets import Picture
 from lpn.drawing import overlays, theme
 from lpn.maps import Map, Window
+from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Pixels of the mosaic's longer side.
 LARGEST = 1536

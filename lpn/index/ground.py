@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
@@ -20,6 +19,7 @@ from lpn.index.gallery import IndexGallery
 from lpn.index.shared import SharedIndex
 from lpn.maps import Map, NamedWindow
 from lpn.models.base import Model, normalise
+from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Searches by drawn descriptors that show where an index's tiles lie, and how large windows are.
 _PROBES = 2

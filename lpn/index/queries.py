@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from lpn import descriptors
-from lpn.analysis.task import choose_task, offered_tasks
 from lpn.core.arrays import BoolArray, Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
@@ -20,6 +19,8 @@ from lpn.datasets.geo import Position
 from lpn.index.shared import SharedIndex
 from lpn.models.base import Model
 from lpn.retrieval.metrics import JUNK
+from lpn.retrieval.sides import TaskPictures
+from lpn.tasks.opening import choose_task, offered_tasks
 
 # Gallery pictures by which the described folder is found.
 _SAMPLE = 50
@@ -69,16 +70,17 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
         LPNError: when the data set has no task that the model knows, or cannot be read.
     """
     offered = fitting_tasks(model, offered_tasks(model, dataset) or [choose_task(model, dataset)], index)
-    sides = [(name, *_names_held(index, dataset.root, dataset.gallery(views_of(name)[1]))) for name in offered]
-    name, folders, held = max(sides, key=lambda side: len(side[2]))
+    listed = [TaskPictures.of(dataset, name) for name in offered]
+    held_of = [(pictures, *_names_held(index, dataset.root, pictures.gallery)) for pictures in listed]
+    pictures, folders, held = max(held_of, key=lambda task: len(task[2]))
     if len(folders) > 1:
         first, second = (printable(folder) for folder in folders[:2])
         raise InputError(
             f"The names in the index fit the pictures below {first} and those below {second} equally well; describe a folder "
             "that holds both, so that names tell them apart."
         )
-    view, model = views_of(name)[0], model.for_task(*views_of(name))
-    queries, lists = dataset.queries(view), dataset.truth(name)
+    view, model = pictures.views[0], model.for_task(*pictures.views)
+    queries, lists = pictures.queries, pictures.truth
     positions = dataset.positions()
     by_label: dict[int, list[str]] = {}
     for tile, (_, picture) in held.items():
@@ -96,7 +98,7 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
         true = [[names[i] for i in one.good.tolist() if i in names] if one.known else None for one in lists]
         junk = [[names[i] for i in one.junk.tolist() if i in names] for one in lists]
     return IndexQueries(
-        name=name,
+        name=pictures.name,
         data_name=printable(dataset.root.resolve().name),
         root=dataset.root,
         pictures=queries,

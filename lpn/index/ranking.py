@@ -67,7 +67,7 @@ class IndexRanking:
         """Return rank from 0, nearest positive, hardest negative, `missed`, the parts of the margin, and the gap of a query."""
         task = self._task
         weights = scoring.part_weights(task.contract.n_parts, task.weights)
-        ranking = task.search(query, task.query_descriptors[query], weights, background=True)
+        ranking = task.search_index(query, task.query_descriptors[query], weights, background=True)
         positive, negative = ranking.positive(), ranking.hardest_negative()
         parts = np.full(len(weights), np.nan)
         gap = ranking.match(0).gap if len(ranking.order) else None

@@ -14,18 +14,13 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
-from lpn.analysis import query_outcomes
-from lpn.analysis.query_outcomes import Outcomes
-from lpn.analysis.task import RankUnderWeights, Task
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import views_of
-from lpn.datasets import Picture, Truth
+from lpn.datasets import Picture, Truth, labels_of
 from lpn.datasets.geo import Position
-from lpn.explain.counterfactual import Effect
 from lpn.index.base import ID_LENGTH, check_count
 from lpn.index.gallery import IndexGallery
 from lpn.index.ground import IndexGeometry, IndexGround, ground_of, probes
@@ -37,6 +32,9 @@ from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.retrieval import Ranking, scoring
 from lpn.retrieval.metrics import Retrieval
+from lpn.tasks import query_outcomes
+from lpn.tasks.query_outcomes import Outcomes
+from lpn.tasks.task import RankUnderWeights, Task
 
 # Number of tiles that a search returns by default.
 DEPTH = 100
@@ -67,21 +65,19 @@ class IndexTask(Task):
     """A task over an index; `gallery` grows, and `current` gives the labels and positions of all tiles in it.
 
     Attributes:
+        gallery: the tiles that searches have returned.
         index: the index.
-        seen: the gallery.
         search_depth: number of tiles that a search returns.
         contains: see `IndexQueries`.
-        no_map: why the gallery has no map, as a sentence; empty if it has one.
         town: the map that windows are cut from; None without one.
     """
 
+    gallery: IndexGallery
     index: SharedIndex
-    seen: IndexGallery
     search_depth: int
     snapshots: _Snapshots
     contains: Callable[[int, Sequence[str]], BoolArray] | None = None
     ground: IndexGround | None = None
-    no_map: str = ""
     town: Map | None = None
 
     @property
@@ -101,26 +97,31 @@ class IndexTask(Task):
         name = f"approximately ({self.index.index.engine})" if self.approximate else "exactly"
         return f"searched {name} to depth {self.search_depth} of {self.tiles:,} tiles"
 
+    def sides(self) -> tuple[Float32Array, Float32Array]:
+        raise InputError(
+            f"The {self.tiles:,} tiles are in an index, which is searched and not read whole; open their data set with a model."
+        )
+
     def current(self) -> Task:
         places = [None] * len(self.queries) if self.geometry is None else self.geometry.queries
-        labels, geometry = self.snapshots.get(self.seen, self.ground, places)
+        labels, geometry = self.snapshots.get(self.gallery, self.ground, places)
         return replace(self, gallery_labels=labels, geometry=geometry)
 
     def without_picture(self, index: int) -> str:
-        cut = self.seen[index].cut
+        cut = self.gallery[index].cut
         return cut.reason if isinstance(cut, TilePlaceholder) else ""
 
     def stored_descriptor(self, index: int) -> Float32Array:
-        return cast(Float32Array, self.index.read([self.seen.name_of(index)])[0][0])
+        return cast(Float32Array, self.index.read([self.gallery.name_of(index)])[0][0])
 
     def tile_name(self, index: int) -> str:
-        return self.seen.name_of(index)
+        return self.gallery.name_of(index)
 
     def find_tile(self, name: str) -> int | None:
         """The gallery position of a tile by its name in the index; None if the index has no such tile."""
-        place = self.seen.find(name)
+        place = self.gallery.find(name)
         if place is None and 0 < len(name) <= ID_LENGTH and self.index.holds([name])[0]:
-            place = int(self.seen.add([name])[0])
+            place = int(self.gallery.add([name])[0])
         return place
 
     def start_search(
@@ -128,7 +129,7 @@ class IndexTask(Task):
     ) -> RankUnderWeights:
         return IndexSearch(self, query, descriptor, lengths)
 
-    def search(
+    def search_index(
         self,
         query: int | None,
         descriptor: Float32Array,
@@ -150,20 +151,20 @@ class IndexTask(Task):
         truth = None if query is None else self.truth[query]
         junk = np.zeros(0, np.int64) if truth is None else truth.junk
         found = self.index.search(descriptor, weights, self.search_depth + len(junk), background)
-        places = self.seen.add(found.ids, found.positions)
+        places = self.gallery.add(found.ids, found.positions)
         kept = np.flatnonzero(~np.isin(places, junk))[: self.search_depth]
         places, vectors, scores = places[kept], found.vectors[kept], found.scores[kept]
         depth = None if len(found) >= self.tiles else len(places)
         good = np.zeros(0, np.int64) if truth is None else truth.good
         missing = np.setdiff1d([*good, *also], [*places, *junk]).astype(np.int64)
         if len(missing):
-            read, positions = self.index.read([self.seen.name_of(i) for i in missing.tolist()])
-            self.seen.add([self.seen.name_of(i) for i in missing.tolist()], positions)
+            read, positions = self.index.read([self.gallery.name_of(i) for i in missing.tolist()])
+            self.gallery.add([self.gallery.name_of(i) for i in missing.tolist()], positions)
             theirs = scoring.part_cosines(descriptor, read) @ weights
             order = np.argsort(-theirs, kind="stable")
             places, vectors = np.concatenate([places, missing[order]]), np.concatenate([vectors, read[order]])
             scores = np.concatenate([scores, theirs[order]])
-        size, n = len(self.seen), self.contract.n_parts
+        size, n = len(self.gallery), self.contract.n_parts
         cosines = np.full((size, n), np.nan, np.float32)
         cosines[places] = scoring.part_cosines(descriptor, vectors)
         all_scores = np.full(size, np.nan, np.float32)
@@ -173,7 +174,7 @@ class IndexTask(Task):
             relevant = np.zeros(size, bool)
             relevant[good] = True
             if self.contains is not None:
-                relevant[places] = self.contains(query, [self.seen.name_of(i) for i in places.tolist()])
+                relevant[places] = self.contains(query, [self.gallery.name_of(i) for i in places.tolist()])
         return Ranking(cosines, weights, all_scores, places, relevant, lengths, depth, self.approximate)
 
     @property
@@ -199,12 +200,6 @@ class IndexTask(Task):
         outcomes = query_outcomes.outcomes_from_parts(ranking, ranking.parts, self.weights, self.known)
         return replace(outcomes, missed=ranking.missed)
 
-    def effect(self, before: npt.ArrayLike | None, after: npt.ArrayLike, first: Int64Array | None = None) -> Effect:
-        del before, after, first
-        raise InputError(
-            "The effect of weights on all queries takes a search for each of them, so it is told for galleries in memory only."
-        )
-
 
 class IndexSearch:
     """One query's searches; asks the index again when the weights change, and reuses the last ranking otherwise."""
@@ -221,7 +216,7 @@ class IndexSearch:
         if self._last is not None and self._last[0] == key and (also is None or self._last[1].holds(also)):
             return self._last[1]
         others = () if also is None else (also,)
-        ranking = self._task.search(self._query, self._descriptor, weights, self._lengths, others)
+        ranking = self._task.search_index(self._query, self._descriptor, weights, self._lengths, others)
         self._last = key, ranking
         return ranking
 
@@ -281,14 +276,12 @@ def index_task(
         map_sizes={view: model.map_size(view) for view in dict.fromkeys((*views, *model.views))},
         queries=queries.pictures,
         gallery=gallery,
-        query_labels=query_outcomes.labels_of(queries.pictures),
+        query_labels=labels_of(queries.pictures),
         gallery_labels=gallery.labels(),
         query_descriptors=queries.descriptors,
-        gallery_descriptors=np.zeros((0, model.n_parts, model.embedding), np.float32),
         truth=truth,
         geometry=None if ground is None else ground.geometry(places, gallery),
         index=index,
-        seen=gallery,
         search_depth=min(depth, index.tiles, index.index.most or depth),
         snapshots=_Snapshots(),
         contains=queries.contains,

@@ -13,8 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from lpn.analysis.gallery_geometry import GalleryGeometry
-from lpn.analysis.task import Task
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
@@ -29,6 +27,8 @@ from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import WindowCut, describe_place
 from lpn.models.base import Model
+from lpn.tasks.gallery_geometry import GalleryGeometry
+from lpn.tasks.gallery_task import GalleryTask
 
 TASK = "drone-to-satellite"
 # The column of `stage_columns` with a sentence for each frame.
@@ -42,7 +42,7 @@ _VERDICTS = {
 }
 
 
-def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
+def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> GalleryTask:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
     Scores are those of the retrieval. Where it centred and whitened the descriptors, the task's model does so too
@@ -71,7 +71,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(found.windows_described).tobytes()).hexdigest()
     if found.means:
         model = model.centred(found.means, found.whitening)
-    return Task(
+    return GalleryTask(
         name=TASK,
         model=model,
         model_name=printable(model_name),

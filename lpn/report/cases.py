@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from lpn.analysis.analyser import Analysis, OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
-from lpn.analysis.query_outcomes import picture_columns
-from lpn.analysis.task import Task
+from lpn.analysis.comparison import effect_on
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.datasets.metadata import NOTE, TAGS
@@ -19,6 +18,8 @@ from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweig
 from lpn.explain.part_activation import part_activation
 from lpn.explain.sweeps import SweepResult
 from lpn.retrieval import DescribedPicture, Match, Ranking
+from lpn.tasks.query_outcomes import picture_columns
+from lpn.tasks.task import Task
 
 
 @dataclass(frozen=True)
@@ -200,7 +201,7 @@ class Cases:
 
     def _effect(self, change: Reweighting) -> Effect | None:
         task = self._task
-        return task.effect(task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None
+        return effect_on(task, task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None
 
     def _profile(self, analysis: Analysis, index: int | None, on_step: Callable[[], None]) -> SweepResult | None:
         task, options = self._task, self._options

@@ -10,12 +10,12 @@ from datetime import datetime
 
 import lpn
 from lpn.analysis.analyser import OwnPicture
-from lpn.analysis.task import Task
 from lpn.core.errors import InputError
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
 from lpn.retrieval import protocol
+from lpn.tasks.task import Task
 
 # Queries in one report; browsers open the file of more of them slowly.
 MOST = 200

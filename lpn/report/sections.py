@@ -7,7 +7,6 @@ from itertools import chain
 
 from markupsafe import Markup
 
-from lpn.analysis.task import Task
 from lpn.core import images
 from lpn.core.arrays import FloatingArray, UInt8Array
 from lpn.drawing import charts, heatmaps, overlays, verdicts
@@ -17,6 +16,7 @@ from lpn.explain import Evidence
 from lpn.report._rendering import render, thumbnail
 from lpn.report.cases import Case
 from lpn.retrieval import Match
+from lpn.tasks.task import Task
 
 # Widths of pictures in pixels; panoramas, which are stacked, are twice as wide.
 _LARGE, _MAP = 280, 220

@@ -19,12 +19,13 @@ from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.datasets.base import PositionProtocol
 from lpn.datasets.integrity import check_whole
-from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.retrieval import csls, field_metrics, metrics
-from lpn.retrieval.calibration import Calibration, calibrate
+from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.protocol import Protocol, averaged, centred, sentence
 from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.sides import TaskPictures
 
 log = logging.getLogger(__name__)
 
@@ -196,20 +197,14 @@ def evaluate(
     """
     started = time.perf_counter()
     protocol = protocol or Protocol()
-    if task not in dataset.tasks():
-        raise InputError(
-            f"The task is {task!r}; {dataset.root.name} offers {', '.join(dataset.tasks()) or 'none'} in its test split."
-        )
     protocol.chosen(model.n_parts)
-    query_view, gallery_view = views_of(task)
-    model = model if protocol.branch else model.for_task(query_view, gallery_view)
-    query_branch, gallery_branch = (protocol.branch or view for view in (query_view, gallery_view))
-    for branch in (query_branch, gallery_branch):
-        _check_branch(model, branch, protocol)
-    queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
+    pictures = TaskPictures.of(dataset, task)
+    model = model if protocol.branch else model.for_task(*pictures.views)
+    for view in pictures.views:
+        _check_branch(model, protocol.branch or view, protocol)
     if protocol.whole:
-        queries = [replace(picture, box=None) for picture in queries]
-    truth = dataset.truth(task)
+        pictures = replace(pictures, queries=[replace(picture, box=None) for picture in pictures.queries])
+    queries, gallery, truth = pictures.queries, pictures.gallery, pictures.truth
     if truth is None and len({picture.label for picture in gallery}) == 1:
         log.warning(
             "%s shows one place only, so that every answer is right; its metrics say nothing.", dataset.root.name
@@ -227,19 +222,16 @@ def evaluate(
     measured_by = None if protocol.average else dataset.measured_by
     where = None if measured_by is None else (dataset.coordinates(queries), dataset.coordinates(gallery))
     change = protocol.change.for_picture(queries[0])
-    calibration = _calibrated(model, protocol, [(query_view, queries), (gallery_view, gallery)], read)
-    if calibration is None:
-        query = read(model, queries, query_branch, change)
-        tiles = read(model, gallery, gallery_branch, UNCHANGED)
-    else:
-        query = calibration.read(model, queries, query_view, read, change)
-        tiles = calibration.read(model, gallery, gallery_view, read)
+    if protocol.calibrate and (protocol.branch or protocol.centre):
+        raise InputError("A calibration centres each view and takes its own branch; leave --branch and --centre out.")
+    sides = pictures.described(model, read, change, protocol.branch, protocol.calibrate)
+    query, tiles, calibration = sides.query, sides.gallery, sides.calibration
     if protocol.centre:
         query, tiles = centred(query), centred(tiles)
     cropped = any(picture.box for picture in queries)
     clauses = _clauses(model, protocol, cropped, change)
     clauses += [] if calibration is None else [calibration.describe()]
-    labels = [np.array([picture.label for picture in pictures], np.int64) for pictures in (queries, gallery)]
+    labels = pictures.labels
     result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, clauses)
     errors = None if positions is None else _errors(retrieval, *positions)
     # Half-true matches of GTA-UAV are measured by distances; its paper has no hit rate.
@@ -279,17 +271,6 @@ def _check_csls(
     for where, rows in [("", np.arange(len(queries))), *groups]:
         labels = {queries[row].label for row in rows.tolist()}
         csls.check_neighbours(protocol.csls, len(labels) if protocol.average else len(rows), where)
-
-
-def _calibrated(
-    model: Model, protocol: Protocol, sides: Sequence[tuple[View, Sequence[Picture]]], read: descriptors.Reader
-) -> Calibration | None:
-    """Calibrate as the protocol says, on the pictures of both sides with their views."""
-    if not protocol.calibrate:
-        return None
-    if protocol.branch or protocol.centre:
-        raise InputError("A calibration centres each view and takes its own branch; leave --branch and --centre out.")
-    return calibrate(model, {view: [pictures for of, pictures in sides if of == view] for view, _ in sides}, read)
 
 
 def field_figures(

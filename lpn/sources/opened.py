@@ -14,11 +14,11 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 
 if TYPE_CHECKING:
-    from lpn.analysis.task import Task
     from lpn.locate.pipeline import LocatedFlight
     from lpn.maps import Map
     from lpn.models.base import Model
     from lpn.sources.sources import TaskSource
+    from lpn.tasks.task import Task
 
 # Receives the stage, such as "frames", and the numbers of finished and of all its steps.
 Progress = Callable[[str, int, int], None]
@@ -83,8 +83,8 @@ def open_with_notes(
     Raises:
         DataError: also if the file is damaged.
     """
-    from lpn.analysis import notes
     from lpn.core.demo import own_file
+    from lpn.tasks import notes
 
     named = None if file is None else notes.read_notes(file)
     task = open_task(source, names, weights)

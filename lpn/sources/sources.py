@@ -18,10 +18,10 @@ from lpn.models.adapters import Kind
 from lpn.sources.opened import OpenedSource, Progress, query_positions, weighted
 
 if TYPE_CHECKING:
-    from lpn.analysis.task import Task
     from lpn.datasets import Dataset
     from lpn.models.base import Model
     from lpn.retrieval.plain_arrays import PlainArrays
+    from lpn.tasks.task import Task
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
@@ -99,8 +99,8 @@ def open_data(
     Raises:
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
     """
-    from lpn.analysis.task import calibrated, choose_task, offered_tasks, open_task
     from lpn.core.views import views_of
+    from lpn.tasks.opening import calibrated, choose_task, offered_tasks, open_task
 
     first = choose_task(model, dataset, task)
     if names:
@@ -171,9 +171,9 @@ class Published(TaskSource):
         weights: Sequence[float] | None = None,
         on_progress: Progress = no_progress,
     ) -> OpenedSource:
-        from lpn.analysis.published_task import published_task
         from lpn.datasets import open_dataset
         from lpn.retrieval.published_results import check_n_parts, load_saved
+        from lpn.tasks.published_task import published_task
 
         del on_progress
         task = published_task(load_saved(self.saved, check_n_parts(self.n_parts)), open_dataset(self.data))
@@ -206,7 +206,7 @@ class Arrays(TaskSource):
         weights: Sequence[float] | None = None,
         on_progress: Progress = no_progress,
     ) -> OpenedSource:
-        from lpn.analysis.array_task import array_task
+        from lpn.tasks.array_task import array_task
 
         del on_progress
         task = array_task(self.load(), printable(self.queries.name))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import BrowserContext, expect
 
-from lpn.analysis.notes import Note, read_notes
+from lpn.tasks.notes import Note, read_notes
 from tests.e2e.conftest import RunningApp, started
 from tests.e2e.test_lab import LabPage
 from tools.fixtures import small_worlds

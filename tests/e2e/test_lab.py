@@ -13,11 +13,12 @@ from playwright.sync_api import BrowserContext, Locator, Page, expect
 
 import lpn
 from lpn import datasets, descriptors
-from lpn.analysis import breakdown, query_outcomes
-from lpn.analysis.query_outcomes import Outcomes
-from lpn.analysis.task import gallery_geometry
+from lpn.analysis import breakdown
 from lpn.core.numbers import signed
 from lpn.core.tables import Table
+from lpn.tasks import query_outcomes
+from lpn.tasks.gallery_geometry import GalleryGeometry
+from lpn.tasks.query_outcomes import Outcomes
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 from tools.fixtures import small_worlds
 
@@ -53,10 +54,10 @@ def truth(lab_app: RunningApp) -> tuple[Outcomes, Table]:
         descriptors.temporary_descriptors(model, entries, view)
         for entries, view in ((queries, "drone"), (gallery, "satellite"))
     ]
-    outcomes = query_outcomes.build(*described, query_outcomes.labels_of(queries), query_outcomes.labels_of(gallery))
+    outcomes = query_outcomes.build(*described, datasets.labels_of(queries), datasets.labels_of(gallery))
     names = model.spec.partition("drone").names()
     return outcomes, query_outcomes.table(
-        dataset.root, queries, gallery, outcomes, names, gallery_geometry(dataset, queries, gallery)
+        dataset.root, queries, gallery, outcomes, names, GalleryGeometry.of_dataset(dataset, queries, gallery)
     )
 
 
@@ -223,7 +224,7 @@ def test_clicks_in_the_breakdown_choose_what_they_count(
 ) -> None:
     outcomes, table = truth
     dataset = datasets.open_dataset(lab_app.data)
-    labels = [query_outcomes.labels_of(entries) for entries in (dataset.queries("drone"), dataset.gallery("satellite"))]
+    labels = [datasets.labels_of(entries) for entries in (dataset.queries("drone"), dataset.gallery("satellite"))]
     pair = breakdown.confusions(outcomes, *labels)[0]
     lab.choose("Breakdown")
     line = lab.page.locator(".card .line", has_text=f"{pair.place:04d} taken for")

@@ -10,9 +10,9 @@ from playwright.sync_api import Browser
 
 import lpn
 from lpn import report
-from lpn.analysis.task import open_task
 from lpn.datasets import open_dataset
 from lpn.report import Options
+from lpn.tasks.opening import open_task
 
 
 @pytest.fixture

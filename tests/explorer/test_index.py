@@ -28,7 +28,7 @@ from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
-from lpn.analysis.comparison import Comparison
+from lpn.analysis.comparison import Comparison, effect_on
 from lpn.cli.main import main
 from lpn.core.errors import InputError, StoreError
 from lpn.flights import write_flight
@@ -193,8 +193,8 @@ def test_what_an_index_cannot_tell_is_said(workspace: Workspace, monkeypatch: py
     analysis = StateAnalyser(workspace).analyse(replace(_state(1), why=True), 10)
     with pytest.raises(InputError, match="needs the whole gallery in memory"):
         reports.of_analysis(workspace, analysis)
-    with pytest.raises(InputError, match="takes a search for each"):
-        analysis.task.effect(None, (1, 1, 1, 0))
+    with pytest.raises(InputError, match="not read whole"):
+        effect_on(analysis.task, None, (1, 1, 1, 0))
     html = comparison.page(analysis, workspace, Comparison.of(analysis.ranking, analysis.matches[1]), None, False)
     assert "among the 10 nearest tiles" in html.replace("\n", " ").replace("    ", "")
     job = ranking_job.RankingJob(_task(workspace))
@@ -235,7 +235,7 @@ def test_a_flight_is_searched_for_among_windows(
     assert analysis.errors_m is not None
     assert analysis.task.geometry is not None
     for match in analysis.matches:
-        window = NamedWindow.parse(task.seen.name_of(match.index))
+        window = NamedWindow.parse(task.gallery.name_of(match.index))
         assert window is not None
         placed, tag = analysis.task.geometry.tiles[match.index], analysis.task.geometry.queries[5]
         assert tag is not None
@@ -248,7 +248,7 @@ def test_a_flight_is_searched_for_among_windows(
         assert match.true == inside
     # The picture of a window is the one that was described.
     np.testing.assert_allclose(
-        analysis.tile.descriptor, task.index.read([task.seen.name_of(analysis.chosen.index)])[0][0], atol=1e-4
+        analysis.tile.descriptor, task.index.read([task.gallery.name_of(analysis.chosen.index)])[0][0], atol=1e-4
     )
     assert workspace.mosaic(analysis.task).shape[2] == 3
     west, south, east, north = analysis.task.geometry.bounds()

@@ -16,10 +16,10 @@ from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.analysis.task import Task
 from lpn.cli.failures import FailuresCommand
 from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
 from lpn.sources import Data, ModelOptions
+from lpn.tasks.task import Task
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
 from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector

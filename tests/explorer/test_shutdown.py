@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from lpn.analysis.notes import read_notes
 from lpn.core.shutdown import GRACE
+from lpn.tasks.notes import read_notes
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import SOON, Process
 from tools.fixtures.websocket_client import WebSocketClient

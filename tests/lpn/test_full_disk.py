@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from lpn.analysis import notes
 from lpn.cli import main
 from lpn.core.errors import OutputError
 from lpn.locate.tracks import TrackPoint, write_track
+from lpn.tasks import notes
 from tools.fixtures import saves
 from tools.fixtures.small_disks import fill, small_disk
 

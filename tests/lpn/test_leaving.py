@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from lpn.analysis import notes
 from lpn.analysis.named_views import ChosenQueries, NamedView, read_views, save_view
 from lpn.cli import main
 from lpn.core.csv_cells import unescape
@@ -26,6 +25,7 @@ from lpn.core.files import printable
 from lpn.flights import Flight, Frame, open_flight, write_flight
 from lpn.locate.corrections import Correction, read_corrections, set_correction
 from lpn.locate.tracks import TrackPoint, write_track
+from lpn.tasks import notes
 from tools.fixtures import small_worlds
 
 # Names that Linux allows, and notes.

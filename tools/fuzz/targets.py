@@ -197,8 +197,8 @@ def arrays(folder: Path) -> list[FuzzCase]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from lpn.analysis.array_task import array_task
     from lpn.retrieval.plain_arrays import load_arrays
+    from lpn.tasks.array_task import array_task
 
     rng = np.random.default_rng(0)
     query, gallery = (rng.standard_normal((count, 2, 3)).astype(np.float32) for count in (3, 4))
@@ -377,7 +377,7 @@ def pth(folder: Path) -> list[FuzzCase]:
 
 def notes(folder: Path) -> list[FuzzCase]:
     """A person's notes."""
-    from lpn.analysis.notes import read_notes, set_note
+    from lpn.tasks.notes import read_notes, set_note
 
     file = folder / "notes.csv"
     for path, tags, text in (
@@ -402,9 +402,9 @@ def notes(folder: Path) -> list[FuzzCase]:
 
 def rankings(folder: Path) -> list[FuzzCase]:
     """A ranking kept between runs."""
-    from lpn.analysis import ranking_cache
     from lpn.models.base import normalise
     from lpn.retrieval import metrics
+    from lpn.tasks import ranking_cache
     from tools.fixtures.tasks import descriptor_task
 
     os.environ["LPN_CACHE"] = str(folder)

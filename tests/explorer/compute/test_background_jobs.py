@@ -20,8 +20,8 @@ from explorer.compute.background_jobs import (
     run_in_process,
 )
 from explorer.failure_lab import table
-from lpn.analysis import notes
 from lpn.core.errors import InputError, LPNError
+from lpn.tasks import notes
 
 TIMEOUT = 120.0  # seconds for something that must happen
 

@@ -20,8 +20,8 @@ from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
 from explorer.panels import pages
 from explorer.workspace import Workspace
-from lpn.analysis import ranking_cache
 from lpn.core.errors import LPNError
+from lpn.tasks import ranking_cache
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"

@@ -12,7 +12,7 @@ from explorer.failure_lab import breakdown_page, state, table
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState, Selection
 from explorer.workspace import Workspace
-from lpn.analysis import notes
+from lpn.tasks import notes
 
 
 def test_names_and_metadata_never_become_html(workspace: Workspace, findings: Findings, lab: LabState) -> None:

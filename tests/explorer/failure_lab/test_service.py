@@ -14,10 +14,10 @@ from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
 from explorer.web.html import Html
 from explorer.workspace import Workspace
-from lpn.analysis import notes
 from lpn.core.demo import own_file_place
 from lpn.core.errors import InputError, OutputError
 from lpn.core.tables import Table
+from lpn.tasks import notes
 from tests.explorer.failure_lab.conftest import TASK
 
 

@@ -25,10 +25,10 @@ from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
 from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
-from lpn.analysis import ranking_cache
-from lpn.analysis.task import open_task
 from lpn.core.arrays import Int64Array
 from lpn.datasets import open_dataset
+from lpn.tasks import ranking_cache
+from lpn.tasks.opening import open_task
 from tests.explorer.explain_window.test_window import WindowGui, wait_until
 from tests.explorer.failure_lab.conftest import TASK
 from tools.fixtures.small_contracts import GateModel, RegionModel

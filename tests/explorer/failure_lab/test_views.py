@@ -17,7 +17,7 @@ from explorer.session_state import LabChoices, SessionState
 from explorer.stage.viewport import Viewport
 from explorer.workspace import Workspace
 from lpn.analysis.named_views import NAME, ChosenQueries, NamedView
-from lpn.analysis.notes import read_notes
+from lpn.tasks.notes import read_notes
 from tests.explorer.explain_window.test_window import WindowGui
 from tests.explorer.failure_lab.conftest import TASK
 

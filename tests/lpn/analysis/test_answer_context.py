@@ -9,9 +9,9 @@ import pytest
 
 from lpn.analysis import answer_context
 from lpn.analysis.answer_context import AlikeAnswers
-from lpn.analysis.query_outcomes import Outcomes
 from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.retrieval.metrics import Retrieval
+from lpn.tasks.query_outcomes import Outcomes
 
 COUNT = 100
 

@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, chi2
 
-from lpn.analysis.model_table import RankedModel, compare, intervals, mcnemar, rank_saved
+from lpn.analysis.model_table import RankedModel, compare, intervals, mcnemar, rank_task
 from lpn.cli.main import main
 from lpn.core.errors import InputError
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
+from lpn.models.base import normalise
 from lpn.retrieval.published_results import PublishedResult
+from lpn.tasks.published_task import published_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -178,17 +180,19 @@ def test_models_and_saved_results_compare_on_one_gallery(
     assert (found["tests"][0]["only_first"], found["tests"][0]["only_second"]) == (0, 0)
     dataset = open_dataset(root)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")[1:]
-    drawn = np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32)
+    drawn = normalise(np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32))
     paths = tuple(tuple(str(picture.path) for picture in pictures) for pictures in (queries, gallery))
     labels = tuple(np.array([picture.label for picture in pictures]) for pictures in (queries, gallery))
     saved = PublishedResult("r.mat", drawn[:5], labels[0], drawn[5:10], labels[1], *paths)
-    smaller = rank_saved(saved, "r.mat", dataset, "drone-to-satellite")
+    smaller = rank_task(published_task(saved, dataset), "r.mat")
     assert smaller.gallery_name == "full gallery, 5"
     whole = replace(smaller, name="m", gallery_name="full gallery, 6", gallery=smaller.gallery | {"x"})
     with pytest.raises(InputError, match="do not compare"):
         compare([whole, smaller])
-    with pytest.raises(InputError, match="expected satellite-to-drone"):
-        rank_saved(saved, "r.mat", dataset, "satellite-to-drone")
+    assert (
+        main(["compare", str(model_file), str(tmp_path / "result.mat"), *options, "--task", "satellite-to-drone"]) == 2
+    )
+    assert "expected satellite-to-drone" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("make", [layouts.vigor, layouts.gta])
@@ -203,14 +207,14 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     assert truth is not None
     perfect = np.zeros((len(sides[0]), 1, len(sides[1])), np.float32)
     for row, lists in enumerate(truth):
-        perfect[row, 0, lists.good] = 1
+        perfect[row, 0, lists.good] = 1 / np.sqrt(len(lists.good))
     orders = [np.random.default_rng(3).permutation(len(side)) for side in sides]
     tiles = np.eye(len(sides[1]), dtype=np.float32)[:, None]
     paths = [tuple(str(side[i].path) for i in order) for side, order in zip(sides, orders, strict=True)]
     labels = [np.arange(len(side)) for side in sides]
     rows = perfect[orders[0]], tiles[orders[1]]
     saved = PublishedResult("r.mat", rows[0], labels[0], rows[1], labels[1], paths[0], paths[1])
-    found = rank_saved(saved, "r.mat", dataset, task)
+    found = rank_task(published_task(saved, dataset), "r.mat")
     assert found.first.tolist() == [0] * len(sides[0])
     assert found.labels.tolist() == [sides[0][i].label for i in orders[0]]
     fewer = replace(
@@ -218,7 +222,7 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     )
     kept = orders[1][1:]
     expected = [0 if set(truth[i].good) & set(kept) else -1 for i in orders[0]]
-    assert rank_saved(fewer, "fewer.mat", dataset, task).first.tolist() == expected
+    assert rank_task(published_task(fewer, dataset), "fewer.mat").first.tolist() == expected
     twice = replace(saved, gallery_paths=(paths[1][1], *paths[1][1:]))
     with pytest.raises(InputError, match="twice"):
-        rank_saved(twice, "twice.mat", dataset, task)
+        rank_task(published_task(twice, dataset), "twice.mat")

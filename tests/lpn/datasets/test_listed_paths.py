@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from lpn.analysis.notes import Note, add_tags, read_notes, set_note
-from lpn.analysis.notes import columns as note_columns
 from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.geo import Position, Positions, read_positions
 from lpn.datasets.listed_paths import FilesBelow, NamesBelow, checked_path, listed_path, name_of, plain_path
 from lpn.datasets.metadata import columns
+from lpn.tasks.notes import Note, add_tags, read_notes, set_note
+from lpn.tasks.notes import columns as note_columns
 from tools.fixtures import layouts, small_worlds
 
 OTHER_MACHINES = ("C:\\Users\\x\\University-Release\\", "/home/x/University-Release/", "\\\\server\\share\\data\\")

@@ -18,7 +18,6 @@ import numpy as np
 import onnxruntime
 import pytest
 
-from lpn.analysis import ranking_cache
 from lpn.cli import doctor as doctor_command
 from lpn.cli import main
 from lpn.core import requirements, resources
@@ -27,6 +26,7 @@ from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder
 from lpn.doctor import environment_check
 from lpn.doctor.environment_check import Finding, healthy
+from lpn.tasks import ranking_cache
 from tools.fixtures.tasks import descriptor_task
 
 

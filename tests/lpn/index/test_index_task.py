@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,9 @@ import pytest
 import lpn
 from lpn import descriptors
 from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
-from lpn.analysis.ranking_cache import ResumableRanking
-from lpn.analysis.task import Task, open_task
 from lpn.core.errors import InputError, StoreError
 from lpn.datasets import geo, open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.index import Engine, Kind, SearchResult, create_index, ground
 from lpn.index.queries import dataset_queries, picture_queries
@@ -23,6 +23,8 @@ from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask, index_task
 from lpn.index.tile_pictures import TilePlaceholder
 from lpn.models.base import Model, normalise
+from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.opening import open_task
 from tools.fixtures import layouts, small_worlds
 
 # More tiles than a search returns.
@@ -45,12 +47,12 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(places: Path, model: Model) -> Task:
+def whole(places: Path, model: Model) -> GalleryTask:
     """The task in memory."""
     return open_task(model, "model.onnx", open_dataset(places), "drone-to-satellite")
 
 
-def _index(where: Path, whole: Task, engine: Engine = "exact", positions: bool = True) -> SharedIndex:
+def _index(where: Path, whole: GalleryTask, engine: Engine = "exact", positions: bool = True) -> SharedIndex:
     """An index of the gallery, as lpn describe of its folder and lpn index make it."""
     index = create_index(where, Kind(whole.model.fingerprint, 4, 512), engine)  # type: ignore[union-attr]
     folder = whole.root / "test" / "gallery_satellite"
@@ -62,7 +64,7 @@ def _index(where: Path, whole: Task, engine: Engine = "exact", positions: bool =
 
 
 @pytest.fixture(params=["exact", "faiss"])
-def task(request: pytest.FixtureRequest, tmp_path: Path, whole: Task, model: Model) -> Iterator[IndexTask]:
+def task(request: pytest.FixtureRequest, tmp_path: Path, whole: GalleryTask, model: Model) -> Iterator[IndexTask]:
     if request.param == "faiss":
         pytest.importorskip("faiss")
     index = _index(tmp_path / "index", whole, request.param)
@@ -74,7 +76,7 @@ def _analyser(model: Model) -> QueryAnalyser:
     return QueryAnalyser(model, lambda task, index: describe_tile(task, index, model))
 
 
-def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: Task, model: Model) -> None:
+def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: GalleryTask, model: Model) -> None:
     assert (task.name, task.tiles, task.depth) == (whole.name, PLACES, DEPTH)
     assert "to depth 12 of 30 tiles" in task.gallery_description
     by_index, in_memory = _analyser(model), _analyser(model)
@@ -103,7 +105,7 @@ def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: 
     assert beyond
 
 
-def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, whole: Task) -> None:
+def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, whole: GalleryTask) -> None:
     found, wanted = task.outcomes, whole.outcomes
     np.testing.assert_array_equal(found.rank, np.minimum(wanted.rank, DEPTH))
     assert (wanted.rank > DEPTH).any()
@@ -117,7 +119,7 @@ def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, who
         assert task.metrics[name] == whole.metrics[name]
     assert np.isnan(task.metrics["ap"])
     gap = IndexRanking(task).finish(lambda *_: None).gap
-    np.testing.assert_allclose(gap, ResumableRanking(whole).finish(lambda *_: None).gap, atol=1e-5)
+    np.testing.assert_allclose(gap, whole.ranking().finish(lambda *_: None).gap, atol=1e-5)
     table = now.tabulate(found, task.part_names)
     ranks = [table.columns["rank"].text(i) for i in range(PLACES)]
     assert ranks == ["> 12" if rank >= DEPTH else str(rank + 1) for rank in wanted.rank]
@@ -126,7 +128,7 @@ def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, who
 
 
 def test_a_tile_beyond_the_depth_can_be_compared_and_the_ranking_is_reused(
-    task: IndexTask, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+    task: IndexTask, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ranking = whole.start_search(0, whole.query_descriptors[0])(whole.part_weights)
     far = whole.gallery[ranking.match(PLACES - 1).index]
@@ -154,15 +156,29 @@ def test_a_tile_beyond_the_depth_can_be_compared_and_the_ranking_is_reused(
     assert searches == 1
 
 
-def test_positions_in_the_gallery_stay_valid_while_threads_search(task: IndexTask, whole: Task) -> None:
+def test_a_query_is_ranked_alike_in_memory_and_in_an_index(task: IndexTask, whole: GalleryTask) -> None:
+    for changes in ({}, {"weights": (0, 1, 1, 2)}, {"change": Change(rotate=90)}):
+        expected, ranking = (of.search(1, **changes) for of in (whole, task))  # type: ignore[arg-type]
+        assert [task.tile_name(i) for i in ranking.order[:5]] == [
+            whole.gallery[i].path.relative_to(whole.root / "test" / "gallery_satellite").as_posix()
+            for i in expected.order[:5]
+        ]
+        assert ranking.match(0).distance2 == pytest.approx(expected.match(0).distance2, abs=1e-5)
+    with pytest.raises(InputError, match="no query 99"):
+        whole.search(99)
+    with pytest.raises(InputError, match="no network"):
+        replace(whole, model=None).search(0, change=Change(rotate=90))
+
+
+def test_positions_in_the_gallery_stay_valid_while_threads_search(task: IndexTask, whole: GalleryTask) -> None:
     seen: list[dict[str, int]] = []
 
     def run(start: int) -> None:
         mine: dict[str, int] = {}
         for query in range(start, PLACES, 3):
-            ranking = task.search(query, whole.query_descriptors[query], task.part_weights, background=start == 0)
+            ranking = task.search_index(query, whole.query_descriptors[query], task.part_weights, background=start == 0)
             for place in ranking.order.tolist():
-                assert mine.setdefault(task.seen.name_of(place), place) == place
+                assert mine.setdefault(task.gallery.name_of(place), place) == place
         seen.append(mine)
 
     threads = [threading.Thread(target=run, args=(start,)) for start in range(3)]
@@ -173,12 +189,12 @@ def test_positions_in_the_gallery_stay_valid_while_threads_search(task: IndexTas
     assert len(seen) == 3
     for mine in seen:
         for name, place in mine.items():
-            assert task.seen.find(name) == place
-    assert len(set(range(len(task.seen)))) == len({task.seen.name_of(i) for i in range(len(task.seen))})
+            assert task.gallery.find(name) == place
+    assert len(set(range(len(task.gallery)))) == len({task.gallery.name_of(i) for i in range(len(task.gallery))})
 
 
 def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
-    tmp_path: Path, whole: Task, model: Model, places: Path
+    tmp_path: Path, whole: GalleryTask, model: Model, places: Path
 ) -> None:
     index = _index(tmp_path / "index", whole, positions=False)
     pictures = tmp_path / "mine"
@@ -208,7 +224,7 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
 
 
 def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
-    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert whole.geometry is not None
     degrees = np.array([(place.latitude, place.longitude) for place in whole.geometry.tiles])
@@ -227,7 +243,7 @@ def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
     index.close()
 
 
-def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, whole: Task, model: Model) -> None:
+def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
     index = create_index(tmp_path / "index", Kind(model.fingerprint, 4, 512))
     small_worlds.write(tmp_path / "secret.png", small_worlds.place(1))
     names = ["../secret.png", str(tmp_path / "secret.png"), "a\nb.png"]
@@ -242,7 +258,7 @@ def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, who
     index.close()
 
 
-def test_mistakes_get_one_sentence(tmp_path: Path, whole: Task, model: Model) -> None:
+def test_mistakes_get_one_sentence(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
     index = _index(tmp_path / "index", whole)
     queries = dataset_queries(model, open_dataset(whole.root), index)
     with pytest.raises(InputError, match="depth is 5; expected 10 or more"):
@@ -257,7 +273,7 @@ def test_mistakes_get_one_sentence(tmp_path: Path, whole: Task, model: Model) ->
         index.index.check_model("another")
 
 
-def test_an_index_of_other_tiles_leaves_the_places_unknown(tmp_path: Path, whole: Task, model: Model) -> None:
+def test_an_index_of_other_tiles_leaves_the_places_unknown(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
     index = create_index(tmp_path / "index", Kind(model.fingerprint, 4, 512))
     index.add([f"other/{i}.png" for i in range(12)], whole.gallery_descriptors[:12])
     shared = SharedIndex(index)
@@ -294,7 +310,7 @@ def test_the_described_folder_is_found_among_all_heights(tmp_path: Path, model: 
 
 
 def test_a_tile_that_an_approximate_search_misses_is_not_said_to_be_beyond_the_depth(
-    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     index = _index(tmp_path / "index", whole)
     search, lost = SharedIndex.search, 3
@@ -322,7 +338,7 @@ def test_a_tile_that_an_approximate_search_misses_is_not_said_to_be_beyond_the_d
 
 
 def test_a_search_that_returns_fewer_tiles_than_its_depth_invents_no_rank(
-    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     index = _index(tmp_path / "index", whole)
     task = index_task(model, "m", index, dataset_queries(model, open_dataset(whole.root), index), DEPTH)

@@ -11,7 +11,6 @@ import pytest
 
 import lpn
 from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
-from lpn.analysis.task import Task
 from lpn.core.errors import DataError, PictureError
 from lpn.flights import Flight
 from lpn.locate import retrieval
@@ -19,6 +18,7 @@ from lpn.locate.pipeline import LocatedFlight, LocateOptions, locate
 from lpn.locate.task import flight_task
 from lpn.maps import Map
 from lpn.models.base import Model
+from lpn.tasks.task import Task
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 
 

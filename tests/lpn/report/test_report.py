@@ -16,8 +16,6 @@ import pytest
 
 import lpn
 from lpn import report, retrieval
-from lpn.analysis.notes import NAME as NOTES
-from lpn.analysis.task import Task, open_task
 from lpn.cli import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
@@ -28,7 +26,10 @@ from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import counterfactual
 from lpn.report import Options, OwnPicture
-from lpn.retrieval import Ranking, scoring
+from lpn.retrieval import Ranking
+from lpn.tasks.notes import NAME as NOTES
+from lpn.tasks.opening import open_task
+from lpn.tasks.task import Task
 from tools.fixtures import small_worlds
 
 VOID = {"meta", "img", "br", "line", "rect", "circle", "polyline"}
@@ -80,7 +81,7 @@ def task(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory)
 
 
 def rank(task: Task, descriptor: Float32Array, query: int) -> Ranking:
-    return task.rank(query, scoring.part_cosines(descriptor, task.gallery_descriptors), task.part_weights)
+    return task.ranks_under(query)(descriptor)
 
 
 def worst(task: Task) -> int:

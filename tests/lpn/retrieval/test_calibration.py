@@ -17,7 +17,6 @@ from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser
 from lpn import report
 from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
-from lpn.analysis.task import calibrated, open_task
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.errors import InputError
@@ -31,6 +30,7 @@ from lpn.report.cases import Cases
 from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, ground_ratio
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
+from lpn.tasks.opening import calibrated, open_task
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
 

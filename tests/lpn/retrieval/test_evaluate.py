@@ -12,7 +12,6 @@ import pytest
 
 import lpn
 from lpn import descriptors
-from lpn.analysis import query_outcomes
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
@@ -25,6 +24,7 @@ from lpn.models.network import LPN
 from lpn.retrieval import field_metrics, metrics
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
+from lpn.tasks import query_outcomes
 from tools.fixtures import layouts, small_worlds
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")

@@ -14,12 +14,12 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from lpn.analysis.array_task import array_task
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets.geo import Position, metres
 from lpn.retrieval import metrics
 from lpn.retrieval.plain_arrays import load_arrays
+from lpn.tasks.array_task import array_task
 from tools.fixtures import layouts, small_worlds
 
 Q, G, N, D = 5, 7, 3, 4

@@ -11,18 +11,22 @@ from __future__ import annotations
 import hashlib
 import io
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lpn.analysis.task import Task
-from lpn.core.arrays import DAMAGED_ARRAY, AnyArray
+from lpn.core.arrays import DAMAGED_ARRAY, AnyArray, Float32Array, Int64Array
 from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, write_atomic
+from lpn.datasets import Truth
 from lpn.retrieval import metrics
 from lpn.retrieval.metrics import Retrieval
 from lpn.retrieval.ranks import Ranked
+
+if TYPE_CHECKING:
+    from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
 
@@ -33,13 +37,22 @@ _COLUMNS = ("first", "true", "false", "precision", "gap")
 
 
 class ResumableRanking:
-    """The ranking of all queries of a task under equal part weights; not thread-safe.
+    """The ranking of all queries in a gallery under equal part weights; not thread-safe.
 
-    If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking.
+    If `progress` stops `finish` by an exception, the next call of `finish` continues the ranking. The arguments are those of
+    `metrics.retrieve`.
     """
 
-    def __init__(self, task: Task) -> None:
-        self._task = task
+    def __init__(
+        self,
+        queries: Float32Array,
+        gallery: Float32Array,
+        query_labels: Int64Array,
+        gallery_labels: Int64Array,
+        truth: Sequence[Truth] | None,
+    ) -> None:
+        self._queries, self._gallery = queries, gallery
+        self._query_labels, self._gallery_labels, self._truth = query_labels, gallery_labels, truth
         self._steps: list[Ranked] = []
 
     def finish(self, progress: Callable[[int, int], None]) -> Retrieval:
@@ -51,7 +64,7 @@ class ResumableRanking:
         Raises:
             InputError: as for `metrics.retrieve`.
         """
-        task, total = self._task, len(self._task.query_descriptors)
+        total = len(self._queries)
         while (done := sum(len(step.first) for step in self._steps)) < total:
             progress(done, total)
             rows = slice(done, done + STEP)
@@ -60,15 +73,15 @@ class ResumableRanking:
                 progress(before + count, total)
 
             ranked = metrics.retrieve(
-                task.query_descriptors[rows],
-                task.query_labels[rows],
-                task.gallery_descriptors,
-                task.gallery_labels,
-                None if task.truth is None else task.truth[rows],
+                self._queries[rows],
+                self._query_labels[rows],
+                self._gallery,
+                self._gallery_labels,
+                None if self._truth is None else self._truth[rows],
                 progress=on_progress,
             )
             self._steps.append(ranked)
-        return metrics.joined(self._steps, len(task.gallery_descriptors))
+        return metrics.joined(self._steps, len(self._gallery))
 
 
 def multiplications(task: Task) -> int:
@@ -119,7 +132,7 @@ def load(task: Task) -> Retrieval | None:
         return None
     if not all(isinstance(column, np.ndarray) for column in columns):
         return None
-    queries, tiles = len(task.query_descriptors), len(task.gallery_descriptors)
+    queries, tiles = len(task.query_descriptors), task.tiles
     first, true, false, precision, gap = columns
     positions_valid = all(_valid(column, np.int64, queries, -1, tiles - 1) for column in (first, true, false))
     numbers_valid = _valid(precision, np.float64, queries, 0, 1) and _valid(np.nan_to_num(gap), np.float64, queries, 0)

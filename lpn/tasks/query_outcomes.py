@@ -17,7 +17,6 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
@@ -26,6 +25,7 @@ from lpn.datasets.metadata import NOTE, TAGS
 from lpn.retrieval import metrics, scoring
 from lpn.retrieval.gallery_search import NOT_RETURNED
 from lpn.retrieval.metrics import Retrieval
+from lpn.tasks.gallery_geometry import GalleryGeometry
 
 _CHUNK_BYTES = 64_000_000
 # Columns of a table that compares two models: A is the table's own.
@@ -256,11 +256,6 @@ def picture_columns(table: Table) -> list[Column]:
         for column in table.columns.values()
         if column.name not in (*OUTCOME_COLUMNS, TAGS, NOTE) and column.name.rstrip("0123456789") != "margin_"
     ]
-
-
-def labels_of(pictures: Sequence[Picture]) -> Int64Array:
-    """The label of each picture, (N,)."""
-    return np.array([picture.label for picture in pictures], np.int64)
 
 
 def _normalised(n: int, weights: npt.ArrayLike | None) -> Float64Array:

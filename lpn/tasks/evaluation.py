@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from lpn.analysis.task import Task
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.retrieval.evaluate import FULL, Figures, Result, evaluate_descriptors
 from lpn.retrieval.protocol import Protocol
+from lpn.tasks.task import Task
 
 
 def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
@@ -32,7 +32,7 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
         return _evaluate_searches(task, protocol or Protocol())
     made = "descriptors as saved" if task.model is None else "each part normalised"
     result = evaluate_descriptors(
-        (task.query_descriptors, task.gallery_descriptors),
+        task.sides(),
         (task.query_labels, task.gallery_labels),
         task.truth,
         task.name,

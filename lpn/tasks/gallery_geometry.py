@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array
-from lpn.datasets import geo
+from lpn.datasets import Dataset, Picture, geo
 from lpn.datasets.geo import Position
 
 # Width of a tile that has no neighbour.
@@ -44,6 +44,14 @@ class GalleryGeometry:
         widths = [tile.width for tile in tiles if tile.width is not None]
         width = float(np.median(widths)) if widths else _neighbour_distance(ground[_distinct(ground)])
         return cls(queries, tiles, origin, ground, width)
+
+    @classmethod
+    def of_dataset(
+        cls, dataset: Dataset, queries: Sequence[Picture], gallery: Sequence[Picture]
+    ) -> GalleryGeometry | None:
+        """Lay out a task's pictures by the data set's positions; None without any."""
+        positions = dataset.positions()
+        return None if positions is None else cls.of(positions.of(queries), positions.of(gallery))
 
     def errors_m(self, query: int) -> Float64Array | None:
         """Metres from the place that a query shows to the centre of each tile, (G,); None if its place is unknown."""

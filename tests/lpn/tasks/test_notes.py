@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from lpn.analysis import notes
-from lpn.analysis.notes import LONGEST_NOTE, MOST_TAGS, Note, add_tags, columns, read_notes, set_note
 from lpn.core.errors import DataError, InputError, OutputError
+from lpn.tasks import notes
+from lpn.tasks.notes import LONGEST_NOTE, MOST_TAGS, Note, add_tags, columns, read_notes, set_note
 
 
 def test_notes_are_kept_and_read_back(tmp_path: Path) -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn.analysis.gallery_geometry import GalleryGeometry
 from lpn.datasets import Picture, geo, open_dataset
 from lpn.datasets.geo import Position, Positions
 from lpn.drawing import mosaic
+from lpn.tasks.gallery_geometry import GalleryGeometry
 from tools.fixtures import small_worlds
 
 

@@ -10,25 +10,25 @@ import pytest
 
 import lpn
 from lpn import retrieval
-from lpn.analysis import breakdown, notes
-from lpn.analysis.query_outcomes import (
-    OUTCOME_COLUMNS,
-    Outcomes,
-    build,
-    compared_ranks,
-    labels_of,
-    picture_columns,
-    table,
-)
-from lpn.analysis.task import gallery_geometry
+from lpn.analysis import breakdown
 from lpn.cli import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.tables import number_column, text_column
-from lpn.datasets import Picture, Truth, geo, open_dataset
+from lpn.datasets import Picture, Truth, geo, labels_of, open_dataset
 from lpn.descriptors import cached_descriptors, describe, shipped_or_cached
 from lpn.models.base import normalise
 from lpn.retrieval import inner_products, metrics, scoring
+from lpn.tasks import notes
+from lpn.tasks.gallery_geometry import GalleryGeometry
+from lpn.tasks.query_outcomes import (
+    OUTCOME_COLUMNS,
+    Outcomes,
+    build,
+    compared_ranks,
+    picture_columns,
+    table,
+)
 from tools.fixtures import small_worlds
 
 
@@ -88,7 +88,7 @@ def test_outcomes_are_those_of_each_query_ranked_alone(
     block: int, weights: list[float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(inner_products, "_BLOCK_BYTES", block)
-    monkeypatch.setattr("lpn.analysis.query_outcomes._CHUNK_BYTES", block)
+    monkeypatch.setattr("lpn.tasks.query_outcomes._CHUNK_BYTES", block)
     rng = np.random.default_rng(1)
     queries, gallery = descriptors(50), descriptors(30, seed=1)
     labels, asked = rng.integers(-1, 9, 30), rng.integers(0, 11, 50)
@@ -203,7 +203,7 @@ def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(kno
         gallery,
         outcomes,
         ["1 centre", "2", "3", "4 outer"],
-        gallery_geometry(open_dataset(known), queries, gallery),
+        GalleryGeometry.of_dataset(open_dataset(known), queries, gallery),
     )
     assert list(made.columns)[:8] == [name for name in OUTCOME_COLUMNS if name not in ("rank A", "rank B")][:8]
     of_pictures = [column.name for column in picture_columns(made)]

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from lpn.analysis.query_outcomes import labels_of
-from lpn.analysis.task import Task, gallery_geometry
 from lpn.core.files import printable
-from lpn.datasets import Dataset
+from lpn.datasets import Dataset, labels_of
 from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.published_results import PublishedResult, truth_of_rows
+from lpn.tasks.gallery_geometry import GalleryGeometry
+from lpn.tasks.gallery_task import GalleryTask
 
 # Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
 SAVED_MAP = (16, 16)
 
 
-def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
+def published_task(saved: PublishedResult, dataset: Dataset) -> GalleryTask:
     """Return the task of a published result on its pictures.
 
     Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.
@@ -31,7 +31,7 @@ def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
     labels = saved.query_labels, saved.gallery_labels
     if truth is not None:  # the labels of such a result tell one true tile of several, or are numbered otherwise
         labels = labels_of(queries), labels_of(gallery)
-    return Task(
+    return GalleryTask(
         name=name,
         model=None,
         model_name=saved.name,
@@ -47,5 +47,5 @@ def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
         gallery_descriptors=saved.gallery,
         truth=truth,
         columns=dataset.columns(queries),
-        geometry=gallery_geometry(dataset, queries, gallery),
+        geometry=GalleryGeometry.of_dataset(dataset, queries, gallery),
     )

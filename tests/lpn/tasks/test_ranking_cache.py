@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn.analysis import ranking_cache
-from lpn.analysis.ranking_cache import ResumableRanking
-from lpn.analysis.task import Task
 from lpn.datasets import Truth
 from lpn.models.base import normalise
 from lpn.retrieval import metrics
+from lpn.tasks import ranking_cache
+from lpn.tasks.task import Task
 from tools.fixtures.tasks import descriptor_task
 
 
@@ -40,7 +39,7 @@ def same(one: metrics.Retrieval, other: metrics.Retrieval) -> None:
 def test_a_ranking_that_was_stopped_goes_on_where_it_stood(task: Task, listed: bool) -> None:
     if listed:
         task = replace(task, truth=[Truth(np.array([i % 7]), np.array([(i + 3) % 7])) for i in range(10)])
-    ranking, told = ResumableRanking(task), []
+    ranking, told = task.ranking(), []
 
     def stop(done: int, total: int) -> None:
         told.append((done, total))

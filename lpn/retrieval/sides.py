@@ -1,0 +1,105 @@
+"""The two sides of a task: its pictures, their truth, and their descriptors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lpn import descriptors
+from lpn.core.arrays import Float32Array, Int64Array
+from lpn.core.errors import InputError
+from lpn.core.views import View, views_of
+from lpn.datasets import Dataset, Picture, Truth, labels_of
+from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.models.base import Model
+from lpn.retrieval.calibration import Calibration, calibrate
+
+
+@dataclass(frozen=True, eq=False)
+class TaskPictures:
+    """The pictures of a task.
+
+    Attributes:
+        name: the task, such as "drone-to-satellite".
+        queries, gallery: the pictures.
+        truth: true matches and junk of each query; None if labels define the true matches.
+    """
+
+    name: str
+    queries: Sequence[Picture]
+    gallery: Sequence[Picture]
+    truth: Sequence[Truth] | None
+
+    @classmethod
+    def of(cls, dataset: Dataset, name: str) -> TaskPictures:
+        """List both sides of a task.
+
+        Raises:
+            InputError: when the data set does not offer the task.
+            DataError: when its test split is incomplete.
+        """
+        if name not in (offered := dataset.tasks()):
+            raise InputError(
+                f"The task is {name!r}; {dataset.root.name} offers {', '.join(offered) or 'none'} in its test split."
+            )
+        query_view, gallery_view = views_of(name)
+        return cls(name, dataset.queries(query_view), dataset.gallery(gallery_view), dataset.truth(name))
+
+    @property
+    def views(self) -> tuple[View, View]:
+        """The views of queries and gallery."""
+        return views_of(self.name)
+
+    @property
+    def labels(self) -> tuple[Int64Array, Int64Array]:
+        """The place of each query and of each gallery picture, (Q,) and (G,), -1 for junk."""
+        return labels_of(self.queries), labels_of(self.gallery)
+
+    def described(
+        self,
+        model: Model,
+        read: descriptors.Reader,
+        change: Change = UNCHANGED,
+        branch: View | None = None,
+        calibrated: bool = False,
+    ) -> Sides:
+        """Read the descriptors of both sides.
+
+        Args:
+            model: that of the task, see `Model.for_task`, unless there is a branch.
+            read: returns descriptors.
+            change: applied to each query.
+            branch: describes both sides; None for each view's own.
+            calibrated: calibrate the model on these pictures first, see `lpn.retrieval.calibration`.
+
+        Raises:
+            InputError: when a calibration is not possible.
+            LPNError: when a picture cannot be read.
+        """
+        if not calibrated:
+            query_branch, gallery_branch = (branch or view for view in self.views)
+            return Sides(
+                read(model, self.queries, query_branch, change), read(model, self.gallery, gallery_branch, UNCHANGED)
+            )
+        lists: dict[View, list[Sequence[Picture]]] = {}
+        for view, pictures in zip(self.views, (self.queries, self.gallery), strict=True):
+            lists.setdefault(view, []).append(pictures)
+        calibration = calibrate(model, lists, read)
+        return Sides(
+            calibration.read(model, self.queries, self.views[0], read, change),
+            calibration.read(model, self.gallery, self.views[1], read),
+            calibration,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """The descriptors of queries and gallery, (Q, n, D) and (G, n, D).
+
+    Attributes:
+        calibration: the model's; None without one.
+    """
+
+    query: Float32Array
+    gallery: Float32Array
+    calibration: Calibration | None = None

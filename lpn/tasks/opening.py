@@ -1,0 +1,151 @@
+"""Tasks of a data set under a model: which of them both offer, and one of them opened."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import cast
+
+import numpy.typing as npt
+
+from lpn import descriptors
+from lpn.core.demo import own_file
+from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.files import printable
+from lpn.core.views import View, views_of
+from lpn.datasets import Dataset, Picture
+from lpn.models.base import Model
+from lpn.retrieval import scoring
+from lpn.retrieval.calibration import Calibration, calibrate
+from lpn.retrieval.evaluate import check_test_split, lists_of
+from lpn.retrieval.sides import TaskPictures
+from lpn.tasks import notes
+from lpn.tasks.gallery_geometry import GalleryGeometry
+from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.notes import Note
+
+
+def open_task(
+    model: Model,
+    model_name: str,
+    dataset: Dataset,
+    name: str | None = None,
+    weights: npt.ArrayLike | None = None,
+    tags_and_notes: Mapping[str, Note] | None = None,
+    calibration: Calibration | None = None,
+) -> GalleryTask:
+    """Describe queries and gallery of a task, or read their stored descriptors.
+
+    Args:
+        model_name: the model's name to display.
+        name: the task, see `choose_task`.
+        weights: part weights, see `scoring.part_weights`.
+        tags_and_notes: by the query's path; by default those in the data set's folder.
+        calibration: see `calibrated`; its zooms and means are applied to `model`, which is that before the calibration.
+
+    Raises:
+        InputError: when model and data set do not offer the task, or the weights are invalid.
+        LPNError: when pictures, positions, truth, or stores cannot be read.
+    """
+    name, offered = choose_task(model, dataset, name), offered_tasks(model, dataset)
+    scoring.part_weights(model.n_parts, weights)
+    if tags_and_notes is None:
+        tags_and_notes = notes.read_notes(own_file(dataset.root, notes.NAME))
+    pictures = TaskPictures.of(dataset, name)
+    views = pictures.views
+    model = model.for_task(*views)
+    queries, gallery = pictures.queries, pictures.gallery
+    geometry = GalleryGeometry.of_dataset(dataset, queries, gallery)
+    try:
+        if calibration is None:
+            query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
+            gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
+        else:
+            query_side, gallery_side = (
+                calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
+                for side, view in zip((queries, gallery), views, strict=True)
+            )
+    except PictureError:  # of one list; name the broken pictures of all lists at once
+        check_test_split(dataset, offered)
+        raise
+    if calibration is not None:
+        queries, gallery = calibration.pictures(views[0], queries), calibration.pictures(views[1], gallery)
+        model = calibration.applied(model)
+    identities = query_side.identity, gallery_side.identity
+    return GalleryTask(
+        name=name,
+        model=model,
+        model_name=printable(model_name),
+        data_name=printable(dataset.root.resolve().name),
+        root=dataset.root,
+        contract=model.contract,
+        map_sizes={view: model.map_size(view) for view in views},
+        queries=queries,
+        gallery=gallery,
+        query_labels=pictures.labels[0],
+        gallery_labels=pictures.labels[1],
+        query_descriptors=query_side.descriptors,
+        gallery_descriptors=gallery_side.descriptors,
+        truth=pictures.truth,
+        geometry=geometry,
+        identity=" ".join(identities) if all(identities) else "",
+        weights=weights,
+        notes=tags_and_notes,
+        columns=dataset.columns(queries),
+        calibration=calibration,
+    )
+
+
+def calibrated(model: Model, dataset: Dataset) -> Calibration:
+    """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
+
+    Raises:
+        InputError: when the model's branches have roles, so that a task decides its descriptors, or pictures are too few.
+        LPNError: when pictures cannot be read.
+    """
+    if model.contract.roles == "role":
+        raise InputError(
+            f"{model.contract.method} describes a view otherwise as query than as gallery, and a calibration is for all tasks; "
+            "leave --calibrate out."
+        )
+    tasks = offered_tasks(model, dataset)
+    if not tasks:
+        raise no_task_error(model, dataset)
+    check_test_split(dataset, tasks)
+    lists: dict[View, list[Sequence[Picture]]] = {}
+    for name, pictures in lists_of(dataset, tasks).items():
+        lists.setdefault(cast(View, name.split()[1]), []).append(pictures)
+    return calibrate(model, lists, descriptors.descriptor_reader(dataset.root))
+
+
+def offered_tasks(model: Model, dataset: Dataset) -> list[str]:
+    """The tasks of a data set whose views a model knows."""
+    return [name for name in dataset.tasks() if set(views_of(name)) <= set(model.views)]
+
+
+def no_task_error(model: Model, dataset: Dataset) -> DataError:
+    """Return the error for a model and a data set without any of `offered_tasks`."""
+    name = printable(dataset.root.resolve().name)
+    if not (tasks := dataset.tasks()):
+        return DataError(f"{name} {dataset.why_no_task()}.")
+    return DataError(
+        f"The test split of {name} is for {', '.join(tasks)}, and the model knows only {' and '.join(model.views)} pictures; "
+        "choose another data set or model."
+    )
+
+
+def choose_task(model: Model, dataset: Dataset, name: str | None = None) -> str:
+    """The given task, or the first of `offered_tasks`.
+
+    Raises:
+        DataError: when there is none.
+        InputError: when the data set does not have the task, or the model does not know its views.
+    """
+    offered = offered_tasks(model, dataset)
+    if not offered:
+        raise no_task_error(model, dataset)
+    name = name or offered[0]
+    if name not in offered:
+        raise InputError(
+            f"The task is {name}; with this model, {dataset.root.name} has the tasks {', '.join(offered)}."
+        )
+    return name

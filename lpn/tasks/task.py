@@ -1,0 +1,312 @@
+"""Queries, what they are searched in, and their truth: one task, whatever source it was opened from."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy.typing as npt
+
+from lpn import retrieval
+from lpn.core.arrays import BoolArray, Float32Array, Int64Array
+from lpn.core.errors import InputError
+from lpn.core.notebook_html import percentages
+from lpn.core.tables import Column, Table
+from lpn.core.views import View, views_of
+from lpn.datasets import Picture, Truth
+from lpn.descriptors.transforms import UNCHANGED, Change
+from lpn.models.base import Model
+from lpn.models.contract import Contract
+from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval.calibration import Calibration
+from lpn.retrieval.metrics import Retrieval
+from lpn.tasks import notes, query_outcomes
+from lpn.tasks.gallery_geometry import GalleryGeometry
+from lpn.tasks.notes import Note
+from lpn.tasks.query_outcomes import Outcomes
+
+if TYPE_CHECKING:
+    from lpn.retrieval.evaluate import Result
+    from lpn.retrieval.protocol import Protocol as EvaluationProtocol
+
+
+class RankUnderWeights(Protocol):
+    """Ranks a gallery for one described query; equal arguments return the same ranking again."""
+
+    def __call__(self, weights: Float32Array, also: int | None = None) -> Ranking:
+        """Rank under weights that sum to one, (n,).
+
+        Args:
+            also: gallery position of a tile that the ranking must hold, even if it lies beyond the searched depth.
+        """
+        ...
+
+
+class RankingOfAll(Protocol):
+    """The ranking of all queries of a task; not thread-safe."""
+
+    def finish(self, progress: Callable[[int, int], None]) -> Retrieval:
+        """Rank the queries that are not ranked yet; `progress` may raise an exception to stop, and the next call continues."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Task(ABC):
+    """Queries and the gallery that they are searched in; `dataclasses.replace` gives the task under other part weights.
+
+    `GalleryTask` has its gallery in memory, `lpn.index.task.IndexTask` in an index.
+
+    Attributes:
+        name: such as "drone-to-satellite".
+        model: None where another program computed the descriptors, so that no picture can be described again.
+        model_name, data_name: names to display.
+        root: the data set's folder.
+        contract: the model's, or that by which another program's parts are drawn.
+        map_sizes: (h, w) of the feature map of each view.
+        queries, gallery: the pictures.
+        query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
+        query_descriptors: (Q, n, D), without part weights.
+        truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
+        geometry: positions of the pictures; None without positions, such as those of a `geo.csv`.
+        identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
+        weights: part weights, see `scoring.part_weights`; None for equal ones.
+        notes: a person's tags and notes by the query's path, see `lpn.tasks.notes`.
+        columns: further columns of the table about the queries.
+        calibration: what the pictures' zooms and the model's means come from; None without one.
+        no_map: why tiles have no positions on a map, as a sentence; empty if they have, or nothing can be said.
+    """
+
+    name: str
+    model: Model | None
+    model_name: str
+    data_name: str
+    root: Path
+    contract: Contract
+    map_sizes: Mapping[View, tuple[int, int]]
+    queries: Sequence[Picture]
+    gallery: Sequence[Picture]
+    query_labels: Int64Array
+    gallery_labels: Int64Array
+    query_descriptors: Float32Array
+    truth: Sequence[Truth] | None = None
+    geometry: GalleryGeometry | None = None
+    identity: str = ""
+    weights: npt.ArrayLike | None = None
+    notes: Mapping[str, Note] = field(default_factory=dict)
+    columns: Sequence[Column] = ()
+    calibration: Calibration | None = None
+    no_map: str = ""
+
+    @property
+    def query_view(self) -> View:
+        """The view of the queries."""
+        return views_of(self.name)[0]
+
+    @property
+    def gallery_view(self) -> View:
+        """The view of the gallery."""
+        return views_of(self.name)[1]
+
+    @property
+    def views(self) -> tuple[View, View]:
+        """The views of queries and gallery."""
+        return views_of(self.name)
+
+    @property
+    @abstractmethod
+    def tiles(self) -> int:
+        """The number of searched tiles."""
+
+    @property
+    @abstractmethod
+    def depth(self) -> int | None:
+        """The number of tiles whose order a ranking tells; None for all."""
+
+    @property
+    @abstractmethod
+    def approximate(self) -> bool:
+        """True if a search may leave out tiles that are nearer than those it returns."""
+
+    @property
+    @abstractmethod
+    def lists_gallery(self) -> bool:
+        """True if `gallery` is the whole gallery; False if it holds what searches returned, in their order."""
+
+    @property
+    @abstractmethod
+    def gallery_description(self) -> str:
+        """The gallery in words, such as "951 tiles"."""
+
+    @property
+    def no_truth(self) -> str:
+        """Why nothing can be measured where no query's truth is known, as a sentence."""
+        return f"The true place of no query of {self.data_name} is known, so nothing can be measured."
+
+    @cached_property
+    def query_names(self) -> list[str]:
+        """The queries' names."""
+        return [picture.name for picture in self.queries]
+
+    @property
+    def part_names(self) -> list[str]:
+        """The parts' names in the queries' view."""
+        return self.contract.names(self.query_view)
+
+    @cached_property
+    def part_weights(self) -> Float32Array:
+        """The part weights, summing to one, (n,)."""
+        return scoring.part_weights(self.contract.n_parts, self.weights)
+
+    @abstractmethod
+    def sides(self) -> tuple[Float32Array, Float32Array]:
+        """Return the descriptors of all queries and of the whole gallery, (Q, n, D) and (G, n, D).
+
+        Raises:
+            InputError: if the gallery is searched and not listed.
+        """
+
+    @abstractmethod
+    def ranking(self) -> RankingOfAll:
+        """A ranking of all queries under equal part weights that can be stopped and resumed."""
+
+    @cached_property
+    @abstractmethod
+    def retrieved(self) -> Retrieval:
+        """The ranking of the gallery for each query under the part weights."""
+
+    @cached_property
+    def outcomes(self) -> Outcomes:
+        """The outcome of each query under the part weights."""
+        return self.outcomes_of(self.retrieved)
+
+    @abstractmethod
+    def outcomes_of(self, ranking: Retrieval) -> Outcomes:
+        """The outcomes of all queries, ranked under the task's weights."""
+
+    @cached_property
+    def table(self) -> Table:
+        """One row per query: outcome, metadata, tags, and notes; see `query_outcomes.table` for the errors."""
+        table = self.tabulate(self.outcomes, self.part_names)
+        return table.with_columns(notes.columns(self.notes, table.paths))
+
+    def tabulate(self, outcomes: Outcomes, part_names: Sequence[str]) -> Table:
+        """One row per query, without tags and notes; see `query_outcomes.table`."""
+        columns = [*self.columns, *query_outcomes.listed_columns(outcomes, self.truth)]
+        return query_outcomes.table(self.root, self.queries, self.gallery, outcomes, part_names, self.geometry, columns)
+
+    @cached_property
+    def metrics(self) -> dict[str, float]:
+        """Recall and AP in percent under the part weights, see `metrics.evaluate`; NaN where a search does not tell it."""
+        return self.retrieved.metrics(self.known)
+
+    def evaluate(self, protocol: EvaluationProtocol | None = None) -> Result:
+        """Evaluate the task, see `lpn.tasks.evaluation.evaluate_task`."""
+        from lpn.tasks.evaluation import evaluate_task
+
+        return evaluate_task(self, protocol)
+
+    @property
+    def known(self) -> BoolArray | None:
+        """The queries whose truth is known, (Q,); None for all."""
+        return metrics.known_queries(self.truth)
+
+    def check_truth(self) -> None:
+        """Raise InputError unless the truth of some query is known."""
+        if self.known is not None and not self.known.any():
+            raise InputError(self.no_truth)
+
+    def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:
+        """The label and the list of true matches of a query, each None if unknown."""
+        if query is None:
+            return None, None
+        return int(self.query_labels[query]), None if self.truth is None else self.truth[query]
+
+    def current(self) -> Task:
+        """The task with labels and positions of all tiles that `gallery` has by now; only an index's gallery grows."""
+        return self
+
+    def without_picture(self, index: int) -> str:
+        """Why a tile's picture is not at hand, so that a placeholder stands for it, as a sentence; empty if it is."""
+        del index
+        return ""
+
+    @abstractmethod
+    def stored_descriptor(self, index: int) -> Float32Array:
+        """The descriptor of a gallery picture as it is searched, (n, D)."""
+
+    @abstractmethod
+    def tile_name(self, index: int) -> str:
+        """The name of a tile, by which `find_tile` finds it."""
+
+    @abstractmethod
+    def find_tile(self, name: str) -> int | None:
+        """The gallery position of a tile by its name, the first on ties; None if there is no such tile."""
+
+    def search(self, query: int, weights: npt.ArrayLike | None = None, change: Change = UNCHANGED) -> Ranking:
+        """Rank the gallery for one query.
+
+        Args:
+            query: its position.
+            weights: part weights, see `scoring.part_weights`; None for the task's.
+            change: applied to the query's picture, which the model then describes again.
+
+        Raises:
+            InputError: if there is no such query, the weights are not its parts', or a change is asked of descriptors alone.
+            LPNError: if the picture or the index cannot be read.
+        """
+        if not 0 <= query < len(self.query_descriptors):
+            raise InputError(
+                f"There is no query {query}; queries have positions 0 to {len(self.query_descriptors) - 1}."
+            )
+        used = self.part_weights if weights is None else scoring.part_weights(self.contract.n_parts, weights)
+        return self.ranks_under(query, used)(self._described(query, change))
+
+    def _described(self, query: int, change: Change) -> Float32Array:
+        if not change:
+            descriptor: Float32Array = self.query_descriptors[query]
+            return descriptor
+        if self.model is None:
+            raise InputError(
+                f"{self.model_name} has descriptors but no network to describe a changed picture; leave the change out."
+            )
+        picture = self.queries[query]
+        model, change = self.model.for_task(*self.views), change.for_picture(picture, picture.zoom)
+        return retrieval.describe_picture(model, picture.load_cropped(), self.query_view, change).descriptor
+
+    @abstractmethod
+    def start_search(
+        self, query: int | None, descriptor: Float32Array, lengths: Float32Array | None = None
+    ) -> RankUnderWeights:
+        """Compare a described query, (n, D), with the gallery.
+
+        Args:
+            query: its position; None if it is not of the data set.
+            lengths: see `Ranking`.
+
+        Returns:
+            The function that ranks the gallery under part weights.
+        """
+
+    def ranks_under(
+        self, query: int | None, weights: Float32Array | None = None, also: int | None = None
+    ) -> Callable[[Float32Array], Ranking]:
+        """A function that ranks the gallery for other descriptors (n, D) of a query, as a sweep needs.
+
+        Args:
+            query: its position; None if it is not of the data set.
+            weights: part weights that sum to one, (n,); by default the task's.
+            also: see `RankUnderWeights`.
+        """
+        used = self.part_weights if weights is None else weights
+        return lambda descriptor: self.start_search(query, descriptor)(used, also)
+
+    def _repr_html_(self) -> str:
+        """The task in a notebook: recall and AP of all queries."""
+        names = {"recall@1": "Recall@1", "recall@5": "Recall@5", "recall@10": "Recall@10", "ap": "AP"}
+        figures = {title: self.metrics[name] for name, title in names.items()}
+        caption = f"{self.data_name}, {self.name}: {len(self.queries):,} queries, {self.gallery_description}"
+        return percentages(caption, "model", {self.model_name: figures})
