@@ -90,8 +90,8 @@ class Flight:
 
 def degrees(frames: Sequence[Frame]) -> Float64Array:
     """Return latitude and longitude of frames, (N, 2); NaN where unknown."""
-    found = [(math.nan, math.nan) if f.latitude is None else (f.latitude, f.longitude) for f in frames]
-    return np.array(found, np.float64).reshape(-1, 2)
+    coordinates = [(math.nan, math.nan) if f.latitude is None else (f.latitude, f.longitude) for f in frames]
+    return np.array(coordinates, np.float64).reshape(-1, 2)
 
 
 def local_metres(places: Float64Array) -> Float64Array:

@@ -126,10 +126,10 @@ def _by_zone(telemetry: Telemetry, times: Float64Array, places: Float64Array, ba
     # A log of one battery holds a part of the photos.
     fitting = next(
         (
-            found
+            matching
             for least in (_INSIDE * total, max(_LEAST_INSIDE, _LEAST_SHARE * total))
             for zones in sets
-            if (found := [zone for zone in zones if counts[zone] >= least])
+            if (matching := [zone for zone in zones if counts[zone] >= least])
         ),
         [],
     )

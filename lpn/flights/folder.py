@@ -125,20 +125,22 @@ def _frame(values: list[str], folder: Path, line: str) -> Frame:
     if len(values) != len(_COLUMNS):
         raise DataError(f"{line} has {len(values)} values; expected {len(_COLUMNS)}.")
     texts = dict(zip(_COLUMNS, map(unescape, values), strict=True))
-    found: dict[str, Any] = {name: _number(texts[name], name, line) for name in _NUMBERS}
+    numbers: dict[str, Any] = {name: _number(texts[name], name, line) for name in _NUMBERS}
     source = texts["heading_source"] or None
-    if (source is not None and source not in get_args(HeadingSource)) or (source is None) != (found["heading"] is None):
+    if (source is not None and source not in get_args(HeadingSource)) or (source is None) != (
+        numbers["heading"] is None
+    ):
         raise DataError(
             f"{line} has the heading_source {printable(texts['heading_source'])!r}; expected one of "
             f"{', '.join(get_args(HeadingSource))}, and none without a heading."
         )
-    if (found["latitude"] is None) != (found["longitude"] is None):
+    if (numbers["latitude"] is None) != (numbers["longitude"] is None):
         raise DataError(f"{line} has one of latitude and longitude; expected both or none.")
     if not texts["name"] or not texts["file"] or "\x00" in texts["file"]:
         raise DataError(f"{line} has no name or no file; expected both.")
     width, height = (_pixels(texts[name], name, line) for name in ("width", "height"))
     file = Path(os.path.normpath(folder / texts["file"]))
-    return Frame(texts["name"], file, width, height, heading_source=source, **found)  # type: ignore[arg-type]
+    return Frame(texts["name"], file, width, height, heading_source=source, **numbers)  # type: ignore[arg-type]
 
 
 def _number(text: str, name: str, line: str) -> float | None:

@@ -200,8 +200,8 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
 
 def _cell(text: str, at: int) -> _Cell:
     text = text.lstrip("#% ").strip()
-    found = _BRACKETED.fullmatch(text)
-    body, unit = (found[1], (found[2] or found[3] or "").strip()) if found else (text, "")
+    match = _BRACKETED.fullmatch(text)
+    body, unit = (match[1], (match[2] or match[3] or "").strip()) if match else (text, "")
     unit = re.split(r"[\s,;(\[]", unit)[0]
     if not unit:
         for sign in "_/":

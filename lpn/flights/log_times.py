@@ -45,7 +45,7 @@ def clocks_of(table: LogTable, name: str) -> tuple[list[float | None], bool, lis
     if all(math.isnan(number) for number in numbers):
         parsed = [_DATE.fullmatch(text) for text in texts]
         day_first, note = _day_first(parsed, name)
-        found = [None if match is None else _date(match, day_first) for match in parsed]
+        stamps = [None if match is None else _date(match, day_first) for match in parsed]
         late = (
             _GPS_AHEAD
             if "date" in table.columns.places and "gpst" in table.header[table.columns.places["date"]].casefold()
@@ -55,7 +55,7 @@ def clocks_of(table: LogTable, name: str) -> tuple[list[float | None], bool, lis
         notes = [note] if note else []
         if late:
             notes.append(f"The times of {name} are GPS time; {late:g} s were taken off for UTC.")
-        return [None if clock is None else clock - late for clock in found], zoned, notes
+        return [None if clock is None else clock - late for clock in stamps], zoned, notes
     least, most = _EPOCHS
     scale = 1.0
     largest = np.nanmax(numbers)
@@ -70,10 +70,10 @@ def clocks_of(table: LogTable, name: str) -> tuple[list[float | None], bool, lis
 def number_or_nan(text: str) -> float:
     """Return a text as a finite number, else NaN."""
     try:
-        found = float(text)
+        number = float(text)
     except ValueError:
         return math.nan
-    return found if math.isfinite(found) else math.nan
+    return number if math.isfinite(number) else math.nan
 
 
 def _step(numbers: Sequence[float]) -> float:
@@ -88,15 +88,15 @@ def elapsed_of(table: LogTable) -> list[float]:
     if "time" not in table.columns.places:
         return [math.nan] * len(table.rows)
     at, factor = table.columns.places["time"], table.columns.factors["time"]
-    found = [
+    times = [
         number_or_nan(cell_at(cells, at).replace(",", ".") if table.commas else cell_at(cells, at)) * factor
         for _, cells in table.rows
     ]
-    step = _step(found)
+    step = _step(times)
     if factor == 1.0 and step >= _MILLISECONDS:
         scale = 1e-6 if step >= _MICROSECONDS else 1e-3
-        found = [time * scale for time in found]
-    return found
+        times = [time * scale for time in times]
+    return times
 
 
 def _day_first(parsed: Sequence[re.Match[str] | None], name: str) -> tuple[bool, str]:
@@ -131,10 +131,10 @@ def _date(match: re.Match[str], day_first: bool) -> float | None:
     if half := (match["half"] or "").upper()[:1]:
         hour = hour % 12 + (12 if half == "P" else 0)
     try:
-        found = datetime(
+        date = datetime(
             int(year), int(month), int(day), hour, int(match["minute"] or 0), int(match["seconds"] or 0), tzinfo=UTC
         )
-        clock = found.timestamp() + float(f"0.{match['fraction'] or 0}")
+        clock = date.timestamp() + float(f"0.{match['fraction'] or 0}")
     except (ValueError, OverflowError):
         return None
     zone = (match["zone"] or "").replace(":", "")

@@ -105,11 +105,11 @@ def read_log(file: Path) -> Log:
 
 def rows_by_name(log: Log) -> dict[str, list[LogRow]]:
     """Return the rows of a log by the names of their pictures in lower case, without folders."""
-    found = defaultdict(list)
+    by_name = defaultdict(list)
     for row in log.rows:
         if row.file:
-            found[path_parts(row.file)[-1]].append(row)
-    return dict(found)
+            by_name[path_parts(row.file)[-1]].append(row)
+    return dict(by_name)
 
 
 def path_parts(path: str) -> tuple[str, ...]:
@@ -220,13 +220,13 @@ class _Cells:
         text = self.text(what)
         if not text:
             return None
-        found = values.number(text if text.isascii() else values.plain(text), self.table.commas)
-        if found is None or not math.isfinite(found):
+        value = values.number(text if text.isascii() else values.plain(text), self.table.commas)
+        if value is None or not math.isfinite(value):
             raise DataError(
                 f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
             )
         # A unit in the cell counts in place of the column's.
-        return found if text[-1].isalpha() or text[-1] == "°" else found * self.table.columns.factors[what]
+        return value if text[-1].isalpha() or text[-1] == "°" else value * self.table.columns.factors[what]
 
     def angle(self, what: str, letters: str) -> float | None:
         """Return degrees of a coordinate, with the letter of its own column if it has one; None if it is unknown.
@@ -237,14 +237,14 @@ class _Cells:
         text = self.text(what)
         if not text:
             return None
-        found = values.angle(text, letters, self.table.commas)
-        if found is None and "e" in text.casefold():
-            found = values.number(text, self.table.commas)
-        if found is None or not math.isfinite(found):
+        angle = values.angle(text, letters, self.table.commas)
+        if angle is None and "e" in text.casefold():
+            angle = values.number(text, self.table.commas)
+        if angle is None or not math.isfinite(angle):
             raise DataError(f"{self.where} has the {what} {printable(text)[:80]!r}; expected a number of degrees.")
-        found *= self.table.columns.factors.get(what, 1.0)
+        angle *= self.table.columns.factors.get(what, 1.0)
         letter = self.text(f"{what}_letter")[:1].upper()
-        return -abs(found) if letter and letter == letters[1] else found
+        return -abs(angle) if letter and letter == letters[1] else angle
 
     def coordinates(self) -> tuple[float | None, float | None]:
         """Return latitude and longitude; both None if either is unknown.
@@ -260,12 +260,12 @@ class _Cells:
             return None, None
         parts = re.split(r"\s*;\s*|\s*,\s+|\s*,(?=\s*[-+]?\d)|(?<=[NS])\s+", text, maxsplit=1)
         parts = parts if len(parts) == 2 else text.split()
-        found = [values.angle(part, letters) for part, letters in zip(parts, ("NS", "EW"), strict=False)]
-        if len(parts) != 2 or found[0] is None or found[1] is None:
+        angles = [values.angle(part, letters) for part, letters in zip(parts, ("NS", "EW"), strict=False)]
+        if len(parts) != 2 or angles[0] is None or angles[1] is None:
             raise DataError(
                 f"{self.where} has the position {printable(text)[:80]!r}; expected a latitude and a longitude."
             )
-        return found[0], found[1]
+        return angles[0], angles[1]
 
 
 def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
@@ -275,40 +275,42 @@ def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, flo
         DataError: if they are not degrees on the Earth; the message names the line.
     """
     rows = [_Cells(table, cells, f"Line {line} of {name}") for line, cells in table.rows]
-    found = np.array([row.coordinates() for row in rows], np.float64)
-    found[(found == 0).all(axis=1)] = np.nan
-    known = ~np.isnan(found[:, 0])
+    degrees = np.array([row.coordinates() for row in rows], np.float64)
+    degrees[(degrees == 0).all(axis=1)] = np.nan
+    known = ~np.isnan(degrees[:, 0])
     notes, is_scaled = [], False
-    latitudes, longitudes = found[known].T
-    size = np.abs(found[known]).max(axis=0) if known.any() else np.zeros(2)
-    whole = bool(known.any() and (found[known] == np.floor(found[known])).all())
+    latitudes, longitudes = degrees[known].T
+    size = np.abs(degrees[known]).max(axis=0) if known.any() else np.zeros(2)
+    whole = bool(known.any() and (degrees[known] == np.floor(degrees[known])).all())
     texts = [row.text("latitude") for row, is_known in zip(rows, known, strict=True) if is_known]
     if whole and size.max() > _LEAST_SCALED and size[0] <= 90 * _SCALED and size[1] <= 180 * _SCALED:
-        found, is_scaled = found / _SCALED, True
+        degrees, is_scaled = degrees / _SCALED, True
         notes.append(f"The positions of {name} are whole numbers and count as degrees times 1e7, as in MAVLink.")
     elif not whole and _are_minutes(latitudes, 90) and _are_minutes(longitudes, 180):
-        found = np.sign(found) * (np.abs(found) // 100 + np.abs(found) % 100 / 60)
+        degrees = np.sign(degrees) * (np.abs(degrees) // 100 + np.abs(degrees) % 100 / 60)
         notes.append(f"The positions of {name} count as degrees and minutes, ddmm.mmmm, as in NMEA.")
     elif size[0] > 90 and size[1] <= 90 and size[0] <= 180 and len(latitudes) > 1 and (np.abs(latitudes) > 90).all():
-        found = found[:, ::-1]
+        degrees = degrees[:, ::-1]
         notes.append(f"Latitude and longitude of {name} are swapped: its latitudes are beyond 90 degrees.")
     elif values.seem_radians(latitudes, longitudes, texts):
-        found = np.degrees(found)
+        degrees = np.degrees(degrees)
         notes.append(f"The positions of {name} count as radians: as degrees they would be at sea, near 0, 0.")
-    beyond = np.flatnonzero((np.abs(found) > (90, 180)).any(axis=1))
+    beyond = np.flatnonzero((np.abs(degrees) > (90, 180)).any(axis=1))
     if len(beyond) > _MOST_BEYOND * known.sum():
-        row, (latitude, longitude) = rows[beyond[0]], found[beyond[0]]
+        row, (latitude, longitude) = rows[beyond[0]], degrees[beyond[0]]
         grid = " Eastings and northings of a map are not read; export degrees of WGS 84." if size.min() > 1000 else ""
         raise DataError(
             f"{row.where} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to 90.{grid}"
         )
     if len(beyond):
-        found[beyond] = np.nan
+        degrees[beyond] = np.nan
         first = table.rows[beyond[0]][0]
         notes.append(
             f"{len(beyond)} positions of {name} are none on the Earth and were not used, first in line {first}."
         )
-    places = [(None, None) if math.isnan(latitude) else (latitude, longitude) for latitude, longitude in found.tolist()]
+    places = [
+        (None, None) if math.isnan(latitude) else (latitude, longitude) for latitude, longitude in degrees.tolist()
+    ]
     return places, notes, is_scaled
 
 
@@ -328,9 +330,9 @@ def _with_mavlink_units(table: LogTable) -> LogTable:
     return replace(table, columns=replace(table.columns, factors=factors))
 
 
-def _are_minutes(found: Float64Array, most: int) -> bool:
+def _are_minutes(degrees: Float64Array, most: int) -> bool:
     """Return whether angles are degrees and minutes as ddmm.mmmm: beyond the degrees of the Earth, with minutes below 60."""
-    size = np.abs(found)
+    size = np.abs(degrees)
     return bool(len(size) and size.max() > 180 and size.max() < 100 * most + 60 and (size % 100 < 60).all())
 
 

@@ -303,12 +303,12 @@ class XmpValues:
 
 def number(text: str) -> float | None:
     """Return a number as XMP writes it, such as "+39.80", "-8759/100", "39,8", or "12.5 m"; None for others."""
-    found = _NUMBER.fullmatch(text.strip())
-    if found is None:
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None:
         return None
-    value = float(found[1].replace(",", "."))
-    if found[2] is not None:
-        divisor = float(found[2])
+    value = float(match[1].replace(",", "."))
+    if match[2] is not None:
+        divisor = float(match[2])
         value = value / divisor if divisor else math.nan
     return value if math.isfinite(value) else None
 

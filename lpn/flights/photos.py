@@ -187,11 +187,11 @@ def _metadata(picture: Image.Image) -> _Metadata:
     flaws: dict[str, None] = {}
     for packet in _packets(picture, known):
         try:
-            found, some = read_xmp(packet)
+            readable, some = read_xmp(packet)
         except ValueError as error:
             known.oddities.append(f"has XMP that was not used, because {error}")
             continue
-        properties += found
+        properties += readable
         flaws |= dict.fromkeys(some)
     if flaws:
         known.oddities.append(f"has damaged XMP ({'; '.join(flaws)}), of which the readable properties were used")
@@ -263,15 +263,15 @@ def _turns(known: _Metadata) -> int:
 def _position(known: _Metadata) -> tuple[float | None, float | None]:
     """Return latitude and longitude in degrees, both None if unknown."""
     doubts: list[str] = []
-    found = [(_in_xmp(known, "latitude", space), _in_xmp(known, "longitude", space), space) for space in _PLACES]
+    candidates = [(_in_xmp(known, "latitude", space), _in_xmp(known, "longitude", space), space) for space in _PLACES]
     inside = [
         _exif_degrees(known.gps, tag, signs, doubts)
         for tag, signs in ((ExifTags.GPS.GPSLatitude, "NS"), (ExifTags.GPS.GPSLongitude, "EW"))
     ]
     # The EXIF in XMP, the last of the table, is a copy of EXIF.
-    found.insert(-1, (inside[0], inside[1], "EXIF GPS"))
+    candidates.insert(-1, (inside[0], inside[1], "EXIF GPS"))
     places: list[tuple[float, float, str]] = []
-    for north, east, space in found:
+    for north, east, space in candidates:
         if (north is None) != (east is None) and not (space == "EXIF GPS" and doubts):
             known.oddities.append(f"has only one of latitude and longitude in {space}, which was not used")
         if north is None or east is None or north == east == 0:
@@ -395,12 +395,12 @@ def _with_heights(frame: Frame, known: _Metadata) -> Frame:
 
 def _with_angles(frame: Frame, known: _Metadata, turns: int) -> Frame:
     """Return a frame with heading, pitch, and roll of the upright picture."""
-    told = list(_told_angles(known))
+    all_angles = list(_told_angles(known))
     headings = sorted(
-        (angles for angles in told if angles.heading is not None), key=lambda angles: _RANK[angles.source]
+        (angles for angles in all_angles if angles.heading is not None), key=lambda angles: _RANK[angles.source]
     )
     best = headings[0] if headings else None
-    tilts = [angles for angles in told if angles.pitch is not None]
+    tilts = [angles for angles in all_angles if angles.pitch is not None]
     tilt = best if best is not None and best.pitch is not None else tilts[0] if tilts else None
     pitch, roll = (None, None) if tilt is None else (tilt.pitch, tilt.roll)
     for other in headings[1:]:
@@ -481,12 +481,12 @@ def _dji_maker_note(note: Any) -> dict[int, float]:
     ):
         return {}
     order = "<" if note[2] else ">"
-    found = {}
+    tags = {}
     for at in range(2, min(len(note) - 11, 2 + 12 * struct.unpack(order + "H", note[:2])[0]), 12):
         tag, kind, count = struct.unpack(order + "HHI", note[at : at + 8])
         if (kind, count) == (11, 1) and abs(value := struct.unpack(order + "f", note[at + 8 : at + 12])[0]) <= 720:
-            found[tag] = float(value)
-    return found
+            tags[tag] = float(value)
+    return tags
 
 
 def turned_oddity(turns: int) -> str:
@@ -628,14 +628,14 @@ def _gps_time(known: _Metadata) -> float | None:
 
 def _local_time(stamp: str) -> tuple[float | None, float | None]:
     """Return the seconds of a time as EXIF or ISO 8601 write it, and those of its zone, if it has one."""
-    found = _TIME.fullmatch(_MIDNIGHT.sub("00", stamp.strip()))
-    if found is None:
+    match = _TIME.fullmatch(_MIDNIGHT.sub("00", stamp.strip()))
+    if match is None:
         return None, None
-    day, clock = ":".join(found.group(1, 2, 3)), ":".join(found.group(4, 5, 6))
+    day, clock = ":".join(match.group(1, 2, 3)), ":".join(match.group(4, 5, 6))
     seconds = _seconds(f"{day} {clock}".replace(": ", ":0"), "%Y:%m:%d %H:%M:%S")
-    if seconds is not None and found[7]:
-        seconds += float(found[7])
-    zone = found[8] or ""
+    if seconds is not None and match[7]:
+        seconds += float(match[7])
+    zone = match[8] or ""
     return seconds, 0.0 if zone == "Z" else _zone(zone)
 
 
@@ -684,33 +684,33 @@ def _seconds(text: str, pattern: str) -> float | None:
 
 def _iso_seconds(text: str) -> float | None:
     try:
-        found = datetime.fromisoformat(text)
-        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+        moment = datetime.fromisoformat(text)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
     except (ValueError, OverflowError):
         return None
 
 
 def _zone(text: str) -> float | None:
     """Return the seconds of a zone such as "+02:00", "-5:00", or "+0200"."""
-    found = re.fullmatch(r"([+-])(\d\d?):?(\d\d)", text.strip(), re.ASCII)
-    if found is None or int(found[2]) > 14 or int(found[3]) > 59:
+    match = re.fullmatch(r"([+-])(\d\d?):?(\d\d)", text.strip(), re.ASCII)
+    if match is None or int(match[2]) > 14 or int(match[3]) > 59:
         return None
-    offset = timezone(timedelta(hours=int(found[2]), minutes=int(found[3]))).utcoffset(None)
-    return offset.total_seconds() * (1 if found[1] == "+" else -1)
+    offset = timezone(timedelta(hours=int(match[2]), minutes=int(match[3]))).utcoffset(None)
+    return offset.total_seconds() * (1 if match[1] == "+" else -1)
 
 
 def _number(value: Any) -> float | None:
     """Return an EXIF value as a finite float, else None."""
     try:
-        found = float(value)
+        number = float(value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
-    return found if math.isfinite(found) else None
+    return number if math.isfinite(number) else None
 
 
 def _positive(value: Any) -> float | None:
-    found = _number(value)
-    return found if found is not None and found > 0 else None
+    number = _number(value)
+    return number if number is not None and number > 0 else None
 
 
 def _text(value: Any) -> str:

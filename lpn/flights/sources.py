@@ -95,23 +95,23 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     """
     options = options or FlightOptions()
     check_folder(out)
-    found = _sorted_files(files)
-    read, texts, unread = _read_logs(found.logs)
-    found = replace(found, logs=list(read), others=[*found.others, *texts])
+    inputs = _sorted_files(files)
+    read, texts, unread = _read_logs(inputs.logs)
+    inputs = replace(inputs, logs=list(read), others=[*inputs.others, *texts])
     name = out.resolve().name
-    if found.photos and found.videos:
+    if inputs.photos and inputs.videos:
         raise DataError(
-            f"Photos ({len(found.photos)}) and videos ({len(found.videos)}) have different clocks; make one flight of each."
+            f"Photos ({len(inputs.photos)}) and videos ({len(inputs.videos)}) have different clocks; make one flight of each."
         )
-    if found.videos:
-        flight = _flight_of_videos(found, list(read.values()), out / FRAMES, name, options)
+    if inputs.videos:
+        flight = _flight_of_videos(inputs, list(read.values()), out / FRAMES, name, options)
     else:
-        photos = found.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
+        photos = inputs.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
         if not photos:
-            raise DataError(_no_pictures(found))
+            raise DataError(_no_pictures(inputs))
         flight = flight_of_photos(photos, name, list(read.values()))
     flight = _completed(flight, options)
-    flight = replace(flight, notes=(*flight.notes, *unread, *_others_note(found.others)))
+    flight = replace(flight, notes=(*flight.notes, *unread, *_others_note(inputs.others)))
     write_flight(flight, out)
     return flight
 
@@ -188,12 +188,12 @@ def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log
 
 def _sorted_files(paths: Sequence[Path]) -> _Files:
     """Sort files by kind, those of folders too."""
-    found = _Files([], [], [], [], [])
+    inputs = _Files([], [], [], [], [])
     kinds = (
-        (PHOTOS, found.photos),
-        (videos.SUFFIXES, found.videos),
-        (videos.SUBTITLES, found.subtitles),
-        ((*logs.SUFFIXES, *track_files.SUFFIXES), found.logs),
+        (PHOTOS, inputs.photos),
+        (videos.SUFFIXES, inputs.videos),
+        (videos.SUBTITLES, inputs.subtitles),
+        ((*logs.SUFFIXES, *track_files.SUFFIXES), inputs.logs),
     )
     taken = (*PHOTOS, *videos.SUFFIXES, *videos.SUBTITLES, *_OTHER_PICTURES)
     for path in paths:
@@ -201,19 +201,19 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
             raise DataError(f"There is no {path}; give photos, videos, subtitles, logs, tracks, or folders of them.")
         inside = path.is_dir()
         for file in files_below(path, taken) if inside else [path]:
-            kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), found.others)
+            kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), inputs.others)
             kind.append(file)
-    for kind in (found.photos, found.videos):
+    for kind in (inputs.photos, inputs.videos):
         kind.sort(key=lambda file: natural(file.name))
-    return found
+    return inputs
 
 
-def _no_pictures(found: _Files) -> str:
-    if found.subtitles:
-        return f"There is no video for {len(found.subtitles)} .SRT file{'s' * (len(found.subtitles) > 1)}; give the video, too."
-    if found.logs:
-        return f"No photo that {found.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
-    return f"No file of {len(found.others)} is a photo or a video; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
+def _no_pictures(files: _Files) -> str:
+    if files.subtitles:
+        return f"There is no video for {len(files.subtitles)} .SRT file{'s' * (len(files.subtitles) > 1)}; give the video, too."
+    if files.logs:
+        return f"No photo that {files.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
+    return f"No file of {len(files.others)} is a photo or a video; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:
@@ -317,10 +317,10 @@ def _metres_apart(frame: Frame | TelemetryEntry, entry: TelemetryEntry) -> float
 def _twice_note(photos: Sequence[Photo], chosen: Sequence[tuple[LogRow, list[LogRow]] | None], name: str) -> list[str]:
     """Return a note, if any, about pictures that a log lists more than once with different values."""
     twice = [
-        (photo, found[1])
-        for photo, found in zip(photos, chosen, strict=True)
-        if found is not None
-        and any(replace(row.entry, time=0.0) != replace(found[1][0].entry, time=0.0) for row in found[1])
+        (photo, pair[1])
+        for photo, pair in zip(photos, chosen, strict=True)
+        if pair is not None
+        and any(replace(row.entry, time=0.0) != replace(pair[1][0].entry, time=0.0) for row in pair[1])
     ]
     if not twice:
         return []
@@ -389,20 +389,20 @@ def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
 
 
 def _flight_of_videos(
-    found: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
+    files: _Files, flight_logs: Sequence[Log], folder: Path, name: str, options: FlightOptions
 ) -> Flight:
     """Return the flight of videos; one that cannot be read is left out, and a note names it."""
     parts: list[tuple[videos.VideoFrames, float | None]] = []
     notes = [note for log in flight_logs for note in log.notes]
     broken: list[str] = []
-    stems = Counter(video.stem.casefold() for video in found.videos)
+    stems = Counter(video.stem.casefold() for video in files.videos)
     if twice := [stem for stem, count in stems.items() if count > 1]:
         raise DataError(
             f"Two videos are named {printable(twice[0])}; their frames would replace each other, so rename one."
         )
-    for number, video in enumerate(found.videos):
+    for number, video in enumerate(files.videos):
         try:
-            telemetry, known_subtitles, subtitle_notes = _telemetry(video, found, flight_logs, number, options)
+            telemetry, known_subtitles, subtitle_notes = _telemetry(video, files, flight_logs, number, options)
             part = videos.read_frames(video, folder, options.every, options.every_metres, telemetry)
         except DataError as error:
             broken.append(str(error))
@@ -415,17 +415,17 @@ def _flight_of_videos(
         first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
         parts.append((part, None if first is None or first.clock is None else first.clock - first.time))
     if not parts:
-        raise DataError(f"No video of {len(found.videos)} can be read. {broken[0]}")
+        raise DataError(f"No video of {len(files.videos)} can be read. {broken[0]}")
     frames, clock_notes = _on_one_clock(parts)
     frames, course_notes = with_courses(frames)
     notes += clock_notes + flight_notes(frames) + course_notes
     if broken:
-        notes.append(f"{len(broken)} of {len(found.videos)} videos are left out: {' '.join(broken[:_NAMED])}")
+        notes.append(f"{len(broken)} of {len(files.videos)} videos are left out: {' '.join(broken[:_NAMED])}")
     return Flight(name, tuple(frames), tuple(notes))
 
 
 def _telemetry(
-    video: Path, found: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions
+    video: Path, files: _Files, flight_logs: Sequence[Log], number: int, options: FlightOptions
 ) -> tuple[Telemetry | None, tuple[Subtitles, str] | None, list[str]]:
     """Return a video's telemetry from a log, else from its `.SRT` file, else from inside; its subtitles; and notes."""
     notes: list[str] = []
@@ -436,8 +436,8 @@ def _telemetry(
             notes.append(str(error))
             continue
         return Telemetry(entries), None, [*notes, *notes_of_log]
-    only = found.subtitles if len(found.videos) == len(found.subtitles) == 1 else []
-    file = only[0] if only else videos.beside(video, found.subtitles)
+    only = files.subtitles if len(files.videos) == len(files.subtitles) == 1 else []
+    file = only[0] if only else videos.beside(video, files.subtitles)
     known_subtitles = None
     try:
         if file is not None:

@@ -179,12 +179,12 @@ def blocks_of(data: bytes) -> list[SubtitleBlock]:
         return []
     if text.lstrip().startswith("[Script Info]") or "\nDialogue:" in text:
         return [
-            SubtitleBlock(found[9] + "\n", _seconds(found.groups()[:4]), _seconds(found.groups()[4:8]))
-            for found in _DIALOGUE.finditer(text)
+            SubtitleBlock(match[9] + "\n", _seconds(match.groups()[:4]), _seconds(match.groups()[4:8]))
+            for match in _DIALOGUE.finditer(text)
         ]
     parts = _INDEX_LINE.split(text)[1:]
     if not parts or text.startswith("WEBVTT"):
-        starts = [found.start() for found in _CODES.finditer(text)]
+        starts = [match.start() for match in _CODES.finditer(text)]
         parts = [text[start:end] for start, end in zip(starts, [*starts[1:], len(text)], strict=False)]
     blocks = []
     for part in parts:
@@ -274,11 +274,11 @@ def _seconds(parts: Sequence[str | None]) -> float:
 
 
 def _clock(text: str) -> float | None:
-    found = _CLOCK.search(text)
-    if found is None:
+    match = _CLOCK.search(text)
+    if match is None:
         return None
-    year, month, day, hour, minute, second = (int(part) for part in found.groups()[:6])
-    fraction = int(found[7] or 0) / 1e3 + int(found[8] or 0) / 1e6
+    year, month, day, hour, minute, second = (int(part) for part in match.groups()[:6])
+    fraction = int(match[7] or 0) / 1e3 + int(match[8] or 0) / 1e6
     try:
         return datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp() + fraction
     except (ValueError, OverflowError):
@@ -287,7 +287,7 @@ def _clock(text: str) -> float | None:
 
 def _listed(text: str) -> str | None:
     """Return the list of numbers that GPS or RTK names; None without one."""
-    return next((found[1].strip() for pattern in _LISTS if (found := pattern.search(text))), None)
+    return next((match[1].strip() for pattern in _LISTS if (match := pattern.search(text))), None)
 
 
 def _has_decimal_commas(raw: str) -> bool | None:
@@ -367,24 +367,24 @@ def _of_list(items: Sequence[str], text: str, commas: bool) -> _Place | None:
 
 
 def _home(text: str, commas: bool) -> tuple[float, float] | None:
-    if (found := _HOME.search(text)) is None:
+    if (match := _HOME.search(text)) is None:
         return None
-    items = _items(found[1].strip(), commas)
+    items = _items(match[1].strip(), commas)
     a, b = (values.angle(item) if not values.letter_of(item) else None for item in (*items, "", "")[:2])
     return None if a is None or b is None else (a, b)
 
 
 def _unnamed(text: str) -> _Place:
     """Return two numbers of degrees that nothing names, such as those of a goggles' overlay."""
-    found = None if _TELLING.search(text) else _UNNAMED.search(text)
-    if found is None or max(abs(float(found[1])), abs(float(found[2]))) < 2:
+    match = None if _TELLING.search(text) else _UNNAMED.search(text)
+    if match is None or max(abs(float(match[1])), abs(float(match[2]))) < 2:
         return _Place()
-    return _Place(triple=_Triple(float(found[1]), float(found[2]), "", None, None), written=found[1])
+    return _Place(triple=_Triple(float(match[1]), float(match[2]), "", None, None), written=match[1])
 
 
 def _metres_of(pattern: re.Pattern[str], text: str, commas: bool) -> float | None:
-    found = pattern.search(text)
-    return None if found is None else values.number(found[1] + found[2], commas)
+    match = pattern.search(text)
+    return None if match is None else values.number(match[1] + match[2], commas)
 
 
 def _entry(text: str, start: float, clock: float | None, place: _Place, commas: bool) -> TelemetryEntry:
@@ -423,10 +423,10 @@ def _angles(
 
 def _turn(raw: str) -> tuple[float, float, float] | None:
     """Return yaw, pitch, and roll of a list of pitch, roll, and yaw."""
-    found = [values.number(re.sub(r"[^0-9]+$", "", item)) for item in _items(raw.strip(), False)]
-    if len(found) != 3:
+    angles = [values.number(re.sub(r"[^0-9]+$", "", item)) for item in _items(raw.strip(), False)]
+    if len(angles) != 3:
         return None
-    pitch, roll, yaw = found
+    pitch, roll, yaw = angles
     return None if pitch is None or roll is None or yaw is None else (yaw, pitch, roll)
 
 
@@ -486,15 +486,15 @@ def _counts_satellites(triple: _Triple) -> bool:
 
 
 def _order(
-    triples: list[_Triple], entries: Sequence[TelemetryEntry], given: GpsOrder | None, name: str
+    triples: list[_Triple], entries: Sequence[TelemetryEntry], order_wanted: GpsOrder | None, name: str
 ) -> tuple[GpsOrder, str]:
     """Return the order of GPS(a, b, c), and a note if it is a guess.
 
     Degrees beyond 90 are longitudes. Otherwise positions of the same file in brackets decide, then the distance to HOME. The
     third value is a guess: where it counts satellites, the known cameras write the longitude first.
     """
-    if given is not None:
-        return given, ""
+    if order_wanted is not None:
+        return order_wanted, ""
     a, b = (np.array(values) for values in zip(*((t.a, t.b) for t in triples), strict=True))
     if (np.abs(a) > 90).any() != (np.abs(b) > 90).any():
         return ("lon-lat" if (np.abs(a) > 90).any() else "lat-lon"), ""

@@ -75,14 +75,14 @@ class Telemetry:
 
     def at(self, time: float) -> dict[str, float | HeadingSource | None]:
         """Return the value of each of `VALUES` at a time in seconds."""
-        found: dict[str, float | HeadingSource | None] = {name: self._value(name, time) for name in self._known}
-        if (longitude := found["longitude"]) is not None:
-            found["longitude"] = wrap_degrees(float(longitude))
-        found["heading_source"] = None
-        if (heading := found["heading"]) is not None:
-            found["heading"] = float(heading) % 360.0
-            found["heading_source"] = self._sources[int(np.abs(self._known_times["heading"] - time).argmin())]
-        return found
+        values: dict[str, float | HeadingSource | None] = {name: self._value(name, time) for name in self._known}
+        if (longitude := values["longitude"]) is not None:
+            values["longitude"] = wrap_degrees(float(longitude))
+        values["heading_source"] = None
+        if (heading := values["heading"]) is not None:
+            values["heading"] = float(heading) % 360.0
+            values["heading_source"] = self._sources[int(np.abs(self._known_times["heading"] - time).argmin())]
+        return values
 
     def times_by_distance(self, metres: float) -> list[float]:
         """Return the times at which each further number of metres has been flown, from the first known position on.

@@ -295,14 +295,14 @@ def _add(points: _Points, numbers: list[str], time: str | None, name: str | None
             f"A track has the coordinates {printable(','.join(numbers))[:60]}; expected longitude, latitude, and height "
             "with points as decimal signs, so export it again."
         )
-    found = [values.number(number) for number in numbers[:3]]
-    if len(found) < 2 or found[0] is None or found[1] is None:
+    coordinates = [values.number(number) for number in numbers[:3]]
+    if len(coordinates) < 2 or coordinates[0] is None or coordinates[1] is None:
         points.untimed += 1
         return
-    height = found[2] if len(found) > 2 else None
+    height = coordinates[2] if len(coordinates) > 2 else None
     altitude = height if mode == "absolute" or (not mode and height) else None
     above_ground = height if mode == "relativeToGround" else None
-    points.add(found[1], found[0], altitude, time, name, above_ground)
+    points.add(coordinates[1], coordinates[0], altitude, time, name, above_ground)
 
 
 def _tag(element: ElementTree.Element) -> str:

@@ -103,10 +103,10 @@ def number(text: str, comma: bool = False) -> float | None:
     """
     if _SIMPLE.fullmatch(text):
         return float(text)
-    found = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST else None
-    if found is None:
+    match = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST else None
+    if match is None:
         return None
-    digits, unit = found[1], found["unit"].casefold()
+    digits, unit = match[1], match["unit"].casefold()
     if unit not in _FACTORS and unit not in _PLAIN_UNITS:
         return None
     digits = re.sub(r"(?<=\d)[ '](?=\d{3}(?!\d))", "", digits)
@@ -121,7 +121,7 @@ def number(text: str, comma: bool = False) -> float | None:
         value = float(digits) * _FACTORS.get(unit, 1.0)
     except ValueError:
         return None
-    return -abs(value) if (found["level"] or "").casefold().startswith(" below") else value
+    return -abs(value) if (match["level"] or "").casefold().startswith(" below") else value
 
 
 def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None:
@@ -141,11 +141,11 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
         parts, letter, sign = list(packed.groups()[:3]), packed[4].upper(), ""
     else:
         # Within degrees, minutes, and seconds a comma is a decimal one in any case.
-        found = _ANGLE.fullmatch(text.replace(",", ".") if comma or re.search(r"[°'\"]", text) else text)
-        if found is None or (found["before"] and found["after"]):
+        match = _ANGLE.fullmatch(text.replace(",", ".") if comma or re.search(r"[°'\"]", text) else text)
+        if match is None or (match["before"] and match["after"]):
             return None
-        parts, sign = [found["degrees"], found["minutes"], found["seconds"]], found["sign"] or ""
-        letter = (found["before"] or found["after"] or "")[:1].upper()
+        parts, sign = [match["degrees"], match["minutes"], match["seconds"]], match["sign"] or ""
+        letter = (match["before"] or match["after"] or "")[:1].upper()
     if letter and letter not in letters:
         return None
     degrees, minutes, seconds = (float(part) if part else 0.0 for part in parts)
@@ -164,8 +164,8 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
 
 def letter_of(text: str) -> str:
     """Return the letter N, S, E, or W of an angle, "" without one."""
-    found = _ANGLE.fullmatch(plain(text).strip()) if len(text) <= _LONGEST and not _SIMPLE.fullmatch(text) else None
-    return "" if found is None else (found["before"] or found["after"] or "")[:1].upper()
+    match = _ANGLE.fullmatch(plain(text).strip()) if len(text) <= _LONGEST and not _SIMPLE.fullmatch(text) else None
+    return "" if match is None else (match["before"] or match["after"] or "")[:1].upper()
 
 
 def seem_radians(latitudes: Float64Array, longitudes: Float64Array, texts: Sequence[str]) -> bool:

@@ -65,12 +65,12 @@ def read_frames(
     """
     starts: Iterator[float] | None = None
     if every_metres is not None:
-        found = telemetry.times_by_distance(every_metres) if telemetry is not None else []
-        if not found:
+        start_times = telemetry.times_by_distance(every_metres) if telemetry is not None else []
+        if not start_times:
             raise DataError(
                 f"{printable(video.name)} has no positions, so frames cannot be chosen by metres flown; choose them by seconds."
             )
-        starts = iter(found)
+        starts = iter(start_times)
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
     capture = cv2.VideoCapture(str(video))
     try:
