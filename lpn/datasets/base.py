@@ -276,13 +276,13 @@ class ListedDataset(Dataset):
         return tasks_between([v for v, q in self._queries.items() if q], [v for v, g in self._gallery.items() if g])
 
     def lists(self) -> dict[str, list[Picture]]:
-        found = {f"train/{view}": pictures for view, pictures in self._train.items()}
+        lists = {f"train/{view}": pictures for view, pictures in self._train.items()}
         if self._queries is self._gallery:
-            found |= {f"test/{view}": pictures for view, pictures in self._gallery.items()}
+            lists |= {f"test/{view}": pictures for view, pictures in self._gallery.items()}
         else:
-            found |= {f"test/query_{view}": pictures for view, pictures in self._queries.items()}
-            found |= {f"test/gallery_{view}": pictures for view, pictures in self._gallery.items()}
-        return {name: list(pictures) for name, pictures in found.items() if pictures}
+            lists |= {f"test/query_{view}": pictures for view, pictures in self._queries.items()}
+            lists |= {f"test/gallery_{view}": pictures for view, pictures in self._gallery.items()}
+        return {name: list(pictures) for name, pictures in lists.items() if pictures}
 
     def _list(self, lists: Mapping[str, list[Picture]], view: str, name: str) -> list[Picture]:
         if not lists.get(view):
@@ -311,12 +311,12 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
 
     Hidden files and folders are skipped.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for folder, folders, names in os.walk(root):
         folders[:] = [name for name in folders if not hidden_name(name)]
-        found += [Path(folder, n) for n in names if not n.startswith(".") and n.lower().endswith(suffixes)]
+        files += [Path(folder, n) for n in names if not n.startswith(".") and n.lower().endswith(suffixes)]
     # A broken link counts as a picture, so that it is reported as unreadable.
-    return sorted(file for file in found if file.is_file() or (file.is_symlink() and not file.exists()))
+    return sorted(file for file in files if file.is_file() or (file.is_symlink() and not file.exists()))
 
 
 def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
@@ -324,13 +324,15 @@ def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
 
     Files without an ending are told by their first bytes.
     """
-    found: list[LeftOut] = []
+    left_out: list[LeftOut] = []
     for top in folders:
         for folder, inside, names in os.walk(root / top):
             inside[:] = sorted(name for name in inside if not hidden_name(name))
             files = {file: _unread(file) for file in (Path(folder, name) for name in sorted(names))}
-            found += [LeftOut(file.relative_to(root).as_posix(), why) for file, why in files.items() if why is not None]
-    return found
+            left_out += [
+                LeftOut(file.relative_to(root).as_posix(), why) for file, why in files.items() if why is not None
+            ]
+    return left_out
 
 
 def _unread(file: Path) -> str | None:

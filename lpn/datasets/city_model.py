@@ -92,12 +92,12 @@ def _header(data: bytes) -> dict[str, Any]:
 
 def _chunks(data: bytes) -> list[tuple[bytes, bytes]] | None:
     """Return the kind and content of each chunk; None if they do not end with the file."""
-    found, at = [], 12
+    chunks, at = [], 12
     while at + 8 <= len(data):
         (size,) = struct.unpack_from("<I", data, at)
-        found.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
+        chunks.append((data[at + 4 : at + 8], data[at + 8 : at + 8 + size]))
         at += 8 + size
-    return found if at == len(data) else None
+    return chunks if at == len(data) else None
 
 
 def _refers(value: object) -> bool:
@@ -110,9 +110,9 @@ def _refers(value: object) -> bool:
 
 def _origin(header: dict[str, Any]) -> Position:
     extras = [part.get("extras") for part in (*_dicts(header.get("scenes")), *_dicts([header.get("asset")]))]
-    for found in _dicts(extras):
-        if "latitude" in found and "longitude" in found:
-            latitude, longitude = found["latitude"], found["longitude"]
+    for values in _dicts(extras):
+        if "latitude" in values and "longitude" in values:
+            latitude, longitude = values["latitude"], values["longitude"]
             if not (_degrees(latitude, 90) and _degrees(longitude, 180)):
                 raise DataError(
                     f"{NAME} has its origin at {latitude!r}, {longitude!r}; expected degrees of latitude and longitude."

@@ -50,14 +50,14 @@ class CVACT(ListedDataset):
         for split, indices in rows.items():
             of_split: dict[str, list[Picture]] = {view: [] for view in _FILES}
             for row in indices.tolist():
-                found = {view: _find(there, view, ids[row - 1]) for view in _FILES}
+                paths = {view: _find(there, view, ids[row - 1]) for view in _FILES}
                 left_out += [
                     LeftOut(f"{_FILES[view].format(ids[row - 1])}.jpg", "is not there")
-                    for view, file in found.items()
+                    for view, file in paths.items()
                     if file is None
                 ]
-                for view, file in found.items():
-                    if file is not None and None not in found.values():
+                for view, file in paths.items():
+                    if file is not None and None not in paths.values():
                         name = printable(ids[row - 1])
                         of_split[view].append(Picture(root / file, row, name, panorama=view == "street"))
             pictures[split] = of_split
@@ -77,7 +77,7 @@ class CVACT(ListedDataset):
 def _find(there: FilesBelow, view: str, name: str) -> str | None:
     """Return the path of a pair's picture below the root."""
     files = (f"{folder}{_FILES[view].format(name)}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
-    return next((found for file in files if (found := there.find(file)) is not None), None)
+    return next((path for file in files if (path := there.find(file)) is not None), None)
 
 
 def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:

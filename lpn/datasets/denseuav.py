@@ -62,13 +62,13 @@ class DenseUAV(University):
         return [picture if name is None else replace(picture, group=name[1]) for picture, name in named]
 
     def positions(self) -> geo.Positions:
-        found: dict[str, geo.Position] = {}
+        by_path: dict[str, geo.Position] = {}
         for name, pictures in self.lists().items():
             if name.startswith("test/"):
                 paths = geo.names_below(self.root, pictures)
                 places = (self._places.get(picture.path.parent.name) for picture in pictures)
-                found |= {path: place for path, place in zip(paths, places, strict=True) if place is not None}
-        return geo.Positions(self.root, found, self._source)
+                by_path |= {path: place for path, place in zip(paths, places, strict=True) if place is not None}
+        return geo.Positions(self.root, by_path, self._source)
 
 
 def is_denseuav(root: Path) -> bool:
@@ -91,13 +91,13 @@ def _places(root: Path) -> tuple[str, dict[str, geo.Position]]:
             f"{printable(root.name)} has DenseUAV's folders and no {LISTS[0]}; put that file, or {' and '.join(LISTS[1:])}, "
             "beside train and test."
         )
-    found: dict[str, geo.Position] = {}
+    positions: dict[str, geo.Position] = {}
     for name in names:
         for number, line in enumerate(read_lines(root / name, name), 1):
             if line.strip():
                 place, position = _line(line, f"Line {number} of {name}")
-                found[place] = position
-    return " and ".join(names), found
+                positions[place] = position
+    return " and ".join(names), positions
 
 
 def _line(line: str, where: str) -> tuple[str, geo.Position]:

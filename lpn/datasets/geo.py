@@ -210,32 +210,32 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
                 f"The first line of {file} is {_short(','.join(header)) or 'empty'}; expected path,latitude,longitude and, if "
                 "known, altitude,heading,tilt,fov,width."
             )
-        found: dict[str, Position] = {}
+        positions: dict[str, Position] = {}
         for number, values in rows:
             line = f"Line {number} of {file}"
             name, position = _position(header, values, line, decimal_comma)
-            if name in found:
+            if name in positions:
                 raise DataError(f"{line} gives {_short(name)} a second position; keep one.")
-            found[name] = position
+            positions[name] = position
     except (UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"{file} is not a text file of comma-separated values in UTF-8; save it as such.") from error
-    return found
+    return positions
 
 
-def find_positions(found: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position]:
+def find_positions(by_file: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position]:
     """Return the position of each picture by its name; DataError if one has none."""
-    if any(name not in found for name in names):
-        found = by_name(found, names, file)
-    missing = [name for name in names if name not in found]
+    if any(name not in by_file for name in names):
+        by_file = by_name(by_file, names, file)
+    missing = [name for name in names if name not in by_file]
     if missing:
         raise DataError(
             f"{file} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
             f"add a line for each, or take {file} away."
         )
-    return [found[name] for name in names]
+    return [by_file[name] for name in names]
 
 
-def match(found: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position | None]:
+def match(positions: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position | None]:
     """Return positions by names below a described folder; None for pictures without one.
 
     The described folder may lie below the folder of the file of positions: the prefix that matches most names is used,
@@ -245,26 +245,26 @@ def match(found: Mapping[str, Position], names: Sequence[str], file: str = NAME)
         InputError: if two prefixes match equally many names, at different positions.
     """
     # Another case is the same picture, unless the names themselves differ by their case alone.
-    folds = all(len(set(map(fold, paths))) == len(paths) for paths in (found, set(map(plain_path, names))))
+    folds = all(len(set(map(fold, paths))) == len(paths) for paths in (positions, set(map(plain_path, names))))
     key = fold if folds else str
-    listed = {key(path): position for path, position in found.items()}
+    listed = {key(path): position for path, position in positions.items()}
     keys = [key(plain_path(name)) for name in names]
-    wanted, shown = set(keys), dict[str, str]()
+    wanted, spelt = set(keys), dict[str, str]()
     counts: Counter[str] = Counter()
-    for path in found:
+    for path in positions:
         parts = path.split("/")
         for depth in range(len(parts)):
             if key("/".join(parts[depth:])) in wanted:
                 folder = "".join(f"{part}/" for part in parts[:depth])
                 counts[key(folder)] += 1
-                shown.setdefault(key(folder), folder)
+                spelt.setdefault(key(folder), folder)
     most = max(counts.values(), default=0)
     above = sorted(folder for folder, count in counts.items() if count == most) or [""]
     if above[0]:
         for other in above[1:]:
             if any(_place(listed.get(above[0] + name)) != _place(listed.get(other + name)) for name in keys):
                 raise InputError(
-                    f"{file} has the pictures below both {shown[above[0]]} and {shown[other]}, at other places; give a file of "
+                    f"{file} has the pictures below both {spelt[above[0]]} and {spelt[other]}, at other places; give a file of "
                     "positions, or the folder of one (as --data takes it), that has only the described one."
                 )
     return [listed.get(above[0] + name) for name in keys]

@@ -42,8 +42,8 @@ def picture_error(path: Path, decode: bool = False) -> str | None:
 
 def stream_error(file: BinaryIO, decode: bool = False) -> str | None:
     """Return the error of an open file or of bytes in memory, as `picture_error` does."""
-    if (found := images.header_error(file)) is not None:
-        return found
+    if (error_text := images.header_error(file)) is not None:
+        return error_text
     end_valid = _end_valid(file)
     if end_valid and not decode:
         return None
@@ -68,7 +68,7 @@ def picture_errors(
     Args:
         on_progress: called now and then with the number of checked files.
     """
-    found: dict[Path, str] = {}
+    errors: dict[Path, str] = {}
     with ThreadPoolExecutor(min(32, 4 * (os.cpu_count() or 1))) as pool:
         for start in range(0, len(files), _BATCH):
             some = files[start : start + _BATCH]
@@ -76,10 +76,10 @@ def picture_errors(
                 zip(some, pool.map(lambda f: picture_error(f, decode), some), strict=True), 1
             ):
                 if error is not None:
-                    found[file] = error
+                    errors[file] = error
                 if on_progress is not None and (position % 64 == 0 or position == len(some)):
                     on_progress(start + position)
-    return found
+    return errors
 
 
 def check_whole(files: Sequence[Path], what: str, root: Path | None = None) -> None:
@@ -98,9 +98,9 @@ def check_whole(files: Sequence[Path], what: str, root: Path | None = None) -> N
         )
 
 
-def list_errors(found: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
+def list_errors(errors: Mapping[Path, str], root: Path | None = None, most: int = 5) -> str:
     """Return the first broken files with their errors, and the number of further ones."""
-    some = [f"{printable(str(file.relative_to(root) if root else file))} {error}" for file, error in found.items()]
+    some = [f"{printable(str(file.relative_to(root) if root else file))} {error}" for file, error in errors.items()]
     return first_few(some, most)
 
 

@@ -143,13 +143,13 @@ def query_files(root: Path) -> list[Path]:
 
 
 def _by_name(root: Path) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for file in sorted(files_below(root, (".jpg", ".jpeg")), key=lambda file: (file.stem, file)):
-        if file.stem in found:
-            both = " and ".join(printable(f.relative_to(root).as_posix()) for f in (found[file.stem], file))
+        if file.stem in files:
+            both = " and ".join(printable(f.relative_to(root).as_posix()) for f in (files[file.stem], file))
             raise DataError(f"{root.name} has two pictures of one name, {both}; keep one, or give a folder with one.")
-        found[file.stem] = file
-    return found
+        files[file.stem] = file
+    return files
 
 
 def _names(root: Path, file: Path) -> list[str]:

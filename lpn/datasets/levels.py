@@ -85,8 +85,8 @@ def archives_alone(root: Path) -> DataError | None:
     archives = sorted(name for name in _names(root) if not hidden_name(name) and _ARCHIVE.search(name))
     if not archives:
         return None
-    shown = first_few([printable(name) for name in archives], 3)
-    return DataError(f"{printable(str(root))} holds {shown}; unpack first, and give the folder with the pictures.")
+    listed = first_few([printable(name) for name in archives], 3)
+    return DataError(f"{printable(str(root))} holds {listed}; unpack first, and give the folder with the pictures.")
 
 
 def below(root: Path, marked: Marked) -> DataError | None:
@@ -100,9 +100,9 @@ def below(root: Path, marked: Marked) -> DataError | None:
         level = [folder / name for folder in level for name in _folders(folder)][: _MOST_FOLDERS - looked]
         looked += len(level)
         if inner := [folder for folder in level if _recognised(folder, marked)]:
-            shown = first_few([printable(folder.relative_to(root).as_posix()) for folder in inner], 5)
+            listed = first_few([printable(folder.relative_to(root).as_posix()) for folder in inner], 5)
             return DataError(
-                f"{printable(str(root))} holds data sets in folders of its own: {shown}; give --data "
+                f"{printable(str(root))} holds data sets in folders of its own: {listed}; give --data "
                 f"{printable(str(inner[0]))}."
             )
     return None
@@ -135,20 +135,20 @@ def misplaced(root: Path) -> DataError | None:
         lower = name.lower()
         if name != lower and lower in ("train", "test") and _lists_of(root / name) == lower:
             return DataError(f"{printable(str(root))} has the folder {name}; expected {lower}, so rename it.")
-    for needed, found in _LISTED.items():
+    for needed, listing in _LISTED.items():
         if set(needed) <= set(folders):
             return DataError(
-                f"{printable(str(root))} has {found}; its authors give such a list with the pictures, so put it there."
+                f"{printable(str(root))} has {listing}; its authors give such a list with the pictures, so put it there."
             )
     split = _lists_of(root)
     if split is None:
         return None
     lists = first_few([name for name in folders if name in (*_TRAIN_SETS, *_TEST_LISTS)], 3)
-    shown = printable(str(root))
+    name = printable(str(root))
     if root.name.lower() == split:
-        return DataError(f"{shown} holds {lists}; rename it to {split}, and give --data {printable(str(root.parent))}.")
+        return DataError(f"{name} holds {lists}; rename it to {split}, and give --data {printable(str(root.parent))}.")
     return DataError(
-        f"{shown} holds {lists}, which belong into a folder {split}; move them into {shown}/{split}, and give --data {shown}."
+        f"{name} holds {lists}, which belong into a folder {split}; move them into {name}/{split}, and give --data {name}."
     )
 
 

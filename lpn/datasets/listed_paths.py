@@ -114,10 +114,10 @@ class _Below(ABC):
             DataError: if two paths name the same, if several folders fit equally many paths, or if absolute paths name nothing.
         """
         paths = list(dict.fromkeys(paths))
-        found = {path: name for path in paths if not is_absolute(path) and (name := self.find(path)) is not None}
-        rest = [path for path in paths if path not in found and (is_absolute(path) or not found)]
+        exact = {path: name for path in paths if not is_absolute(path) and (name := self.find(path)) is not None}
+        rest = [path for path in paths if path not in exact and (is_absolute(path) or not exact)]
         folders, ends = self._ends(rest, where)
-        names = _unique(found, ends, where)
+        names = _unique(exact, ends, where)
         if ends:
             first, name = next(iter(ends.items()))
             log.warning(
@@ -218,33 +218,33 @@ def by_name(listed: Mapping[str, T], names: Collection[str], file: str) -> dict[
         DataError: if two paths name one picture.
     """
     named = NamesBelow(names).resolve(listed, file)
-    found: dict[str, T] = {}
+    by_end: dict[str, T] = {}
     for path, name in named.items():
-        if name in found:
+        if name in by_end:
             raise DataError(f"{file} names {printable(name)} twice, also as {printable(path)}; keep one.")
-        found[name] = listed[path]
-    return found
+        by_end[name] = listed[path]
+    return by_end
 
 
 def _by_fold(names: Iterable[str]) -> dict[str, str | None]:
     """Return names by their keys; None where two names have one."""
-    found: dict[str, str | None] = {}
+    names_by_fold: dict[str, str | None] = {}
     for name in names:
         key = fold(name)
-        found[key] = None if key in found else name
-    return found
+        names_by_fold[key] = None if key in names_by_fold else name
+    return names_by_fold
 
 
-def _unique(found: Mapping[str, str], by_end: Mapping[str, str], where: str) -> dict[str, str]:
+def _unique(exact: Mapping[str, str], by_end: Mapping[str, str], where: str) -> dict[str, str]:
     """Return both together; DataError if a name is found by the ends of two paths."""
-    paths = {name: path for path, name in found.items()}
+    paths = {name: path for path, name in exact.items()}
     for path, name in by_end.items():
         if fold(other := paths.setdefault(name, path)) != fold(path):
             raise DataError(
                 f"{where} names both {printable(other)} and {printable(path)}, and only {printable(name)} fits both here; give "
                 "paths below the data set's folder."
             )
-    return {**found, **by_end}
+    return {**exact, **by_end}
 
 
 def _outside(where: str, text: str) -> DataError:

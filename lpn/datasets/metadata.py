@@ -62,9 +62,9 @@ def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = ()) -> list
     Raises:
         DataError: if a file cannot be used; the message names its line.
     """
-    found = [*_positions(root, paths), *_world(root, paths)]
-    found += _custom(root, paths, [*taken, *(column.name for column in found), "path", TAGS, NOTE])
-    return [column for column in found if column.known.any()]
+    all_columns = [*_positions(root, paths), *_world(root, paths)]
+    all_columns += _custom(root, paths, [*taken, *(column.name for column in all_columns), "path", TAGS, NOTE])
+    return [column for column in all_columns if column.known.any()]
 
 
 def _positions(root: Path, paths: Sequence[str]) -> list[Column]:
@@ -92,8 +92,8 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
             raise DataError(newer_version(f"{WORLD} in {printable(root.name)}", plan["format"], WORLD_FORMAT))
         districts = {int(district["number"]): district for district in plan["districts"]}
         buildings = {int(building["id"]): building for building in plan["buildings"]}
-        shown = {str(picture["path"]): buildings.get(int(picture["id"])) for picture in plan["pictures"]}
-        rows = [_building(shown.get(path), districts) for path in paths]
+        building_of = {str(picture["path"]): buildings.get(int(picture["id"])) for picture in plan["pictures"]}
+        rows = [_building(building_of.get(path), districts) for path in paths]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise DataError(
             f"{WORLD} in {printable(root.name)} is damaged or not the plan of a rendered world; render it again, or take "

@@ -87,10 +87,10 @@ def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
             f"The first line of {NAME} is {printable(','.join(header)) or 'empty'}; expected two or three of "
             f"{', '.join(VIEWS)} and, if wanted, split and place."
         )
-    found = [_row(header, views, values, line) for line, values in rows]
-    if not found:
+    parsed = [_row(header, views, values, line) for line, values in rows]
+    if not parsed:
         raise DataError(f"{NAME} has no line after the first; expected one for each pair.")
-    return views, found
+    return views, parsed
 
 
 def _row(header: list[str], views: list[str], values: list[str], line: int) -> _PairLine:
@@ -113,9 +113,9 @@ def _row(header: list[str], views: list[str], values: list[str], line: int) -> _
 
 def _places(rows: list[_PairLine], view: str) -> list[int]:
     """Return each line's place: as given, else that of the first line with the same picture of `view`, else a new one."""
-    given = [row.place for row in rows if row.place is not None]
+    numbered = [row.place for row in rows if row.place is not None]
     # New places must differ from the given ones.
-    fresh = max(given, default=-1) + 1
+    fresh = max(numbered, default=-1) + 1
     known = {row.files[view]: row.place for row in rows if row.place is not None and view in row.files}
     places: list[int] = []
     for row in rows:

@@ -72,10 +72,10 @@ def is_raw(root: Path) -> bool:
 
 
 def _drone_folder(root: Path) -> Path | None:
-    found = sorted(
+    folders = sorted(
         path for path in root.iterdir() if "drone" in path.name.lower() and path.is_dir() and not hidden(path)
     )
-    return found[0] if found else None
+    return folders[0] if folders else None
 
 
 def _split(root: Path) -> tuple[_Lists, _Lists, _Lists]:
@@ -87,10 +87,10 @@ def _split(root: Path) -> tuple[_Lists, _Lists, _Lists]:
 
 def _of_heights(root: Path, split: str, drone: str, satellite: str) -> _Lists:
     """Return the drone pictures of all heights, and the tiles of the first height that has some."""
-    found: _Lists = {"drone": [], "satellite": []}
+    pictures: _Lists = {"drone": [], "satellite": []}
     top = next((root / name for name in _SPLITS[split] if (root / name).is_dir()), None)
     if top is None:
-        return found
+        return pictures
     heights = [height for height in HEIGHTS if (top / height).is_dir()]
     if not heights:
         raise DataError(
@@ -103,9 +103,9 @@ def _of_heights(root: Path, split: str, drone: str, satellite: str) -> _Lists:
                 f"{top.name}/{height} of {printable(root.name)} has no folder {' and no folder '.join(missing)}; expected "
                 f"{drone} and {satellite} for each height, as in SUES-200."
             )
-        found["drone"] += _at(place_pictures(top / height / drone), height)
-        found["satellite"] = found["satellite"] or place_pictures(top / height / satellite)
-    return found
+        pictures["drone"] += _at(place_pictures(top / height / drone), height)
+        pictures["satellite"] = pictures["satellite"] or place_pictures(top / height / satellite)
+    return pictures
 
 
 def _raw(root: Path) -> tuple[_Lists, _Lists, _Lists]:
@@ -138,10 +138,10 @@ def _trained(file: Path) -> set[int]:
     """Return the numbers below `index:` in the published list of places to train on."""
     text = "\n".join(read_lines(file, INDEX))
     _, _, listed = text.partition("index")
-    found = {int(number) for number in re.findall(r"\b\d{1,4}\b", listed)}
-    if not found:
+    numbers = {int(number) for number in re.findall(r"\b\d{1,4}\b", listed)}
+    if not numbers:
         raise DataError(f"{INDEX} names no place; expected its key index with the numbers of the places to train on.")
-    return found
+    return numbers
 
 
 def _chosen(pictures: list[Picture], places: Collection[int], among: bool) -> list[Picture]:

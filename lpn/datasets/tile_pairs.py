@@ -170,8 +170,8 @@ class TilePairs(ListedDataset):
         """Return metres of the map (GTA-UAV), or latitude and longitude in degrees (UAV-VisLoc), (N, 2)."""
         place = _metres_of_tile if self.measured_by == "GTA-UAV" else _degrees_of_tile
         of_drone = {self.root / pair.file: pair.place for pair in self._pairs}
-        found = [of_drone[picture.path] if picture.path in of_drone else place(picture.path) for picture in pictures]
-        return np.array(found, np.float64).reshape(-1, 2)
+        degrees = [of_drone[picture.path] if picture.path in of_drone else place(picture.path) for picture in pictures]
+        return np.array(degrees, np.float64).reshape(-1, 2)
 
     def positions(self) -> geo.Positions | None:
         """Return the positions of UAV-VisLoc's pictures; None for GTA-UAV, whose map is not of the Earth."""
@@ -199,12 +199,12 @@ class TilePairs(ListedDataset):
     @cached_property
     def _drones(self) -> dict[int, list[int]]:
         """For each tile that is true for a test picture, the positions of these pictures, in the order of the tiles."""
-        found: dict[int, list[int]] = {}
+        drones: dict[int, list[int]] = {}
         for position, pair in enumerate(self._pairs):
             for name in pair.true:
                 if name in self._numbers:
-                    found.setdefault(self._numbers[name], []).append(position)
-        return dict(sorted(found.items()))
+                    drones.setdefault(self._numbers[name], []).append(position)
+        return dict(sorted(drones.items()))
 
 
 def is_tile_pairs(root: Path) -> bool:
@@ -267,9 +267,10 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
 
 def _here(there: FilesBelow, pairs: list[_Pair], name: str) -> list[_Pair]:
     """Return pairs whose drone pictures and folders of tiles are those that their paths name."""
-    found = there.resolve((path for pair in pairs for path in (pair.file, pair.tiles)), name)
+    resolved = there.resolve((path for pair in pairs for path in (pair.file, pair.tiles)), name)
     return [
-        replace(pair, file=found.get(pair.file, pair.file), tiles=found.get(pair.tiles, pair.tiles)) for pair in pairs
+        replace(pair, file=resolved.get(pair.file, pair.file), tiles=resolved.get(pair.tiles, pair.tiles))
+        for pair in pairs
     ]
 
 

@@ -68,8 +68,8 @@ class University(Dataset):
 
     def why_no_task(self) -> str:
         test = self.root / "test"
-        found = sorted(path.name for path in test.iterdir() if path.is_dir()) if test.is_dir() else []
-        lacks = f"only test/{' and test/'.join(map(printable, found[:5]))}" if found else "no pictures to test with"
+        folders = sorted(path.name for path in test.iterdir() if path.is_dir()) if test.is_dir() else []
+        lacks = f"only test/{' and test/'.join(map(printable, folders[:5]))}" if folders else "no pictures to test with"
         return (
             f"has {lacks}; expected queries of one view and a gallery of another, such as test/query_drone/<number>/* and "
             "test/gallery_satellite/<number>/*"
@@ -78,8 +78,8 @@ class University(Dataset):
     def lists(self) -> dict[str, list[Picture]]:
         names = [f"train/{name}" for name in _TRAIN]
         names += [f"test/{role}_{view}" for role in ("query", "gallery") for view in _VIEWS]
-        found = {name: self.pictures_in(name) for name in names}
-        return {name: pictures for name, pictures in found.items() if pictures}
+        lists = {name: self.pictures_in(name) for name in names}
+        return {name: pictures for name, pictures in lists.items() if pictures}
 
     def pictures_in(self, folder: str) -> list[Picture]:
         """Return the pictures of a folder below the root, such as "test/query_drone"."""
@@ -92,9 +92,9 @@ class University(Dataset):
         folder = self.root / "test" / f"{role}_{view}"
         pictures = self.pictures_in(f"test/{role}_{view}")
         if not pictures:
-            found = "no pictures in it" if folder.is_dir() else "no such folder"
+            lack = "no pictures in it" if folder.is_dir() else "no such folder"
             raise DataError(
-                f"{self.root.name} has {found} at test/{role}_{view}; expected test/{role}_{view}/<number>/*.jpg, "
+                f"{self.root.name} has {lack} at test/{role}_{view}; expected test/{role}_{view}/<number>/*.jpg, "
                 f"as in {'University-1652' if self.kind == 'world' else self.kind}."
             )
         return pictures
@@ -116,8 +116,8 @@ def place_pictures(folder: Path) -> list[Picture]:
             )
         label, files = int(name), [file for file in _names(place, folders=False) if file.lower().endswith(SUFFIXES)]
         for file in files:
-            shown = name if len(files) == 1 else f"{name}/{file.rpartition('.')[0].removeprefix('image-')}"
-            pictures.append(Picture(place / file, label, printable(shown)))
+            title = name if len(files) == 1 else f"{name}/{file.rpartition('.')[0].removeprefix('image-')}"
+            pictures.append(Picture(place / file, label, printable(title)))
     return pictures
 
 

@@ -96,8 +96,8 @@ class VIGOR(ListedDataset):
                     if (there := files.find(file)) is None:
                         left_out[file] = LeftOut(file, "is not there")
                         continue
-                    shown = f"{city}/{panorama.split(',')[0]}"
-                    pictures[split].append(Picture(root / there, numbers[listed[0]], shown, panorama=True, group=city))
+                    title = f"{city}/{panorama.split(',')[0]}"
+                    pictures[split].append(Picture(root / there, numbers[listed[0]], title, panorama=True, group=city))
                     if split == "test":
                         self._semi.append(listed[1:])
         self._order = {picture.label: position for position, picture in enumerate(gallery)}
@@ -136,7 +136,7 @@ class VIGOR(ListedDataset):
     def positions(self) -> geo.Positions | None:
         """Return the positions in the names of panoramas and tiles."""
         pictures = [*self._queries["street"], *self._gallery["satellite"]]
-        found = {}
+        positions = {}
         for path, picture in zip(geo.names_below(self.root, pictures), pictures, strict=True):
             point = _COORDINATES.search(picture.path.name)
             if point is None or abs(float(point[1])) > 90 or abs(float(point[2])) > 180:
@@ -144,8 +144,8 @@ class VIGOR(ListedDataset):
                     f"The picture {printable(picture.path.name)} has no latitude and longitude in its name; expected VIGOR's "
                     "names."
                 )
-            found[path] = geo.Position(float(point[1]), float(point[2]))
-        return geo.Positions(self.root, found, "the pictures' names")
+            positions[path] = geo.Position(float(point[1]), float(point[2]))
+        return geo.Positions(self.root, positions, "the pictures' names")
 
     def _places(self, tiles: Sequence[int]) -> Int64Array:
         return np.array(sorted(self._order[tile] for tile in dict.fromkeys(tiles) if tile in self._order), np.int64)
@@ -159,13 +159,13 @@ def is_vigor(root: Path) -> bool:
 
 
 def _splits(root: Path) -> Path:
-    found = next((root / name for name in _SPLITS if (root / name).is_dir()), None)
-    if found is None:
+    folder = next((root / name for name in _SPLITS if (root / name).is_dir()), None)
+    if folder is None:
         raise DataError(
             f"{printable(root.name)} has VIGOR's pictures and no folder {' or '.join(_SPLITS)}; expected its lists in one of "
             "them."
         )
-    return found
+    return folder
 
 
 def _cities(area: Area, split: str) -> tuple[str, ...]:
@@ -185,17 +185,17 @@ def _tiles(root: Path, splits: Path, city: str) -> dict[str, str]:
     """Return the path of each tile of a city by the key of its name; see `fold`."""
     name = f"{splits.name}/{city}/{_TILES}"
     folder = _folder(root, city, "satellite", "satellite")
-    found = {}
+    tiles = {}
     for number, line in enumerate(read_lines(splits / city / _TILES, name), 1):
         if line.strip():
             tile = name_of(listed_path(line, f"Line {number} of {name}"))
-            found[fold(tile)] = f"{folder}/{tile}"
-    return found
+            tiles[fold(tile)] = f"{folder}/{tile}"
+    return tiles
 
 
 def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> list[tuple[str, list[str]]]:
     """Return each panorama's file name, and the paths of its tiles, the true one first."""
-    found = []
+    panoramas = []
     for number, line in enumerate(read_lines(file, name), 1):
         values = line.split()
         if not values:
@@ -209,5 +209,5 @@ def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> list[tuple[st
         missing = [tile for tile in listed if fold(tile) not in tiles]
         if missing:
             raise DataError(f"{where} names the tile {printable(missing[0])}, which is not in {_TILES} of its city.")
-        found.append((name_of(listed_path(values[0], where)), [tiles[fold(tile)] for tile in listed]))
-    return found
+        panoramas.append((name_of(listed_path(values[0], where)), [tiles[fold(tile)] for tile in listed]))
+    return panoramas
