@@ -57,8 +57,8 @@ def cache_folder() -> Path:
     Raises:
         OutputError: if the user has no home folder, and neither LPN_CACHE nor XDG_CACHE_HOME is set.
     """
-    if given := os.environ.get("LPN_CACHE"):
-        return Path(given)
+    if folder := os.environ.get("LPN_CACHE"):
+        return Path(folder)
     try:
         return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
     except RuntimeError as error:
@@ -288,8 +288,8 @@ def _delete_abandoned(path: Path) -> None:
     """Delete temporary files of processes that were killed while they wrote the same file."""
     left = re.compile(re.escape(path.name) + r"\.([0-9]+)-[0-9]+\.part")
     with os.scandir(path.parent) as entries:
-        found = [(entry, match) for entry in entries if (match := left.fullmatch(entry.name))]
-    for entry, match in found:
+        abandoned = [(entry, match) for entry in entries if (match := left.fullmatch(entry.name))]
+    for entry, match in abandoned:
         if time.time() - entry.stat().st_mtime > _ABANDONED_SECONDS and not _alive(int(match[1])):
             Path(entry.path).unlink()
 

@@ -28,20 +28,20 @@ def format_of(data: bytes) -> Any:
         return None
 
 
-def is_newer(found: Any, ours: str) -> bool:
-    """Return whether `found` is a later version of the format `ours`."""
-    if not isinstance(found, str):
+def is_newer(stated: Any, ours: str) -> bool:
+    """Return whether `stated` is a later version of the format `ours`."""
+    if not isinstance(stated, str):
         return False
-    kind, _, number = found.partition("/")
+    kind, _, number = stated.partition("/")
     our_kind, _, our_number = ours.partition("/")
     # int() accepts other scripts' digits too, and refuses thousands of digits.
     plain = number.isascii() and number.isdecimal() and len(number) < 10
     return kind == our_kind and plain and int(number) > int(our_number)
 
 
-def newer_version(what: object, found: str, ours: str) -> str:
+def newer_version(what: object, stated: str, ours: str) -> str:
     """Return the message about a file (`what`, the sentence's subject) that a later version wrote."""
-    return f"{what} was written by a later version of lpn ({found}, and this one knows {ours}); {UPGRADE}."
+    return f"{what} was written by a later version of lpn ({stated}, and this one knows {ours}); {UPGRADE}."
 
 
 def decode_json(data: bytes, record: type[_Record], what: object, ours: str, error: type[LPNError]) -> _Record:
@@ -57,9 +57,9 @@ def decode_json(data: bytes, record: type[_Record], what: object, ours: str, err
         LPNError: an `error` if a later version of lpn wrote the file.
         ValueError, RecursionError: if the file is damaged or has another format.
     """
-    found = format_of(data)
-    if is_newer(found, ours):
-        raise error(newer_version(what, found, ours))
-    if found != ours:
+    stated = format_of(data)
+    if is_newer(stated, ours):
+        raise error(newer_version(what, stated, ours))
+    if stated != ours:
         raise ValueError("another format")
     return msgspec.json.decode(data, type=record)

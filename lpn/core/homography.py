@@ -23,13 +23,16 @@ def middle_pixel(width: float, height: float) -> Float64Array:
 
 def four_point_homography(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
     """Return the homography, (3, 3), that maps four points, (4, 2), to four others, (4, 2)."""
-    given = np.asarray(target, np.float64)
-    (u, v), (x, y) = np.asarray(source, np.float64).T, (given - given[0]).T  # small numbers keep the equations solvable
+    corners = np.asarray(target, np.float64)
+    (u, v), (x, y) = (
+        np.asarray(source, np.float64).T,
+        (corners - corners[0]).T,
+    )  # small numbers keep the equations solvable
     zero, one = np.zeros(4), np.ones(4)
     along = np.stack([u, v, one, zero, zero, zero, -u * x, -v * x], axis=1)
     across = np.stack([zero, zero, zero, u, v, one, -u * y, -v * y], axis=1)
     solution = np.linalg.solve(np.concatenate([along, across]), np.concatenate([x, y]))
-    return np.asarray(translation(given[0]) @ np.append(solution, 1.0).reshape(3, 3))
+    return np.asarray(translation(corners[0]) @ np.append(solution, 1.0).reshape(3, 3))
 
 
 def apply_homography(homography: Float64Array, points: npt.ArrayLike) -> Float64Array:

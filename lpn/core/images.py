@@ -72,8 +72,8 @@ def decode_picture(data: bytes, name: str, kinds: str = KINDS, side: int | None 
     Raises:
         PictureError: if they are not a picture, or one of more than 64 megapixels.
     """
-    if (found := header_error(io.BytesIO(data))) is not None:
-        raise PictureError(f"{name} {found}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
+    if (flaw := header_error(io.BytesIO(data))) is not None:
+        raise PictureError(f"{name} {flaw}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
     factor = 1 if side is None else _reduction(data, side)
     try:
         decoded = None if _overruns(data) else _decode(data, factor)
@@ -277,10 +277,10 @@ def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     angle = 2 * np.pi * np.arange(width) / width
     columns = picture.shape[1] / 2 - radius[:, None] * np.sin(angle)
     rows = picture.shape[0] / 2 + radius[:, None] * np.cos(angle)
-    shown = cv2.remap(
+    warped = cv2.remap(
         picture, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
-    return cast(UInt8Array, shown)
+    return cast(UInt8Array, warped)
 
 
 def enlarge(cells: AnyArray, height: int, width: int) -> AnyArray:

@@ -39,12 +39,12 @@ class Package:
         name: its name in the package index.
         wanted: the required versions, such as ">=1.26"; "" for any.
         found: the installed version; None if it is not installed.
-        fits: whether `found` satisfies `wanted`.
+        fits: whether `installed` satisfies `wanted`.
     """
 
     name: str
     wanted: str
-    found: str | None
+    installed: str | None
     fits: bool
 
     @property
@@ -108,8 +108,10 @@ def _packages(lines: list[str]) -> Iterator[Package]:
         requirement = Requirement(line)
         wanted = str(requirement.specifier)
         try:
-            found = _version(requirement.name)
-            yield Package(requirement.name, wanted, found, requirement.specifier.contains(found, prereleases=True))
+            installed = _version(requirement.name)
+            yield Package(
+                requirement.name, wanted, installed, requirement.specifier.contains(installed, prereleases=True)
+            )
         except metadata.PackageNotFoundError:
             yield Package(requirement.name, wanted, None, False)
         except (InvalidVersion, TypeError):  # remains of a broken installation

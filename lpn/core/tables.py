@@ -68,8 +68,8 @@ class Column:
 
     def text(self, row: int) -> str:
         """Return a value as text: numbers with up to four decimals, "" if unknown."""
-        if (told := self.texts.get(int(row))) is not None:
-            return told
+        if (stored := self.texts.get(int(row))) is not None:
+            return stored
         value = self.values[row]
         if self.kind == "text":
             return str(value)
@@ -185,8 +185,8 @@ class Table:
         """Return the rows whose name contains a text, case ignored."""
         wanted = text.strip().casefold()
         folded = self.columns["name"].folded
-        found: Int64Array = rows[np.array([wanted in folded[row] for row in rows], bool)]
-        return found
+        matching: Int64Array = rows[np.array([wanted in folded[row] for row in rows], bool)]
+        return matching
 
     def to_csv(self, rows: Int64Array) -> bytes:
         """Return rows as CSV in UTF-8: path and all columns, unknown values empty, numbers above a column's limit as "> limit".
@@ -212,16 +212,16 @@ def _csv_number(value: float, limit: float | None) -> str:
 
 def _unquoted(text: str) -> str:
     """Replace quoted stretches by quotes, keeping the length, so that operators are found outside of quotes only."""
-    return _QUOTED.sub(lambda found: '"' * len(found[0]), text)
+    return _QUOTED.sub(lambda match: '"' * len(match[0]), text)
 
 
 def _conditions(where: str) -> list[str]:
     """Split a filter at each `and` outside of quotes."""
-    found, start = [], 0
+    conditions, start = [], 0
     for between in _AND.finditer(_unquoted(where)):
-        found.append(where[start : between.start()])
+        conditions.append(where[start : between.start()])
         start = between.end()
-    return [*found, where[start:]]
+    return [*conditions, where[start:]]
 
 
 def _split(condition: str) -> tuple[str, str, str] | None:
