@@ -143,29 +143,29 @@ def _items(source: Storage, positions: str | Path | None) -> list[ShardItem]:
     rows = source.files(images.SUFFIXES)
     if not rows:
         raise DataError(f"{source.where} holds no pictures; expected files ending in {', '.join(images.SUFFIXES)}.")
-    found = _positions(source, positions)
-    if found is None:
+    listed = _positions(source, positions)
+    if listed is None:
         return [ShardItem(row) for row in rows]
     names, source_name = [row.file for row in rows], str(positions or geo.NAME)
     if positions is not None:
-        matched = zip(names, geo.match(found, names, source_name), strict=True)
-        found = {name: place for name, place in matched if place is not None}
-    places = geo.find_positions(found, names, source_name)
+        matched = zip(names, geo.match(listed, names, source_name), strict=True)
+        listed = {name: place for name, place in matched if place is not None}
+    places = geo.find_positions(listed, names, source_name)
     return [ShardItem(row, (at.latitude, at.longitude)) for row, at in zip(rows, places, strict=True)]
 
 
-def _positions(source: Storage, given: str | Path | None) -> dict[str, geo.Position] | None:
+def _positions(source: Storage, file: str | Path | None) -> dict[str, geo.Position] | None:
     try:
-        if given is None:
+        if file is None:
             return geo.read_positions(source.read(geo.NAME))
-        folder, _, name = str(given).rpartition("/")
-        return geo.read_positions(Storage(folder or ".").read(name), str(given))
+        folder, _, name = str(file).rpartition("/")
+        return geo.read_positions(Storage(folder or ".").read(name), str(file))
     except FileNotFoundError as error:
-        if given is None:
+        if file is None:
             return None
-        raise DataError(f"There is no file of positions at {given}; check the path.") from error
+        raise DataError(f"There is no file of positions at {file}; check the path.") from error
     except OSError as error:
-        raise DataError(f"{given or geo.NAME} cannot be read ({error}); check your rights there.") from error
+        raise DataError(f"{file or geo.NAME} cannot be read ({error}); check your rights there.") from error
 
 
 def _run(
@@ -212,8 +212,8 @@ def _run(
                 progress.start()
                 _hand_out(data, rows, worker, task, put(files), count, progress)
         notes = _checked_notes(target, plan, partitions, digests)
-    found = [broken for one in notes for broken in one.broken]
-    broken = sorted(found, key=lambda one: one.item.row.file.split("/"))
+    all_broken = [broken for one in notes for broken in one.broken]
+    broken = sorted(all_broken, key=lambda one: one.item.row.file.split("/"))
     _write_broken(target, broken)
     if not ended:
         target.write(PLAN, replace(plan, finished=True, contents=contents(notes)).to_json())

@@ -97,8 +97,8 @@ def _in_words(ray: Any) -> Iterator[None]:
         yield
     except ray.exceptions.RayError as error:
         # The first exception in its traceback is the worker's own.
-        found = re.search(r"^\w+(?:Error|Exception): .+$", str(error), re.MULTILINE)
-        cause = found.group() if found else type(error).__name__
+        match = re.search(r"^\w+(?:Error|Exception): .+$", str(error), re.MULTILINE)
+        cause = match.group() if match else type(error).__name__
         raise StoreError(
             f"The workers failed ({cause[:200]}); what they wrote is kept, so check their memory and disk, and run this again."
         ) from error

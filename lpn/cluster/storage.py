@@ -116,8 +116,8 @@ def _opened(where: str) -> tuple[fs.FileSystem, str]:
     except pyarrow.ArrowInvalid:
         from fsspec.core import url_to_fs
 
-        found, root = url_to_fs(where)
-        return fs.PyFileSystem(fs.FSSpecHandler(found)), str(root)
+        filesystem, root = url_to_fs(where)
+        return fs.PyFileSystem(fs.FSSpecHandler(filesystem)), str(root)
 
 
 def _first_line(error: BaseException) -> str:

@@ -109,8 +109,8 @@ class DescribeWorker:
             data = self.images.read(item.row.file)
         except OSError as error:
             raise _UnreadError(f"cannot be read ({(str(error).splitlines() or ['?'])[0]})") from error
-        if (found := stream_error(io.BytesIO(data))) is not None:
-            raise PictureError(found)
+        if (flaw := stream_error(io.BytesIO(data))) is not None:
+            raise PictureError(flaw)
         try:
             picture = images.decode_picture(data, item.row.file)
         except PictureError as error:
