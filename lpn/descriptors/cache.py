@@ -100,8 +100,8 @@ def shipped_descriptors(
     Args:
         exact: accept float32 only.
     """
-    found = _shipped(model, pictures, view, store, exact)
-    return None if found is None else found.descriptors
+    shipped = _shipped(model, pictures, view, store, exact)
+    return None if shipped is None else shipped.descriptors
 
 
 def _shipped(
@@ -113,8 +113,8 @@ def _shipped(
         return None
     manifest = shipped.manifest
     wanted = (model.fingerprint, view, UNCHANGED, model.n_parts, len(pictures))
-    found = (manifest.fingerprint, manifest.view, manifest.change, manifest.n_parts, len(manifest.rows))
-    if found != wanted or (exact and manifest.precision != "float32"):
+    stored = (manifest.fingerprint, manifest.view, manifest.change, manifest.n_parts, len(manifest.rows))
+    if stored != wanted or (exact and manifest.precision != "float32"):
         return None
     rows = [(printable(str(row.file)), row.size, row.box) for row in manifest.rows]
     these = [(f"{p.path.parent.name}/{p.path.name}", p.path.stat().st_size, p.box) for p in pictures]
@@ -126,8 +126,8 @@ def shipped_or_cached(
 ) -> StoredDescriptors:
     """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache."""
     for store in _stores(root, f"{role}_{view}"):
-        if (found := _shipped(model, pictures, view, store)) is not None:
-            return found
+        if (shipped := _shipped(model, pictures, view, store)) is not None:
+            return shipped
     return _cached(model, pictures, view, UNCHANGED)
 
 
@@ -139,9 +139,9 @@ def descriptor_reader(root: Path) -> Reader:
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
         for store in [] if change else _stores(root, f"*_{view}"):
-            found = shipped_descriptors(model, pictures, view, store, exact=True)
-            if found is not None:
-                return found
+            shipped = shipped_descriptors(model, pictures, view, store, exact=True)
+            if shipped is not None:
+                return shipped
         return cached_descriptors(model, pictures, view, change)
 
     return read
@@ -149,8 +149,8 @@ def descriptor_reader(root: Path) -> Reader:
 
 def _stores(root: Path, name: str) -> list[Path]:
     """Return the shipped stores whose names match a pattern: of the first model, then of others in folders of their own."""
-    found = [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
-    return list(dict.fromkeys(map(linked_folder, found)))
+    folders = [store for pattern in (name, f"*/{name}") for store in sorted((root / STORES).glob(pattern))]
+    return list(dict.fromkeys(map(linked_folder, folders)))
 
 
 def temporary_descriptors(

@@ -18,7 +18,7 @@ from lpn.models.base import Model
 
 def describe_windows(
     model: Model,
-    town: Map,
+    basemap: Map,
     windows: Sequence[NamedWindow],
     out: str | Path,
     view: View = "satellite",
@@ -43,7 +43,7 @@ def describe_windows(
     model.check_view(view)
     side = max(model.input_size)
     # A row tells its picture by name, size, and time: here the side in pixels, and a digest of the map in place of the time.
-    version = int(town.digest()[:15], 16)
+    version = int(basemap.digest()[:15], 16)
     rows = tuple(Row(window.name, side, version) for window in windows)
     manifest = Manifest.for_model(model, view, UNCHANGED, rows, precision)
     before = reusable_store(Path(out), manifest)
@@ -51,7 +51,7 @@ def describe_windows(
         return before
 
     def prepare(row: int) -> Float32Array:
-        return model.prepare(WindowCut(town, windows[row].on(town.frame), side)(), view)
+        return model.prepare(WindowCut(basemap, windows[row].on(basemap.frame), side)(), view)
 
     return write_store(
         Path(out), manifest, lambda partial: fill_store(model, partial, prepare, view, "Describing windows")

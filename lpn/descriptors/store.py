@@ -145,10 +145,10 @@ class Manifest:
         try:
             # Names of files may be no UTF-8; msgspec's decoder refuses the lone surrogates that Python writes for them.
             values: Any = json.loads(data)
-            found = values.get("format") if isinstance(values, dict) else None
-            if is_newer(found, FORMAT):
-                raise NewerStoreError(newer_version(name, str(found), FORMAT))
-            if found != FORMAT:
+            stated = values.get("format") if isinstance(values, dict) else None
+            if is_newer(stated, FORMAT):
+                raise NewerStoreError(newer_version(name, str(stated), FORMAT))
+            if stated != FORMAT:
                 raise ValueError("another format")
             if not values.keys() <= {
                 entry.name for entry in fields(cls)
