@@ -137,7 +137,7 @@ def check_dataset(
     """
     lists = dataset.lists()
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
-    found = picture_errors(files, decode, None if on_progress is None else lambda done: on_progress(done, len(files)))
+    errors = picture_errors(files, decode, None if on_progress is None else lambda done: on_progress(done, len(files)))
     positions, gap = _positions(dataset)
     (untrained, partly), (missed, by_street) = _training_places(lists), _unanswered(dataset)
     return DataSetReport(
@@ -146,11 +146,11 @@ def check_dataset(
         counts=tuple(_count(dataset, name, pictures) for name, pictures in lists.items()),
         looked_at=len(files),
         decoded=decode,
-        broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in found.items()),
+        broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in errors.items()),
         left_out=(*dataset.left_out, *dataset.unread()),
         lacking=(*untrained, *missed),
         gaps=(*partly, *_street_places(dataset, lists), *by_street),
-        duplicates=tuple(_duplicates(dataset.root, lists, found)),
+        duplicates=tuple(_duplicates(dataset.root, lists, errors)),
         shared=tuple(_shared(dataset, lists)),
         positions=positions,
         gap=gap,
@@ -167,10 +167,10 @@ def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
 def _train_labels(lists: dict[str, list[Picture]]) -> dict[str, set[int]]:
     """Return the labels of each set to train on; google alone trains nothing without street."""
     labels = {name: {p.label for p in pictures} for name, pictures in lists.items() if name.startswith("train/")}
-    found = {name.removeprefix("train/"): of for name, of in labels.items()}
-    if "street" not in found:
-        found.pop("google", None)
-    return found
+    by_view = {name.removeprefix("train/"): of for name, of in labels.items()}
+    if "street" not in by_view:
+        by_view.pop("google", None)
+    return by_view
 
 
 def _training_places(lists: dict[str, list[Picture]]) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
@@ -178,12 +178,12 @@ def _training_places(lists: dict[str, list[Picture]]) -> tuple[list[MissingCount
     labels = _train_labels(lists)
     if len(labels) < 2:
         return [], []
-    found = trainable(labels)
-    total = len(found.places) + len(found.left_out)
-    lost = {name: [label for label in found.left_out if label not in of] for name, of in labels.items()}
+    training_places = trainable(labels)
+    total = len(training_places.places) + len(training_places.left_out)
+    lost = {name: [label for label in training_places.left_out if label not in of] for name, of in labels.items()}
     return (
         [_without_picture(f"train/{name}", of, total) for name, of in lost.items() if of and name != "google"],
-        [_without_picture(f"train/{name}", of, total) for name, of in found.gaps.items()],
+        [_without_picture(f"train/{name}", of, total) for name, of in training_places.gaps.items()],
     )
 
 
@@ -211,7 +211,7 @@ def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[Missi
 
     Not every place has a street picture. A query without one is no damage, as long as another view answers it.
     """
-    found: dict[str, tuple[list[Picture], int]] = {}
+    by_task: dict[str, tuple[list[Picture], int]] = {}
     answered: set[Path] = set()
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
@@ -222,10 +222,10 @@ def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[Missi
         else:
             without = [query for query, of in zip(queries, truth, strict=True) if not len(of.good)]
         answered |= {query.path for query in queries}.difference(query.path for query in without)
-        found[task] = without, len(queries)
+        by_task[task] = without, len(queries)
     damage: list[MissingCounterparts] = []
     gaps: list[MissingCounterparts] = []
-    for task, (without, total) in found.items():
+    for task, (without, total) in by_task.items():
         is_street = views_of(task)[1] == "street"
         by_street = [query for query in without if is_street and query.path in answered]
         missed = [query for query in without if not (is_street and query.path in answered)]
@@ -319,8 +319,8 @@ def _tables(dataset: Dataset, trainable: bool) -> str | None:
     offered = [task for task in directions if task in dataset.tasks()]
     if not offered:
         return None
-    found = f"{training} of the paper" if trainable else f"{testing} of the paper, with trained models"
-    return found if len(offered) == len(directions) else f"{found}, {offered[0]} only"
+    which = f"{training} of the paper" if trainable else f"{testing} of the paper, with trained models"
+    return which if len(offered) == len(directions) else f"{which}, {offered[0]} only"
 
 
 def _below(root: Path, file: Path) -> str:
@@ -377,8 +377,8 @@ _KINDS = {
 }
 
 
-def _of(found: int, full: int | None) -> str:
-    return f"{found:,}" if full is None else f"{found:,} of {full:,}"
+def _of(count: int, full: int | None) -> str:
+    return f"{count:,}" if full is None else f"{count:,} of {full:,}"
 
 
 def _some(what: str, names: Sequence[str], most: int = 5) -> list[str]:

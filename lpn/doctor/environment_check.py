@@ -121,7 +121,7 @@ def _python_and_packages() -> Iterator[Finding]:
             again = f"pip install --force-reinstall '{package.requirement}'"
             yield Finding(package.name, "problem", message, again if package.fits else _install(package.requirement))
         else:
-            good.append(f"{package.name} {package.found}")
+            good.append(f"{package.name} {package.installed}")
     yield Finding("packages", "OK", ", ".join(good))
     for extra, packages in required.extras.items():
         yield _extra(extra, packages)
@@ -135,7 +135,7 @@ def _package_error(package: requirements.Package) -> str:
         with _silenced():
             importlib.import_module(_MODULES.get(package.name.lower(), package.name.lower()))
     except Exception as error:
-        return f"{package.found} cannot be imported ({type(error).__name__}: {error})"
+        return f"{package.installed} cannot be imported ({type(error).__name__}: {error})"
     return ""
 
 
@@ -158,9 +158,9 @@ def _silenced() -> Iterator[None]:
 
 
 def _version_error(package: requirements.Package) -> str:
-    if package.found is None:
+    if package.installed is None:
         return "is not installed"
-    return f"{package.found} is installed, and {package.wanted} is needed"
+    return f"{package.installed} is installed, and {package.wanted} is needed"
 
 
 def _install(requirement: str) -> str:
@@ -171,8 +171,8 @@ def _extra(extra: str, packages: tuple[requirements.Package, ...]) -> Finding:
     use, name = _USES.get(extra, "further things"), f"extra {extra}"
     wrong = [package for package in packages if not package.fits]
     if not wrong:
-        return Finding(name, "OK", ", ".join(f"{package.name} {package.found}" for package in packages))
-    missing = all(package.found is None for package in packages)
+        return Finding(name, "OK", ", ".join(f"{package.name} {package.installed}" for package in packages))
+    missing = all(package.installed is None for package in packages)
     message = (
         "not installed" if missing else ", ".join(f"{package.name} {_version_error(package)}" for package in wrong)
     )

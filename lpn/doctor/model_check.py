@@ -65,10 +65,10 @@ def pictures_of(dataset: Dataset) -> dict[View, list[tuple[str, UInt8Array]]]:
         lists.setdefault(gallery, dataset.gallery(gallery))
         lists.setdefault(query, dataset.queries(query))
     chosen = {
-        view: [found[i] for i in np.linspace(0, len(found) - 1, min(PICTURES, len(found))).round().astype(int)]
-        for view, found in lists.items()
+        view: [pictures[i] for i in np.linspace(0, len(pictures) - 1, min(PICTURES, len(pictures))).round().astype(int)]
+        for view, pictures in lists.items()
     }
-    return {view: [(picture.name, picture.load_cropped()) for picture in found] for view, found in chosen.items()}
+    return {view: [(picture.name, picture.load_cropped()) for picture in pictures] for view, pictures in chosen.items()}
 
 
 def noise() -> list[tuple[str, UInt8Array]]:
@@ -137,10 +137,10 @@ def _worst(trace: Trace, name: str, names: Sequence[str]) -> tuple[float, str, s
 def _differing(trace: Trace, first: Trace) -> str:
     """Return which of cells, slopes, and constants differ between two pictures; empty if none do."""
     for name in ("cells", "slopes", "constants"):
-        found, expected = getattr(trace, name), getattr(first, name)
-        if found is None and expected is None:
+        actual, expected = getattr(trace, name), getattr(first, name)
+        if actual is None and expected is None:
             continue
         largest = max(float(np.abs(expected).max()), 1e-30)
-        if found.shape != expected.shape or float(np.abs(found - expected).max()) > TOLERANCE * largest:
+        if actual.shape != expected.shape or float(np.abs(actual - expected).max()) > TOLERANCE * largest:
             return name
     return ""

@@ -45,12 +45,12 @@ def verify(path: Path) -> Iterator[Verdict]:
     """
     if not path.exists():
         raise InputError(f"There is nothing at {path}; check the path.")
-    found = [path] if path.is_file() else sorted({*_find(path)})
-    if not found:
+    files = [path] if path.is_file() else sorted({*_find(path)})
+    if not files:
         raise InputError(
             f"{path} holds no store, no index, no shards, and no model; give one of these, or a folder of them."
         )
-    for file in found:
+    for file in files:
         try:
             yield _verify_index(file) if _is_index(file) else Verdict(file, _verify(file), True)
         except (LPNError, OSError) as error:
