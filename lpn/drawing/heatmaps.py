@@ -40,7 +40,7 @@ class PictureActivation:
 
     name: str
     maps: Float32Array
-    shown: UInt8Array
+    pixels: UInt8Array
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def draw(
         attributes: HTML attributes of the heatmap of a picture's part; none by default.
     """
     ranges = value_ranges([picture.maps for picture in pictures], shared)
-    columns = [("", "", [_Panel(picture.name, overlays.data_uri(picture.shown, 75)) for picture in pictures])]
+    columns = [("", "", [_Panel(picture.name, overlays.data_uri(picture.pixels, 75)) for picture in pictures])]
     for part, name in enumerate(names):
         if all(np.isnan(picture.maps[part]).all() for picture in pictures):
             continue
@@ -89,7 +89,7 @@ def draw(
             for picture, (low, high) in zip(pictures, ranges[:, part].tolist(), strict=True)
         ]
         columns.append((f"part {name}", charts.part_colour(part), panels))
-    height, width = pictures[0].shown.shape[:2]
+    height, width = pictures[0].pixels.shape[:2]
     most = _PANORAMAS_IN_A_ROW if width >= _PANORAMA * height else _IN_A_ROW
     rows = math.ceil(len(columns) / most)
     return Markup(

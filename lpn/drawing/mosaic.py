@@ -49,12 +49,12 @@ def empty(geometry: GalleryGeometry) -> UInt8Array:
     return canvas
 
 
-def draw_map(geometry: GalleryGeometry, town: Map) -> UInt8Array:
+def draw_map(geometry: GalleryGeometry, basemap: Map) -> UInt8Array:
     """Draw the ground of a geometry from the map whose windows are its tiles: as `draw`; black where the map has no data."""
     west, south, east, north = geometry.bounds()
     side = max(east - west, north - south)
-    x, y = town.frame.xy([geometry.origin.latitude], [geometry.origin.longitude])[0]
-    picture, _ = town.read(Window(x + west + side / 2, y + north - side / 2, side), LARGEST)
+    x, y = basemap.frame.xy([geometry.origin.latitude], [geometry.origin.longitude])[0]
+    picture, _ = basemap.read(Window(x + west + side / 2, y + north - side / 2, side), LARGEST)
     rows, columns = (max(round(length / side * LARGEST), 1) for length in (north - south, east - west))
     return np.ascontiguousarray(picture[:rows, :columns])
 

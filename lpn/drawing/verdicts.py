@@ -88,9 +88,9 @@ def describe_lumps(lumps: Sequence[str]) -> str:
 
 def no_cells(contract: Contract) -> str:
     """Say why a model without cells has no evidence."""
-    given = "one vector" if contract.level == "one vector" else f"{contract.n_parts} parts"
+    form = "one vector" if contract.level == "one vector" else f"{contract.n_parts} parts"
     return (
-        f"{contract.method} gives {given} for a picture and no cells ({contract.claim}), so its score cannot be split into "
+        f"{contract.method} gives {form} for a picture and no cells ({contract.claim}), so its score cannot be split into "
         "places of the picture."
     )
 
