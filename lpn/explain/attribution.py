@@ -202,13 +202,13 @@ def correspondences(query: Trace, tile: Trace, weights: Float32Array) -> tuple[C
     return of_query, of_tile
 
 
-def _take_best(found: Correspondences, shares: Float32Array, rows: BoolArray, columns: BoolArray) -> None:
+def _take_best(correspondences: Correspondences, shares: Float32Array, rows: BoolArray, columns: BoolArray) -> None:
     """Update correspondences with one part's shares: a cell of several parts keeps its largest share."""
     candidates = np.where(columns, shares, -np.inf)
     best = candidates.argmax(axis=1)
     largest = candidates[np.arange(len(best)), best]
-    better = rows & ((found.cells < 0) | (largest > found.shares))
-    found.cells[better], found.shares[better] = best[better], largest[better]
+    better = rows & ((correspondences.cells < 0) | (largest > correspondences.shares))
+    correspondences.cells[better], correspondences.shares[better] = best[better], largest[better]
 
 
 def _part_cells(trace: Trace, part: int) -> BoolArray:

@@ -236,7 +236,7 @@ def effect(
     old, new = first == 0, then == 0
     known = metrics.known_queries(truth)
     counted = np.ones(len(then), bool) if known is None else known
-    recalls = [100.0 * float(found[counted].mean()) for found in (old, new)]
+    recalls = [100.0 * float(is_first[counted].mean()) for is_first in (old, new)]
     gained, lost = np.flatnonzero(new & ~old), np.flatnonzero(old & ~new)
     return Effect(recalls[0], recalls[1], gained, lost, int(counted.sum()))
 
@@ -273,5 +273,7 @@ def _positive_rank(
 
 
 def _best(ranks: Sequence[PositiveRank | None]) -> int | None:
-    margins = {part: found.margin for part, found in enumerate(ranks) if found is not None and found.rank == 1}
+    margins = {
+        part: part_rank.margin for part, part_rank in enumerate(ranks) if part_rank is not None and part_rank.rank == 1
+    }
     return max(margins, key=margins.__getitem__, default=None)
