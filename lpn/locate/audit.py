@@ -86,11 +86,11 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
     known = ~np.isnan(off)
     if not known.any():
         return TagAudit(0, float("nan"), float("nan"))
-    found = TagAudit(int(known.sum()), float(np.median(off[known])), float(off[known].max()))
+    audit = TagAudit(int(known.sum()), float(np.median(off[known])), float(off[known].max()))
     velocities = track_velocities(times, positions)
     used = known & ~np.isnan(velocities).any(axis=1)
     if used.sum() < MIN_FRAMES:
-        return found
+        return audit
     v, d = velocities[used], differences[used]
     # Unknowns: minus the lag, and the offset east and north.
     design = np.concatenate(
@@ -99,9 +99,9 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
     solution, errors = _robust_fit(design.astype(np.float64), np.concatenate([d[:, 0], d[:, 1]]))
     remaining = np.linalg.norm(d - solution[0] * v - solution[1:], axis=1)
     return TagAudit(
-        found.frames,
-        found.median,
-        found.largest,
+        audit.frames,
+        audit.median,
+        audit.largest,
         float(-solution[0]),
         float(errors[0]),
         float(np.median(remaining)),

@@ -65,7 +65,7 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
     radii. A tag counts with 5 m. An answer that is the picture's middle is moved by an unknown tilt: the tangent of 15 degrees
     times the flying height, or times half of the picture's width on the ground, is allowed in addition.
     """
-    found = []
+    pairs = []
     for i, located in enumerate(frames):
         places: dict[str, tuple[float, float, float, bool]] = {}
         for stage in ("registration", "sequence"):
@@ -78,8 +78,8 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
             metres = math.hypot(a[0] - b[0], a[1] - b[1])
             allowed = SIGMAS * math.hypot(a[2], b[2]) + (_shift(located) if a[3] != b[3] else 0.0)
             if metres > allowed:
-                found.append(Disagreement(i, one, other, metres, allowed))
-    return found
+                pairs.append(Disagreement(i, one, other, metres, allowed))
+    return pairs
 
 
 def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]) -> list[Belief]:

@@ -76,9 +76,9 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
         speeds: metres a second from each position to the next, (N - 1,).
     """
     count = len(times)
-    found = np.zeros(count, bool)
+    is_jump = np.zeros(count, bool)
     if count < 3:
-        return found
+        return is_jump
     slack = speeds if (times == np.round(times)).all() else np.zeros_like(speeds)
     far = np.concatenate([[0.0], np.cumsum(speeds * np.diff(times))])
 
@@ -105,6 +105,6 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
             if (way[0] > can[0] and way[-1] > can[-1]) or way.sum() > reach[first] + _RADII * radii[
                 first + 1 : last
             ].sum():
-                found[first + 1 : last] = True
+                is_jump[first + 1 : last] = True
         last = first
-    return found
+    return is_jump

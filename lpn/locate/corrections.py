@@ -121,17 +121,17 @@ def _decode(content: bytes, file: Path) -> dict[str, Correction]:
     if not rows or rows[0] != _HEADER:
         first = printable(",".join(rows[0]))[:100] if rows else "empty"
         raise DataError(f"The first line of {file} is {first}; expected {','.join(_HEADER)}, so correct it.")
-    found: dict[str, Correction] = {}
+    by_name: dict[str, Correction] = {}
     for number, row in enumerate(rows[1:], 1):
         if not row:
             continue
         name, correction = _parse(file, number, row)
-        if name in found:
+        if name in by_name:
             raise DataError(
                 f"Entry {number} of {file} is a second one of the frame {printable(name)[:100]}; remove one of them."
             )
-        found[name] = correction
-    return found
+        by_name[name] = correction
+    return by_name
 
 
 def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:

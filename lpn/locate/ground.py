@@ -33,8 +33,8 @@ class MapFeatures:
         matcher: describes it.
     """
 
-    def __init__(self, town: Map, matcher: Matcher) -> None:
-        self._map, self.matcher = town, matcher
+    def __init__(self, basemap: Map, matcher: Matcher) -> None:
+        self._map, self.matcher = basemap, matcher
         self._blocks: OrderedDict[tuple[int, int, int], Ground] = OrderedDict()
 
     def resolution(self, width: float) -> float:
@@ -88,8 +88,8 @@ class MapFeatures:
             size = pixels * resolution
             picture, valid = self._map.read(Window(x, y, size), pixels)
             corner = (x - size / 2, y + size / 2)
-            found = describe_ground(self.matcher, picture, valid, corner, resolution, _LIMIT)
-            self._blocks[key] = found.near(np.array([x, y]), _SIDE * resolution / 2)
+            features = describe_ground(self.matcher, picture, valid, corner, resolution, _LIMIT)
+            self._blocks[key] = features.near(np.array([x, y]), _SIDE * resolution / 2)
             while len(self._blocks) > _BLOCKS:
                 self._blocks.popitem(last=False)
         self._blocks.move_to_end(key)

@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 def flight_queries(
     model: Model,
     flight: Flight,
-    town: Map,
+    basemap: Map,
     index: SharedIndex,
     root: Path,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -80,18 +80,18 @@ def flight_queries(
         _best(index, described, [j for j, owner in enumerate(owners) if owner == i], good)
         for i in range(len(flight.frames))
     ]
-    xy = _tags(flight.frames, town)
+    xy = _tags(flight.frames, basemap)
 
     def contains(query: int, names: Sequence[str]) -> BoolArray:
         windows = [NamedWindow.parse(name) for name in names]
         centres = np.array([(w.latitude, w.longitude) if w else (math.nan, math.nan) for w in windows]).reshape(-1, 2)
         halves = np.array([w.size / 2 if w else 0.0 for w in windows])
-        away = np.abs(town.frame.xy(centres[:, 0], centres[:, 1]) - xy[query])
+        away = np.abs(basemap.frame.xy(centres[:, 0], centres[:, 1]) - xy[query])
         return np.asarray((away <= halves[:, None]).all(axis=1), bool)
 
     return IndexQueries(
         name=name,
-        data_name=printable(f"{flight.name} over {town.name}"),
+        data_name=printable(f"{flight.name} over {basemap.name}"),
         root=root,
         pictures=[
             _picture(flight.frames[i], i, cuts[j], owners.count(i), root, i in unreadable) for i, j in enumerate(chosen)
@@ -118,13 +118,13 @@ def _best(index: SharedIndex, described: Float32Array, turns: Sequence[int], goo
     return max(turns, key=lambda turn: float(index.search(described[turn], None, 1).scores[0]))
 
 
-def _tags(frames: Sequence[Frame], town: Map) -> Float64Array:
+def _tags(frames: Sequence[Frame], basemap: Map) -> Float64Array:
     """Return each frame's tag in metres of the map's frame, (N, 2), NaN without one."""
     degrees = [
         (math.nan, math.nan) if f.latitude is None or f.longitude is None else (f.latitude, f.longitude) for f in frames
     ]
     latitude, longitude = np.array(degrees, np.float64).reshape(-1, 2).T
-    return town.frame.xy(latitude, longitude)
+    return basemap.frame.xy(latitude, longitude)
 
 
 def _picture(frame: Frame, label: int, cut: TurnedFrame, turns: int, root: Path, unreadable: bool) -> Picture:

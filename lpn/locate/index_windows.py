@@ -47,7 +47,7 @@ class IndexedWindows:
         return 1 - float(np.median(steps))
 
 
-def indexed_windows(where: str, model: Model, town: Map) -> IndexedWindows:
+def indexed_windows(where: str, model: Model, basemap: Map) -> IndexedWindows:
     """Return all windows of an index, after some of them were described again and found alike.
 
     Args:
@@ -64,30 +64,30 @@ def indexed_windows(where: str, model: Model, town: Map) -> IndexedWindows:
                 "The index holds no window; fill it with lpn describe --map and lpn index, or leave --index out."
             )
         probe = normalise(np.ones((1, model.n_parts, model.embedding), np.float32))[0]
-        found = index.search(probe, None, min(count, index.most or count))
-    if len(found) < count:
+        tiles = index.search(probe, None, min(count, index.most or count))
+    if len(tiles) < count:
         raise InputError(
-            f"A search of the index returns {len(found)} of its {count} windows, and lpn locate needs all of them; make an "
+            f"A search of the index returns {len(tiles)} of its {count} windows, and lpn locate needs all of them; make an "
             "index with --engine exact, or leave --index out."
         )
-    named = [NamedWindow.parse(name) for name in found.ids]
+    named = [NamedWindow.parse(name) for name in tiles.ids]
     if (i := next((i for i, one in enumerate(named) if one is None or one.heading), None)) is not None:
         raise InputError(
-            f"The index holds {printable(found.ids[i])[:80]}, which is no window with its top to the north; make it by lpn "
+            f"The index holds {printable(tiles.ids[i])[:80]}, which is no window with its top to the north; make it by lpn "
             "describe --map."
         )
-    windows = [one.on(town.frame) for one in named if one is not None]
+    windows = [one.on(basemap.frame) for one in named if one is not None]
     side, least = max(model.input_size), 1.0
     some = sorted({round(i) for i in np.linspace(0, count - 1, _CHECKED)})
-    cuts = [WindowCut(town, windows[i], side) for i in some]
+    cuts = [WindowCut(basemap, windows[i], side) for i in some]
     for batch in describe_each(model, cuts, lambda cut: model.prepare(cut(), "satellite"), "satellite"):
         for _, error in batch.broken:
             raise error
-        cosines = (batch.descriptors * found.vectors[[some[i] for i in batch.items]]).sum(axis=(1, 2))
+        cosines = (batch.descriptors * tiles.vectors[[some[i] for i in batch.items]]).sum(axis=(1, 2))
         least = min(least, float(cosines.min(initial=1.0)))
     if least < _ALIKE:
         raise InputError(
-            f"Windows of {printable(town.name)} that were described again have a cosine of {least:.2f} with those of the index, "
-            f"and {_ALIKE:.2f} is expected; it is of another map, or the map has changed: make the index again."
+            f"Windows of {printable(basemap.name)} that were described again have a cosine of {least:.2f} with those of the "
+            f"index, and {_ALIKE:.2f} is expected; it is of another map, or the map has changed: make the index again."
         )
-    return IndexedWindows(windows, found.vectors.astype(np.float32, copy=False))
+    return IndexedWindows(windows, tiles.vectors.astype(np.float32, copy=False))

@@ -96,11 +96,12 @@ class SiftMatcher(Matcher):
 
     def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
         grey = cv2.createCLAHE(3.0, (8, 8)).apply(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY))
-        found, values = cv2.SIFT_create(nfeatures=limit, contrastThreshold=0.02).detectAndCompute(grey, _inner(valid))  # type: ignore[attr-defined]
+        sift = cv2.SIFT_create(nfeatures=limit, contrastThreshold=0.02)  # type: ignore[attr-defined]
+        keypoints, values = sift.detectAndCompute(grey, _inner(valid))
         if values is None:
             return Features(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
         values /= np.maximum(values.sum(axis=1, keepdims=True), 1e-6)
-        points = np.array([point.pt for point in found], np.float32)
+        points = np.array([point.pt for point in keypoints], np.float32)
         return Features(points, np.sqrt(values, dtype=np.float32))
 
 
@@ -118,9 +119,9 @@ class XFeatMatcher(Matcher):
         if min(grey.shape) < 32:
             return Features(np.zeros((0, 2), np.float32), np.zeros((0, 64), np.float32))
         with torch.inference_mode():
-            found = _xfeat().detectAndCompute(torch.from_numpy(grey)[None, None].float(), top_k=4 * limit)[0]
-        points = found["keypoints"].cpu().numpy().astype(np.float32)
-        values = found["descriptors"].cpu().numpy().astype(np.float32)
+            output = _xfeat().detectAndCompute(torch.from_numpy(grey)[None, None].float(), top_k=4 * limit)[0]
+        points = output["keypoints"].cpu().numpy().astype(np.float32)
+        values = output["descriptors"].cpu().numpy().astype(np.float32)
         if valid is not None:
             column, row = np.round(points).astype(np.int64).T
             mask = _inner(valid)

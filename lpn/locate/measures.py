@@ -64,7 +64,7 @@ def summarise(
     missing = np.full(len(values), np.nan)
     own = (missing if radii is None else _vector(radii, len(values)))[answered]
     order = own if scores is None else -_vector(scores, len(values))[answered]
-    given = own > 0
+    known_radius = own > 0
     share = 100 / max(len(values), 1)
     return ErrorSummary(
         len(values),
@@ -74,7 +74,11 @@ def summarise(
         {metres: share * int((known <= metres).sum()) for metres in WITHIN},
         share * accepted_before_false(known, order, limit),
         limit,
-        {k: 100 * float((known[given] <= k * own[given]).mean()) for k in RIGHT_CALIBRATION if given.any()},
+        {
+            k: 100 * float((known[known_radius] <= k * own[known_radius]).mean())
+            for k in RIGHT_CALIBRATION
+            if known_radius.any()
+        },
     )
 
 
@@ -89,7 +93,7 @@ def accepted_before_false(errors: Float64Array, radii: Float64Array, limit: floa
 
 
 def _vector(values: npt.ArrayLike, length: int | None = None) -> Float64Array:
-    found = np.asarray(values, np.float64)
-    if found.ndim != 1 or (length is not None and len(found) != length):
-        raise InputError(f"The values have the shape {found.shape}; expected one number a frame.")
-    return found
+    numbers = np.asarray(values, np.float64)
+    if numbers.ndim != 1 or (length is not None and len(numbers) != length):
+        raise InputError(f"The values have the shape {numbers.shape}; expected one number a frame.")
+    return numbers

@@ -189,10 +189,10 @@ def describe_ground(
         resolution: metres per pixel.
         limit: greatest number of features.
     """
-    found = matcher.features(picture, valid, limit)
-    east = corner[0] + (found.points[:, 0] + 0.5) * resolution
-    north = corner[1] - (found.points[:, 1] + 0.5) * resolution
-    return Ground(np.stack([east, north], axis=1).astype(np.float64), found.descriptors, resolution)
+    features = matcher.features(picture, valid, limit)
+    east = corner[0] + (features.points[:, 0] + 0.5) * resolution
+    north = corner[1] - (features.points[:, 1] + 0.5) * resolution
+    return Ground(np.stack([east, north], axis=1).astype(np.float64), features.descriptors, resolution)
 
 
 def register(
@@ -271,10 +271,10 @@ def contested(
             others.append(rival)
     if not others:
         return answer
-    support, *found = (
+    support, *others_support = (
         sum(_support_at(place, matcher, photo, ground) for matcher, ground in searches) for place in (own, *others)
     )
-    if not (reason := _rivalled(support, max(found))):
+    if not (reason := _rivalled(support, max(others_support))):
         return answer
     return replace(answer, accepted=False, reason=reason, support=support)
 
@@ -283,8 +283,8 @@ def _support_at(place: Similarity, matcher: Matcher, photo: UInt8Array, ground: 
     """Return the support of a place by guided matching, 0 or more; 0 if the matches lead to another place."""
     heading = float(-np.degrees(np.angle(place.a)))
     seen = _described(matcher, photo, abs(place.a) / ground.resolution, heading if matcher.tolerance < 90 else 0.0)
-    found = _guided(_Seed(seen, place.a, place.b, 0.0), ground)
-    return max(found.support, 0.0) if abs(found.b - place.b) <= _APART * abs(place.a) else 0.0
+    refined = _guided(_Seed(seen, place.a, place.b, 0.0), ground)
+    return max(refined.support, 0.0) if abs(refined.b - place.b) <= _APART * abs(place.a) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,12 +354,12 @@ def _described(matcher: Matcher, photo: UInt8Array, pixels: float, heading: floa
         matrix[:, 2] += (np.array(canvas) - (columns, rows)) / 2
         turned = cv2.warpAffine(small, matrix, canvas, flags=cv2.INTER_LINEAR)
         valid = cv2.warpAffine(np.ones((rows, columns), np.uint8), matrix, canvas, flags=cv2.INTER_NEAREST) > 0
-        found = matcher.features(cast(UInt8Array, turned), valid, _FEATURES)
+        features = matcher.features(cast(UInt8Array, turned), valid, _FEATURES)
     else:
-        found = matcher.features(cast(UInt8Array, small), None, _FEATURES)
-    points = (found.points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
+        features = matcher.features(cast(UInt8Array, small), None, _FEATURES)
+    points = (features.points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
     x, y = points[:, 0] - (columns - 1) / 2, (rows - 1) / 2 - points[:, 1]
-    return _Described(((x + 1j * y) / columns).astype(np.complex128), found)
+    return _Described(((x + 1j * y) / columns).astype(np.complex128), features)
 
 
 def _seeds(
@@ -374,12 +374,12 @@ def _seeds(
     if not len(a):
         return []
     support = np.concatenate([_support(a[i : i + 500], b[i : i + 500], u, m) for i in range(0, len(a), 500)])
-    found: list[_Seed] = []
-    while len(found) < _PLACES and support.max() > 0:
+    seeds: list[_Seed] = []
+    while len(seeds) < _PLACES and support.max() > 0:
         i = int(support.argmax())
-        found.append(_Seed(seen, complex(a[i]), complex(b[i]), float(support[i])))
+        seeds.append(_Seed(seen, complex(a[i]), complex(b[i]), float(support[i])))
         support[np.abs(b - b[i]) < _APART * width] = 0
-    return found
+    return seeds
 
 
 def _apart(seeds: list[_Seed]) -> list[_Seed]:
@@ -391,12 +391,14 @@ def _apart(seeds: list[_Seed]) -> list[_Seed]:
     return chosen
 
 
-def _ranked(found: list[_Candidate]) -> tuple[_Candidate | None, float]:
+def _ranked(candidates: list[_Candidate]) -> tuple[_Candidate | None, float]:
     """Return the candidate with most support, and the support of the best other place."""
-    best = max(found, key=lambda candidate: candidate.support, default=None)
+    best = max(candidates, key=lambda candidate: candidate.support, default=None)
     if best is None:
         return None, 0.0
-    return best, max((other.support for other in found if abs(other.b - best.b) > _APART * abs(best.a)), default=0.0)
+    return best, max(
+        (other.support for other in candidates if abs(other.b - best.b) > _APART * abs(best.a)), default=0.0
+    )
 
 
 def _hypotheses(u: Complex, m: Complex, width: float, factor: float, heading: float | None) -> tuple[Complex, Complex]:
@@ -510,12 +512,12 @@ def _homography(best: _Candidate, inliers: BoolArray, aspect: float) -> tuple[Fl
         magsac, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, radius, maxIters=2000, confidence=0.999)
     except cv2.error:
         return similarity, "similarity", inliers
-    if magsac is None or not _plausible(found := np.asarray(magsac, np.float64), abs(a), aspect):
+    if magsac is None or not _plausible(homography := np.asarray(magsac, np.float64), abs(a), aspect):
         return similarity, "similarity", inliers
-    residuals = np.linalg.norm(apply_homography(found, source) - target, axis=1)
+    residuals = np.linalg.norm(apply_homography(homography, source) - target, axis=1)
     if (residuals < radius).sum() < 1.25 * (best.residuals < radius).sum() + 4:
         return similarity, "similarity", inliers
-    return translation((b.real, b.imag)) @ found, "homography", residuals < best.radius
+    return translation((b.real, b.imag)) @ homography, "homography", residuals < best.radius
 
 
 def _plausible(homography: Float64Array, width: float, aspect: float) -> bool:

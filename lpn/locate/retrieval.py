@@ -175,21 +175,21 @@ def tried_headings(frame: Frame) -> list[float]:
     return [((frame.heading or 0.0) + turn) % 360 for turn in (*about, *others)]
 
 
-def pyramid_sizes(town: Map, frames: Sequence[Frame]) -> list[float]:
+def pyramid_sizes(basemap: Map, frames: Sequence[Frame]) -> list[float]:
     """Return sides of windows in metres: those that frames of known width show, else sizes from small to most of the map."""
     cuts = [cut for frame in frames if (cut := cut_size(frame)) is not None]
     if cuts:
         low, high = np.log(np.quantile(cuts, (0.02, 0.98)))
         count = int(np.ceil((high - low) / np.log(_PYRAMID))) or 1
         return [float(size) for size in np.exp(low + (np.arange(count) + 0.5) * (high - low) / count)]
-    side = 0.6 * min(town.bounds[2] - town.bounds[0], town.bounds[3] - town.bounds[1])
+    side = 0.6 * min(basemap.bounds[2] - basemap.bounds[0], basemap.bounds[3] - basemap.bounds[1])
     largest = min(side, 300.0)
     return [largest / _PYRAMID**i for i in reversed(range(_SIZES))]
 
 
 def retrieve(
     model: Model,
-    town: Map,
+    basemap: Map,
     flight: Flight,
     sizes: Sequence[float] | None = None,
     overlap: float = 0.75,
@@ -214,16 +214,16 @@ def retrieve(
     query: View = "drone" if "drone" in model.views else "satellite"
     model.check_view("satellite")
     windows = [] if indexed is None else indexed.windows
-    chosen = sorted({window.size for window in windows} or sizes or pyramid_sizes(town, flight.frames))
-    windows = windows or town.pyramid(chosen, overlap)
+    chosen = sorted({window.size for window in windows} or sizes or pyramid_sizes(basemap, flight.frames))
+    windows = windows or basemap.pyramid(chosen, overlap)
     if not windows:
         raise InputError(
-            f"No window of {chosen[0]:.0f} m or more fits on the map {town.name}; give a smaller size of windows with --size."
+            f"No window of {chosen[0]:.0f} m or more fits on the map {basemap.name}; give a smaller size of windows with --size."
         )
     side = max(model.input_size)
 
     def of_window(window: Window) -> Float32Array:
-        return model.prepare(town.read(window, side)[0], "satellite")
+        return model.prepare(basemap.read(window, side)[0], "satellite")
 
     levels = np.full(len(flight.frames), np.nan)
     shares = np.zeros(len(flight.frames))
@@ -244,7 +244,7 @@ def retrieve(
     def of_frame(job: tuple[int, float, float]) -> Float32Array:
         return model.prepare(reader(flight.frames[job[0]].file, *job[1:]), query)
 
-    ground_key = [town.digest(), model.fingerprint, side, [(w.x, w.y, w.size) for w in windows]]
+    ground_key = [basemap.digest(), model.fingerprint, side, [(w.x, w.y, w.size) for w in windows]]
     frame_key = [model.fingerprint, side, query, [(frame_identity(flight.frames[i]), h, s) for i, h, s in jobs]]
     if indexed is None:
         tiles, _ = _described(model, windows, of_window, "satellite", ground_key, on_progress, "windows")
@@ -271,7 +271,7 @@ def retrieve(
                 f"Descriptors were not centred by view: that needs {_MIN_DISTINCT} distinct frames, and the flight has "
                 f"{distinct}."
             )
-    found = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
+    described_frames = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
     places = np.array([(window.x, window.y) for window in windows])
     window_sizes = np.array([window.size for window in windows])
     by_aircraft = frozenset(i for i, frame in enumerate(flight.frames) if frame.heading_source == "aircraft")
@@ -280,7 +280,7 @@ def retrieve(
         places,
         window_sizes,
         tiles,
-        found,
+        described_frames,
         headings,
         levels,
         shares,
@@ -300,12 +300,12 @@ def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:
     unfit = np.array([pair for pair in sides if abs(np.log(pair[1] / pair[0])) > np.log(_PYRAMID)]).reshape(-1, 2)
     if not len(unfit):
         return []
-    shown, compared = (
+    seen, compared = (
         f"{least:.0f} m" if round(least) == round(most) else f"{least:.0f} to {most:.0f} m"
         for least, most in zip(unfit.min(axis=0), unfit.max(axis=0), strict=True)
     )
     return [
-        f"{len(unfit)} of {len(frames)} frames show squares of {shown} of ground and are compared with windows of {compared}, so "
+        f"{len(unfit)} of {len(frames)} frames show squares of {seen} of ground and are compared with windows of {compared}, so "
         f"their answers are poor. Windows within a factor of {_PYRAMID:g} fit: give their sizes with --size, or an index of them."
     ]
 
@@ -321,12 +321,12 @@ def whitening_of(*views: Float32Array) -> Float32Array:
     """
     parts = np.concatenate(views).astype(np.float64)
     parts /= np.maximum(np.linalg.norm(parts, axis=2, keepdims=True), 1e-12)
-    found = []
+    matrices = []
     for of_part in parts.transpose(1, 0, 2):
         variances, axes = np.linalg.eigh(of_part.T @ of_part / len(of_part))
         scales = 1 / np.sqrt(np.maximum(variances, 0) + _SHRINKAGE * max(variances.mean(), 1e-12))
-        found.append((axes * (scales / scales.max())) @ axes.T)
-    return np.stack(found).astype(np.float32)
+        matrices.append((axes * (scales / scales.max())) @ axes.T)
+    return np.stack(matrices).astype(np.float32)
 
 
 def frame_identity(frame: Frame) -> list[Any]:
@@ -351,7 +351,7 @@ def _described(
     digest = hashlib.sha256(json.dumps([_FORMAT, key]).encode()).hexdigest()[:24]
     folder = cache_folder() / "locate" / "descriptors" / digest
     shape = (len(items), model.n_parts, model.embedding)
-    found = np.zeros(shape, np.float32)
+    descriptors_read = np.zeros(shape, np.float32)
     broken: dict[int, str] = {}
     for start in range(0, len(items), _CHUNK):
         chunk = items[start : start + _CHUNK]
@@ -368,10 +368,10 @@ def _described(
             broken |= {start + int(missing[i]): str(error) for i, error in batch.broken}
         if described:
             _write_chunk(file, values)
-        found[start : start + len(chunk)] = np.nan_to_num(values)
+        descriptors_read[start : start + len(chunk)] = np.nan_to_num(values)
         if on_progress is not None:
             on_progress(what, min(start + _CHUNK, len(items)), len(items))
-    return found, broken
+    return descriptors_read, broken
 
 
 def _read_chunk(file: Path, shape: tuple[int, ...]) -> Float32Array | None:

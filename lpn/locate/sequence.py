@@ -265,8 +265,8 @@ def smooth(
     gained: dict[int, float] = {}
 
     def ahead(t: int, before: Float64Array | None) -> Float64Array:
-        found, gained[t] = chain.forward(t, before)
-        return found
+        belief, gained[t] = chain.forward(t, before)
+        return belief
 
     frames, states = len(headings), len(places)
     positions, radii, probabilities, nearby, found_headings = (
@@ -350,12 +350,12 @@ def fitted(
     motions = [
         MotionModel(one, spacing, along=along) for along in ((0.0, ALONG) if headed else (0.0,)) for one in speeds
     ]
-    found = {motion: likelihood(motion, _FIRST_TEMPERATURE) for motion in motions}
-    motion = max(found, key=found.__getitem__)
+    likelihoods = {motion: likelihood(motion, _FIRST_TEMPERATURE) for motion in motions}
+    motion = max(likelihoods, key=likelihoods.__getitem__)
     if motion.along and speed is None:
         finer = [replace(motion, speed=one) for one in (motion.speed / FINER, motion.speed * FINER)]
-        found |= {one: likelihood(one, _FIRST_TEMPERATURE) for one in finer}
-        motion = max(found, key=found.__getitem__)
+        likelihoods |= {one: likelihood(one, _FIRST_TEMPERATURE) for one in finer}
+        motion = max(likelihoods, key=likelihoods.__getitem__)
     return motion, max(TEMPERATURES, key=lambda one: likelihood(motion, one))
 
 

@@ -161,7 +161,7 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             radius = ""
             if point.radius is not None and math.isfinite(point.radius):
                 radius = f" The 1-sigma radius is {point.radius:.1f} m."
-            description = html.escape(printable(point.reason + _shown(point) + radius).strip(), quote=False)
+            description = html.escape(printable(point.reason + _figures(point) + radius).strip(), quote=False)
             ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:
                 stamp = ElementTree.SubElement(mark, f"{{{_KML}}}TimeStamp")
@@ -181,18 +181,18 @@ def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
 
 def _lines(points: Sequence[TrackPoint]) -> dict[tuple[str, State], list[TrackPoint]]:
     """Return the points with a position that was not refused, by stage and state."""
-    found: dict[tuple[str, State], list[TrackPoint]] = {}
+    lines: dict[tuple[str, State], list[TrackPoint]] = {}
     for point in points:
         if point.state != "refused" and point.latitude is not None:
-            found.setdefault((point.stage, point.state), []).append(point)
-    return found
+            lines.setdefault((point.stage, point.state), []).append(point)
+    return lines
 
 
 def _remark(state: State) -> str:
     return "" if state == "accepted" else f" ({state})"
 
 
-def _shown(point: TrackPoint) -> str:
+def _figures(point: TrackPoint) -> str:
     """Return a sentence that says which place the position is."""
     if point.latitude is None:
         return ""
