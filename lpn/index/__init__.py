@@ -54,8 +54,8 @@ def open_index(
 
 def check_effort(effort: int | None, depth: int | None) -> dict[str, int]:
     """Return those of the two that are not None, by name; InputError unless they are whole numbers of 1 or more."""
-    given = {name: value for name, value in (("effort", effort), ("depth", depth)) if value is not None}
-    return {name: check_count(value, name) for name, value in given.items()}
+    options = {name: value for name, value in (("effort", effort), ("depth", depth)) if value is not None}
+    return {name: check_count(value, name) for name, value in options.items()}
 
 
 def create_index(
@@ -104,32 +104,32 @@ def create_index(
     return MilvusIndex.create(str(where), kind, structure or "flat")
 
 
-def _opened(where: str | Path, given: dict[str, int]) -> Index:
+def _opened(where: str | Path, options: dict[str, int]) -> Index:
     if str(where).startswith(_SCHEME):
-        _refuse(given, ("depth",), "only faiss has this option")
-        collection = MilvusIndex(str(where), **given)
+        _refuse(options, ("depth",), "only faiss has this option")
+        collection = MilvusIndex(str(where), **options)
         if collection.structure == "flat":
             try:
-                _refuse(given, ("effort",), "a flat collection compares every vector")
+                _refuse(options, ("effort",), "a flat collection compares every vector")
             except InputError:
                 collection.close()
                 raise
         return collection
     manifest = IndexManifest.read(Path(where))
     if manifest.engine == ExactIndex.engine:
-        _refuse(given, ("effort", "depth"), "an exact index compares every tile")
+        _refuse(options, ("effort", "depth"), "an exact index compares every tile")
         return ExactIndex(where)
     if manifest.settings.get("codes") == "flat":
-        _refuse(given, ("effort",), "an index of the codes flat compares every vector")
+        _refuse(options, ("effort",), "an index of the codes flat compares every vector")
     names = {"effort": "nprobe", "depth": "depth"}
-    return FaissIndex(where, **{names[name]: value for name, value in given.items()})
+    return FaissIndex(where, **{names[name]: value for name, value in options.items()})
 
 
-def _refuse(given: dict[str, int], names: tuple[str, ...], why: str) -> None:
+def _refuse(options: dict[str, int], names: tuple[str, ...], why: str) -> None:
     """Raise InputError for an option that an index does not have."""
     for name in names:
-        if name in given:
-            raise InputError(f"There is no {name} to choose here, as {why}; leave {name} {given[name]} out.")
+        if name in options:
+            raise InputError(f"There is no {name} to choose here, as {why}; leave {name} {options[name]} out.")
 
 
 __all__ = [

@@ -220,10 +220,10 @@ def scores_of(vectors: FloatingArray, wanted: Float64Array) -> Float64Array:
 
     Each row is summed on its own: in a matrix product, the order of summation would depend on the row's place in a block.
     """
-    found = np.empty(len(vectors))
+    scores = np.empty(len(vectors))
     for start in range(0, len(vectors), _ROWS):
-        found[start : start + _ROWS] = (vectors[start : start + _ROWS] * wanted).sum(axis=1)
-    return found
+        scores[start : start + _ROWS] = (vectors[start : start + _ROWS] * wanted).sum(axis=1)
+    return scores
 
 
 def best(scores: Float64Array, order: Int64Array, k: int) -> Int64Array:
@@ -237,8 +237,8 @@ def check_names(ids: Sequence[str], rows: int) -> list[str]:
         raise InputError(f"There are {len(ids)} names for {rows} descriptors; give one name for each tile.")
     for name in ids:
         if not isinstance(name, str) or not 0 < len(name) <= ID_LENGTH or "\0" in name:
-            shown = printable(str(name))[:40] or "empty"
-            raise InputError(f"A tile's name is {shown!r}; expected text of 1 to {ID_LENGTH} characters.")
+            printed = printable(str(name))[:40] or "empty"
+            raise InputError(f"A tile's name is {printed!r}; expected text of 1 to {ID_LENGTH} characters.")
         try:
             name.encode()
         except UnicodeEncodeError as error:

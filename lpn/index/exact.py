@@ -68,8 +68,8 @@ class ExactIndex(FolderIndex):
         if not k:
             return self._result(segments, Candidates(places, bounds), 0)
         first = np.argpartition(bounds, len(bounds) - k)[len(bounds) - k :]
-        found = Candidates.of(segments, places[first], wanted)
-        least = float(found.scores.min())
+        candidates = Candidates.of(segments, places[first], wanted)
+        least = float(candidates.scores.min())
         bounds[first] = -np.inf
         rest = np.flatnonzero(bounds >= least)
         rest = rest[np.argsort(-bounds[rest])]
@@ -77,9 +77,9 @@ class ExactIndex(FolderIndex):
             some = rest[start : start + _NEXT]
             if bounds[some[0]] < least:
                 break
-            found = found.merged_with(Candidates.of(segments, places[some], wanted), k)
-            least = float(found.scores.min())
-        return self._result(segments, found, k)
+            candidates = candidates.merged_with(Candidates.of(segments, places[some], wanted), k)
+            least = float(candidates.scores.min())
+        return self._result(segments, candidates, k)
 
     def close(self) -> None:
         """See `Index.close`."""

@@ -150,11 +150,11 @@ class FaissIndex(FolderIndex):
         lists = index.nlist if self._lists else 1
         nprobe = min(self.nprobe, lists)
         while True:
-            found = index.search(wanted[None], depth, params=self._parameters(segment, rows, nprobe))[1][0]
-            found = found[found >= 0]
+            proposed = index.search(wanted[None], depth, params=self._parameters(segment, rows, nprobe))[1][0]
+            proposed = proposed[proposed >= 0]
             # With a box, the visited lists may hold fewer than k tiles.
-            if len(found) >= min(k, size) or nprobe == lists:
-                return cast(Int64Array, found)
+            if len(proposed) >= min(k, size) or nprobe == lists:
+                return cast(Int64Array, proposed)
             nprobe = min(2 * nprobe, lists)
 
     def _parameters(self, segment: Segment, rows: Int64Array | None, nprobe: int) -> Any:

@@ -291,24 +291,24 @@ class FolderIndex(Index):
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""
         vectors = np.empty((len(ids), self.kind.n_parts, self.kind.embedding), np.float32)
-        positions, found = np.full((len(ids), 2), np.nan), np.zeros(len(ids), np.bool_)
+        positions, held = np.full((len(ids), 2), np.nan), np.zeros(len(ids), np.bool_)
         keys = keys_of(ids)
         for segment in self._current().segments:
             rows = segment.find(ids, keys)
             here = np.flatnonzero(rows >= 0)
             vectors[here] = segment.vectors[rows[here]].reshape(-1, *vectors.shape[1:])
-            positions[here], found[here] = segment.positions[rows[here]], True
-        if not found.all():
-            raise no_such_tile(ids[int(np.argmin(found))])
+            positions[here], held[here] = segment.positions[rows[here]], True
+        if not held.all():
+            raise no_such_tile(ids[int(np.argmin(held))])
         return vectors, positions
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""
-        found = np.zeros(len(ids), np.bool_)
+        held = np.zeros(len(ids), np.bool_)
         keys = keys_of(ids)
         for segment in self._current().segments:
-            found |= segment.find(ids, keys) >= 0
-        return found
+            held |= segment.find(ids, keys) >= 0
+        return held
 
     def count(self) -> int:
         """See `Index.count`."""
@@ -516,13 +516,13 @@ def gather(arrays: Sequence[AnyArray], places: Int64Array) -> AnyArray:
     if len(arrays) == 1:
         return np.asarray(arrays[0][places])
     starts = np.cumsum([0, *(len(array) for array in arrays)])
-    found = np.empty((len(places), *arrays[0].shape[1:]), arrays[0].dtype)
+    gathered = np.empty((len(places), *arrays[0].shape[1:]), arrays[0].dtype)
     owner = np.searchsorted(starts, places, "right") - 1
     for position, array in enumerate(arrays):
         mine = owner == position
         if mine.any():
-            found[mine] = array[places[mine] - starts[position]]
-    return found
+            gathered[mine] = array[places[mine] - starts[position]]
+    return gathered
 
 
 def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:

@@ -50,10 +50,10 @@ class IndexGallery(Sequence[Picture]):
             names: the tiles' names in the index.
             degrees: latitude and longitude, (B, 2), NaN where unknown; None if they are not known yet.
         """
-        given = np.full((len(names), 2), np.nan) if degrees is None else degrees
+        positions = np.full((len(names), 2), np.nan) if degrees is None else degrees
         with self._lock:
             places = []
-            for name, position in zip(names, given, strict=True):
+            for name, position in zip(names, positions, strict=True):
                 place = self._places.get(name)
                 if place is None:
                     place = self._append(name)
@@ -76,8 +76,8 @@ class IndexGallery(Sequence[Picture]):
     def degrees_of(self, place: int) -> Float64Array:
         """Return a tile's latitude and longitude, (2,), NaN where unknown."""
         with self._lock:
-            found: Float64Array = self._degrees[place].copy()
-        return found
+            degrees: Float64Array = self._degrees[place].copy()
+        return degrees
 
     def labels(self) -> Int64Array:
         """Return the label of each tile, (G,)."""

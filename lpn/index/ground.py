@@ -55,14 +55,14 @@ class IndexGround:
     origin: Position
     width: float
     borders: tuple[float, float, float, float]
-    town: Map | None
+    basemap: Map | None
 
     def geometry(self, places: Sequence[Position | None], gallery: IndexGallery) -> IndexGeometry:
         degrees = gallery.degrees()
         ground = (
             geo.degrees_on_plane(degrees, self.origin)
-            if self.town is None
-            else self.town.frame.xy(degrees[:, 0], degrees[:, 1])
+            if self.basemap is None
+            else self.basemap.frame.xy(degrees[:, 0], degrees[:, 1])
         )
         tiles = TilePositions(gallery, degrees)
         return IndexGeometry(places, tiles, self.origin, ground, self.width, self.borders, degrees)
@@ -83,7 +83,7 @@ class TilePositions(Sequence[Position]):
 
 
 def ground_of(
-    found: Sequence[SearchResult], extent: Box | None, places: Sequence[Position | None], town: Map | None
+    probes: Sequence[SearchResult], extent: Box | None, places: Sequence[Position | None], basemap: Map | None
 ) -> tuple[IndexGround | None, str]:
     """Return where tiles lie, and why that is not known, as a sentence.
 
@@ -96,25 +96,26 @@ def ground_of(
     Raises:
         InputError: if no tile lies on the map.
     """
-    degrees = np.concatenate([one.positions for one in found])
+    degrees = np.concatenate([one.positions for one in probes])
     degrees = degrees[~np.isnan(degrees).any(axis=1)]
     if not len(degrees):
         return (
             None,
             "The tiles of the index are without a position, so there is no map; lpn index --data adds positions.",
         )
-    sizes = [size for one in found for name in one.ids if (size := _window_size(name)) is not None]
-    if town is not None:
-        xy = town.frame.xy(degrees[:, 0], degrees[:, 1])
-        west, south, east, north = town.bounds
+    sizes = [size for one in probes for name in one.ids if (size := _window_size(name)) is not None]
+    if basemap is not None:
+        xy = basemap.frame.xy(degrees[:, 0], degrees[:, 1])
+        west, south, east, north = basemap.bounds
         inside = (xy[:, 0] >= west) & (xy[:, 0] <= east) & (xy[:, 1] >= south) & (xy[:, 1] <= north)
         if not inside.any():
             raise InputError(
-                f"None of {len(xy)} tiles of the index lies on the map {printable(town.name)}; give the map that was described."
+                f"None of {len(xy)} tiles of the index lies on the map {printable(basemap.name)}; give the "
+                "map that was described."
             )
-        origin = Position(town.frame.latitude, town.frame.longitude)
+        origin = Position(basemap.frame.latitude, basemap.frame.longitude)
         width = float(np.median(sizes)) if sizes else max(east - west, north - south) / 20
-        return IndexGround(origin, width, town.bounds, town), ""
+        return IndexGround(origin, width, basemap.bounds, basemap), ""
     tiles = [Position(*row) for row in np.unique(degrees, axis=0).tolist()]
     corners = [] if extent is None else [Position(*extent[:2]), Position(*extent[2:])]
     known = [*tiles, *corners, *(place for place in places if place is not None)]

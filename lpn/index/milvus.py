@@ -113,8 +113,8 @@ class MilvusIndex(Index):
         try:
             description = self._description()
             if description is None:
-                raise StoreError(f"{self._shown} has no such collection; make it with lpn index.")
-            self.kind, self.structure = _read(description, self._shown)
+                raise StoreError(f"{self._url} has no such collection; make it with lpn index.")
+            self.kind, self.structure = _read(description, self._url)
             self._call(self._load)
         except BaseException:
             self.close()
@@ -145,7 +145,7 @@ class MilvusIndex(Index):
             one = f"{_describe(index.kind)} ({index.structure})"
             index.close()
             raise StoreError(
-                f"{index._shown} holds {one}, and this would be {_describe(kind)} ({structure}); choose another collection."
+                f"{index._url} holds {one}, and this would be {_describe(kind)} ({structure}); choose another collection."
             )
         return index
 
@@ -182,7 +182,7 @@ class MilvusIndex(Index):
         k, box = check_count(k), check_box(box)
         if k > self.most:
             raise InputError(f"The number of tiles asked for is {k}; Milvus gives {self.most} at most.")
-        hits = self._call(partial(self._found, wanted, k, box))
+        hits = self._call(partial(self._candidates, wanted, k, box))
         vectors = np.array([hit["vector"] for hit in hits], np.float32).reshape(len(hits), self.kind.numbers)
         names = [str(hit["name"]) for hit in hits]
         scores = scores_of(vectors, wanted)
@@ -204,8 +204,8 @@ class MilvusIndex(Index):
         keys = [key_of(name) for name in ids]
         rows: dict[str, dict[str, Any]] = {}
         for some in _chunks(keys, self._step):
-            found = self._call(partial(self._read, keys=some, level="Strong"))
-            rows |= {key_of(str(row["name"])): row for row in found}
+            read_rows = self._call(partial(self._read, keys=some, level="Strong"))
+            rows |= {key_of(str(row["name"])): row for row in read_rows}
         if missing := [name for name, key in zip(ids, keys, strict=True) if key not in rows]:
             raise no_such_tile(missing[0])
         vectors = np.array([rows[key]["vector"] for key in keys], np.float32)
@@ -218,8 +218,8 @@ class MilvusIndex(Index):
         there: set[str] = set()
         keys = [key_of(name) for name in ids]
         for some in _chunks(keys, _ROWS):
-            found = self._call(partial(self._there, some))
-            there.update(str(row["id"]) for row in found)
+            rows = self._call(partial(self._there, some))
+            there.update(str(row["id"]) for row in rows)
         return np.array([key in there for key in keys], np.bool_)
 
     def count(self) -> int:
@@ -239,7 +239,7 @@ class MilvusIndex(Index):
         # pymilvus logs a traceback of each attempt; we report a permanent error once.
         logging.getLogger("pymilvus").setLevel(logging.CRITICAL + 1)
         self._address, self._token, self._name = parse_url(url)
-        self._shown = f"{SCHEME}://{self._address}/{self._name}"
+        self._url = f"{SCHEME}://{self._address}/{self._name}"
         self._patience, self._effort = patience, effort
         self._client: Any = None
         self._written = 0.0
@@ -271,7 +271,7 @@ class MilvusIndex(Index):
                 schema.add_field("latitude", types.DOUBLE)
                 schema.add_field("longitude", types.DOUBLE)
                 client.create_collection(self._name, schema=schema, consistency_level="Strong", timeout=_CALL)
-            _read(str(client.describe_collection(self._name, timeout=_CALL).get("description", "")), self._shown)
+            _read(str(client.describe_collection(self._name, timeout=_CALL).get("description", "")), self._url)
             if not client.list_indexes(self._name):
                 parameters = client.prepare_index_params()
                 parameters.add_index("vector", metric_type="IP", **_BUILD[structure])
@@ -291,20 +291,20 @@ class MilvusIndex(Index):
         return cast("list[dict[str, Any]]", client.query(self._name, ids=keys, output_fields=["id"], **_now()))
 
     def _counted(self, client: Any, within: str, level: _Level) -> int:
-        found = client.query(self._name, filter=within, output_fields=["count(*)"], **_now(level))
-        return int(found[0]["count(*)"])
+        rows = client.query(self._name, filter=within, output_fields=["count(*)"], **_now(level))
+        return int(rows[0]["count(*)"])
 
-    def _found(self, wanted: Float64Array, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
+    def _candidates(self, wanted: Float64Array, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
         """Return the fields of k tiles or more, fewer only if there are fewer."""
         level: _Level = "Strong" if time.monotonic() - self._written < _RECENT else "Bounded"
         within = "" if box is None else expression(box)
         lists = self._lists(client, within)
-        found = self._searched(client, wanted, k, within, lists, level)
-        if len(found) < k and lists < _LISTS and self.structure == "ivf":
-            found = self._searched(client, wanted, k, within, _LISTS, level)
-        if len(found) < k and self.structure != "flat" and len(found) < self._counted(client, within, level):
+        hits = self._searched(client, wanted, k, within, lists, level)
+        if len(hits) < k and lists < _LISTS and self.structure == "ivf":
+            hits = self._searched(client, wanted, k, within, _LISTS, level)
+        if len(hits) < k and self.structure != "flat" and len(hits) < self._counted(client, within, level):
             return self._all(client, wanted, k, within, level)
-        return found
+        return hits
 
     def _lists(self, client: Any, within: str) -> int:
         """Return the number of lists to visit in each segment; its counts may be seconds old."""
@@ -321,7 +321,7 @@ class MilvusIndex(Index):
     ) -> list[dict[str, Any]]:
         effort = {"flat": {}, "ivf": {"nprobe": lists}, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
         whole = k <= self._step
-        found = client.search(
+        hits = client.search(
             self._name,
             data=[wanted.astype(np.float32).tolist()],
             filter=within,
@@ -332,13 +332,13 @@ class MilvusIndex(Index):
             **_now(level),
         )
         if whole:
-            return [dict(hit["entity"]) for hit in found[0]]
-        keys = [str(hit["id"]) for hit in found[0]]
+            return [dict(hit["entity"]) for hit in hits[0]]
+        keys = [str(hit["id"]) for hit in hits[0]]
         return [row for some in _chunks(keys, self._step) for row in self._read(client, some, level)]
 
     def _read(self, client: Any, keys: list[str], level: _Level) -> list[dict[str, Any]]:
-        found = client.query(self._name, ids=keys, output_fields=list(_FIELDS), **_now(level))
-        return [dict(row) for row in found]
+        rows = client.query(self._name, ids=keys, output_fields=list(_FIELDS), **_now(level))
+        return [dict(row) for row in rows]
 
     def _all(self, client: Any, wanted: Float64Array, k: int, within: str, level: _Level) -> list[dict[str, Any]]:
         """Read all tiles within the filter and return the k best, for when the index returns fewer than k."""
@@ -382,17 +382,17 @@ class MilvusIndex(Index):
             except Exception as error:  # pymilvus raises its own errors and those of grpc
                 if (message := _denied(error)) is not None:
                     raise StoreError(
-                        f"{self._shown} denies access ({message}); give a user with the right to do this "
+                        f"{self._url} denies access ({message}); give a user with the right to do this "
                         f"({SCHEME}://user:password@host:port/collection)."
                     ) from error
                 if not self._is_temporary(error):
-                    raise StoreError(f"{self._shown} refuses: {_short(error)}.") from error
+                    raise StoreError(f"{self._url} refuses: {_short(error)}.") from error
                 released = getattr(error, "code", None) in _RELEASED
                 if not released:
                     self._disconnect()
                 if time.monotonic() + pause > until:
                     raise StoreError(
-                        f"{self._shown} does not answer after {self._patience:g} s ({_short(error)}); start the server, "
+                        f"{self._url} does not answer after {self._patience:g} s ({_short(error)}); start the server, "
                         "or check the address."
                     ) from error
                 time.sleep(pause)
@@ -448,17 +448,17 @@ def expression(box: Box) -> str:
     )
 
 
-def _read(description: str, shown: str) -> tuple[Kind, Structure]:
+def _read(description: str, address: str) -> tuple[Kind, Structure]:
     try:
         values: Any = json.loads(description)
         if is_newer(values["format"], FORMAT):
-            raise StoreError(newer_version(shown, values["format"], FORMAT))
+            raise StoreError(newer_version(address, values["format"], FORMAT))
         if values["format"] != FORMAT or values["structure"] not in get_args(Structure):
             raise ValueError("another format")
         return Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values["structure"]
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
-            f"{shown} is a collection that lpn index did not make ({FORMAT}); choose another name."
+            f"{address} is a collection that lpn index did not make ({FORMAT}); choose another name."
         ) from error
 
 

@@ -146,7 +146,11 @@ def fitting_tasks(model: Model, names: Sequence[str], index: SharedIndex) -> lis
         StoreError: when the index holds descriptors of another model, or of queries.
     """
     fingerprints = [model.for_task(*views_of(name)).fingerprint for name in names]
-    fitting = [name for name, found in zip(names, fingerprints, strict=True) if found == index.index.kind.fingerprint]
+    fitting = [
+        name
+        for name, fingerprint in zip(names, fingerprints, strict=True)
+        if fingerprint == index.index.kind.fingerprint
+    ]
     if not fitting:
         index.index.check_model(fingerprints[0])
     return fitting

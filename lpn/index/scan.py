@@ -131,14 +131,14 @@ class Scan:
 
     def _products(self, kernel: ModuleType, queries: AnyArray, rows: AnyArray) -> Float64Array:
         """Multiply queries (Q, n D) with rows (N, n D): (Q, N)."""
-        found = np.empty((len(queries), len(rows)))
+        products = np.empty((len(queries), len(rows)))
         size = min(max(1, _BLOCK // self._kind.numbers), max(1, -(-len(rows) // self._threads)))
 
         def product(block: slice) -> None:
-            found[:, block] = np.asarray(kernel.cdist(queries, rows[block], metric="dot"))
+            products[:, block] = np.asarray(kernel.cdist(queries, rows[block], metric="dot"))
 
         self._share(product, list(_blocks(len(rows), size)))
-        return found
+        return products
 
     def _share(self, task: Callable[[slice], None], blocks: list[slice]) -> None:
         if len(blocks) < 2 or self._threads == 1:
@@ -166,7 +166,7 @@ def _numkong() -> ModuleType | None:
     halves = np.linspace(0.5, 1, 3 * 4096).reshape(3, 4096).astype(np.float16)
     for rows in (large, halves):
         exact = rows[:2].astype(np.float64) @ rows.T.astype(np.float64)
-        found = np.asarray(kernel.cdist(rows[:2], rows, metric="dot"))
-        if not (abs(found - exact) <= (0 if rows is large else 4096 * _UNIT) * exact).all():
+        products = np.asarray(kernel.cdist(rows[:2], rows, metric="dot"))
+        if not (abs(products - exact) <= (0 if rows is large else 4096 * _UNIT) * exact).all():
             return None
     return kernel

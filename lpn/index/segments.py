@@ -117,7 +117,7 @@ class Segment:
         Args:
             keys: hashes of the names, see `keys_of`.
         """
-        found = np.full(len(names), -1, np.int64)
+        row_of = np.full(len(names), -1, np.int64)
         first = np.searchsorted(self._keys, keys, "left")
         last = np.searchsorted(self._keys, keys, "right")
         for position in np.flatnonzero(first < last).tolist():
@@ -125,8 +125,8 @@ class Segment:
             # Two names can share a key.
             for row, name in zip(rows.tolist(), self.names(rows), strict=True):
                 if name == names[position] and (self.alive is None or self.alive[row]):
-                    found[position] = row
-        return found
+                    row_of[position] = row
+        return row_of
 
     def batches(self, alive: BoolArray | None) -> Iterator[TileBatch]:
         """Yield the tiles of a mask, in blocks; None for all tiles."""
@@ -145,16 +145,16 @@ class Segment:
 
     def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> AnyArray:
         try:
-            found = open_memmap(self.folder / f"{name}.npy")
+            mapped = open_memmap(self.folder / f"{name}.npy")
         except FileNotFoundError:
             raise
         except OSError as error:
             raise unreadable_error(self.folder / f"{name}.npy", error) from error
         except ValueError as error:
             raise self._damaged(f"{name}.npy") from error
-        if found.shape != shape or found.dtype != np.dtype(dtype):
+        if mapped.shape != shape or mapped.dtype != np.dtype(dtype):
             raise self._damaged(f"{name}.npy")
-        return np.asarray(found)
+        return np.asarray(mapped)
 
     def _damaged(self, name: str) -> StoreError:
         return StoreError(f"{name} in {self.folder} is damaged; delete the index and make it again.")

@@ -54,7 +54,7 @@ def tile_picture(
     label: int,
     root: Path,
     folders: Sequence[Path],
-    town: Map | None,
+    basemap: Map | None,
     pixels: int,
     position: Callable[[], Float64Array],
 ) -> Picture:
@@ -66,18 +66,18 @@ def tile_picture(
         pixels: side of a picture that is cut from the map.
         position: see `TilePlaceholder`.
     """
-    window, shown = NamedWindow.parse(name), printable(name)
-    if window is not None and town is not None:
-        place = window.on(town.frame)
-        if covers_part_of(town, place):
-            return Picture(root / "windows" / name, label, describe_place(place), cut=WindowCut(town, place, pixels))
-        reason = f"the window lies outside the map {printable(town.name)}."
+    window, title = NamedWindow.parse(name), printable(name)
+    if window is not None and basemap is not None:
+        place = window.on(basemap.frame)
+        if covers_part_of(basemap, place):
+            return Picture(root / "windows" / name, label, describe_place(place), cut=WindowCut(basemap, place, pixels))
+        reason = f"the window lies outside the map {printable(basemap.name)}."
     elif window is not None:
         reason = "it is a window of a map; give that map as --map."
     else:
         with suppress(DataError, OSError):
             for folder in folders:
                 if (file := folder / checked_path(name, "The index")).is_file():
-                    return Picture(file, label, shown)
+                    return Picture(file, label, title)
         reason = "no file of this name is at hand; give the folder that was described as --data."
-    return Picture(root / "index" / str(label), label, shown, cut=TilePlaceholder(shown, reason, position))
+    return Picture(root / "index" / str(label), label, title, cut=TilePlaceholder(title, reason, position))
