@@ -71,30 +71,30 @@ def open_raster(path: Path) -> Any:
         DataError: if it is missing, or no raster that GDAL reads.
     """
     library = rasterio()
-    shown = printable(str(path))
+    file_name = printable(str(path))
     if not path.is_file():
-        raise DataError(f"There is no file {shown}; check the path.")
+        raise DataError(f"There is no file {file_name}; check the path.")
     with _opening, warnings.catch_warnings():
         warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
         try:
             file = library.open(path)
         except failures() as error:
             if other := _other(path):
-                raise DataError(f"{shown} is {other[0]}; {other[1]}.") from error
+                raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
             raise DataError(
-                f"{shown} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
+                f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
     if file.count > _MAX_BANDS:
         file.close()
-        raise DataError(f"{shown} would have {file.count} bands; it is damaged, so copy it again.")
+        raise DataError(f"{file_name} would have {file.count} bands; it is damaged, so copy it again.")
     if not file.count:
         names = [printable(name.rpartition(":")[2]) for name in file.subdatasets]
         file.close()
         raise DataError(
-            f"{shown} holds {len(names)} rasters ({first_few(names, 3)}), and a map is one; export the right one as GeoTIFF."
+            f"{file_name} holds {len(names)} rasters ({first_few(names, 3)}), and a map is one; export the right one as GeoTIFF."
             if names
-            else f"{shown} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
+            else f"{file_name} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
         )
     return file
 

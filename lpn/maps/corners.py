@@ -38,36 +38,38 @@ def read_list(path: Path) -> dict[str, Corners]:
     Raises:
         DataError: if it is no such list; the message names the line.
     """
-    shown = printable(str(path))
+    file_name = printable(str(path))
     try:
         lines = csv.reader(io.StringIO(path.read_bytes().decode("utf-8-sig"), newline=""), skipinitialspace=True)
         header = [re.sub("[^a-z]", "", name.lower()) for name in next(lines, [])]
         places = [next((i for i, name in enumerate(header) if name in names), None) for names in _COLUMNS]
         if None in places:
             raise DataError(
-                f"The first line of {shown} is {printable(','.join(header))[:200] or 'empty'}; expected "
+                f"The first line of {file_name} is {printable(','.join(header))[:200] or 'empty'}; expected "
                 "Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon."
             )
-        found = {}
+        corners = {}
         for values in lines:
             if values:
                 try:
                     name, top, left, bottom, right = (values[place].strip() for place in places if place is not None)
-                    found[name] = (float(top), float(left), float(bottom), float(right))
+                    corners[name] = (float(top), float(left), float(bottom), float(right))
                 except (IndexError, ValueError):
                     raise DataError(
-                        f"Line {lines.line_num} of {shown} is {printable(','.join(values))[:200]}; expected a file "
+                        f"Line {lines.line_num} of {file_name} is {printable(','.join(values))[:200]}; expected a file "
                         "and four numbers."
                     ) from None
     except OSError as error:
         raise DataError(
-            f"{shown} cannot be read ({error.strerror or error}); check that it is there and readable."
+            f"{file_name} cannot be read ({error.strerror or error}); check that it is there and readable."
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{shown} is not a text file of comma-separated values in UTF-8; save it as such.") from error
-    if not found:
-        raise DataError(f"{shown} names no picture; expected a line for each.")
-    return found
+        raise DataError(
+            f"{file_name} is not a text file of comma-separated values in UTF-8; save it as such."
+        ) from error
+    if not corners:
+        raise DataError(f"{file_name} names no picture; expected a line for each.")
+    return corners
 
 
 def corners_of(path: Path) -> tuple[Corners, str] | None:
@@ -96,10 +98,10 @@ def _of_part(path: Path, listed: dict[str, Corners]) -> Corners | None:
         return None
     sizes = {}
     for part in path.parent.iterdir():
-        found = _PART.fullmatch(part.name)
-        if found and (found[1], found[4]) == (match[1], match[4]):
+        match_of_part = _PART.fullmatch(part.name)
+        if match_of_part and (match_of_part[1], match_of_part[4]) == (match[1], match[4]):
             with _gdal.opened(part) as file:
-                sizes[int(found[2]), int(found[3])] = int(file.width), int(file.height)
+                sizes[int(match_of_part[2]), int(match_of_part[3])] = int(file.width), int(file.height)
     row, column = int(match[2]), int(match[3])
     widths = {c: width for (r, c), (width, _) in sizes.items() if r == row}
     heights = {r: height for (r, c), (_, height) in sizes.items() if c == column}

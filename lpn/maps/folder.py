@@ -133,16 +133,16 @@ def build_map(
         sheets.append(raster_sheet(file, path, *place, options))
     for name in (earlier | planned) - kept:
         (out / _SHEETS / name).unlink(missing_ok=True)
-    found = Map(files[0].stem, sheets)
+    whole = Map(files[0].stem, sheets)
     on_progress("Looking where the map has data.")
-    if not found.coverage().any():
-        raise DataError(f"{printable(found.name)} has no valid pixel; expected a map.")
-    coverage = np.rint(found.coverage() * 255).astype(np.uint8)
+    if not whole.coverage().any():
+        raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
+    coverage = np.rint(whole.coverage() * 255).astype(np.uint8)
     write_atomic(out / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
-    records = [_record(sheet, out) for sheet in found.sheets]
+    records = [_record(sheet, out) for sheet in whole.sheets]
     written = sorted(name for name in kept if (out / _SHEETS / name).exists())
-    _write(out, MapRecord(FORMAT, found.name, found.frame.latitude, found.frame.longitude, records, written))
-    return found
+    _write(out, MapRecord(FORMAT, whole.name, whole.frame.latitude, whole.frame.longitude, records, written))
+    return whole
 
 
 def open_folder(folder: Path) -> Map:
@@ -152,18 +152,20 @@ def open_folder(folder: Path) -> Map:
         DataError: if map.json is damaged, or a sheet is missing or has changed.
     """
     path = folder / NAME
-    shown = printable(str(path))
+    file_name = printable(str(path))
     try:
-        record = formats.decode_json(path.read_bytes(), MapRecord, shown, FORMAT, DataError)
+        record = formats.decode_json(path.read_bytes(), MapRecord, file_name, FORMAT, DataError)
     except OSError as error:
-        raise DataError(f"{shown} cannot be read ({error.strerror or error}); check its permissions.") from error
+        raise DataError(f"{file_name} cannot be read ({error.strerror or error}); check its permissions.") from error
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{shown} is damaged, or no map; write the map again with lpn map, in a new folder.") from error
+        raise DataError(
+            f"{file_name} is damaged, or no map; write the map again with lpn map, in a new folder."
+        ) from error
     if not (abs(record.latitude) <= 90 and abs(record.longitude) <= 180):
-        raise DataError(f"{shown} is damaged; write the map again with lpn map, in a new folder.")
+        raise DataError(f"{file_name} is damaged; write the map again with lpn map, in a new folder.")
     sheets = [_opened(folder, sheet) for sheet in record.sheets]
     if not sheets:
-        raise DataError(f"{shown} names no sheet; write it again with lpn map.")
+        raise DataError(f"{file_name} names no sheet; write it again with lpn map.")
     coverage = cv2.imdecode(np.fromfile(folder / _COVERAGE, np.uint8), cv2.IMREAD_GRAYSCALE) if _has(folder) else None
     frame = LocalFrame(record.latitude, record.longitude)
     return Map(record.name, sheets, frame, None if coverage is None else (coverage / 255).astype(np.float32))
@@ -198,10 +200,10 @@ def _record(sheet: Sheet, out: Path) -> SheetRecord:
 
 def _opened(folder: Path, record: SheetRecord) -> Sheet:
     path = folder / record.file
-    shown = printable(str(path))
+    file_name = printable(str(path))
     if not path.exists():
         raise DataError(
-            f"The map {printable(str(folder))} needs {shown}, which is not there; bring it back, or write the map "
+            f"The map {printable(str(folder))} needs {file_name}, which is not there; bring it back, or write the map "
             "again with lpn map."
         )
     raster = (
@@ -211,8 +213,8 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
     )
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(
-            f"{shown} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x {record.height}; it changed, "
-            "so write the map again with lpn map."
+            f"{file_name} has {raster.width} x {raster.height} pixels, and {NAME} says {record.width} x {record.height}; "
+            "it changed, so write the map again with lpn map."
         )
     raster.notes = list(record.notes)
     matrix: Float64Array = np.array(record.transform).reshape(2, 3)
@@ -246,23 +248,25 @@ def _written_before(out: Path) -> set[str]:
     Raises:
         OutputError: if there is something at `out` that is neither an empty folder nor one of a map.
     """
-    shown = printable(str(out))
+    folder_name = printable(str(out))
     if out.exists() and not out.is_dir():
-        raise OutputError(f"{shown} is a file; choose another place for the map.")
+        raise OutputError(f"{folder_name} is a file; choose another place for the map.")
     if not out.exists():
         return set()
     if (out / NAME).exists():
         try:
-            record = formats.decode_json((out / NAME).read_bytes(), MapRecord, f"{shown}/{NAME}", FORMAT, OutputError)
+            record = formats.decode_json(
+                (out / NAME).read_bytes(), MapRecord, f"{folder_name}/{NAME}", FORMAT, OutputError
+            )
         except (OSError, ValueError, RecursionError) as error:
             raise OutputError(
-                f"{shown} holds a {NAME} that lpn map did not write; choose another folder for the map."
+                f"{folder_name} holds a {NAME} that lpn map did not write; choose another folder for the map."
             ) from error
         # A name with a folder in it could lead elsewhere.
         return {name for name in record.written if Path(name).name == name and name != ".."}
     if other := min((path.name for path in out.iterdir()), default=None):
         raise OutputError(
-            f"{shown} holds other files, such as {printable(other)}, and no {NAME}; choose another folder for the map."
+            f"{folder_name} holds other files, such as {printable(other)}, and no {NAME}; choose another folder for the map."
         )
     return set()
 

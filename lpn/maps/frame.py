@@ -63,12 +63,12 @@ class LocalFrame:
     @staticmethod
     def _transformed(source: Any, target: Any, x: npt.ArrayLike, y: npt.ArrayLike) -> Float64Array:
         xs, ys = np.broadcast_arrays(np.atleast_1d(np.asarray(x, np.float64)), np.atleast_1d(np.asarray(y, np.float64)))
-        found = np.full((len(xs), 2), np.nan)
+        transformed = np.full((len(xs), 2), np.nan)
         known = np.isfinite(xs) & np.isfinite(ys)
         if known.any():
-            found[known] = np.stack(_gdal.transform(source, target, xs[known], ys[known]), axis=1)
-        found[~np.isfinite(found).all(axis=1)] = np.nan
-        return found
+            transformed[known] = np.stack(_gdal.transform(source, target, xs[known], ys[known]), axis=1)
+        transformed[~np.isfinite(transformed).all(axis=1)] = np.nan
+        return transformed
 
 
 def _degrees_crs() -> Any:

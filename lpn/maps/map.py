@@ -291,5 +291,5 @@ def _at(sums: Float64Array, rows: Float64Array, columns: Float64Array) -> Float6
     dr, dc = r - r0, c - c0
     upper = sums[r0, c0] * (1 - dc) + sums[r0, c0 + 1] * dc
     lower = sums[r0 + 1, c0] * (1 - dc) + sums[r0 + 1, c0 + 1] * dc
-    found: Float64Array = upper * (1 - dr) + lower * dr
-    return found
+    interpolated: Float64Array = upper * (1 - dr) + lower * dr
+    return interpolated

@@ -48,9 +48,9 @@ class NamedWindow:
         match = _NAME.fullmatch(name)
         if match is None:
             return None
-        found = cls(float(match[1]), float(match[2]), float(match[3]), float(match[4] or 0.0))
-        valid = abs(found.latitude) <= 90 and abs(found.longitude) <= 180 and found.size > 0 and found.heading < 360
-        return found if valid else None
+        named = cls(float(match[1]), float(match[2]), float(match[3]), float(match[4] or 0.0))
+        valid = abs(named.latitude) <= 90 and abs(named.longitude) <= 180 and named.size > 0 and named.heading < 360
+        return named if valid else None
 
     @classmethod
     def all_of(cls, windows: Sequence[Window], frame: LocalFrame) -> list[Self]:
@@ -75,14 +75,14 @@ class WindowCut:
         pixels: side of the picture.
     """
 
-    town: Map
+    basemap: Map
     window: Window
     pixels: int
 
     def __call__(self) -> UInt8Array:
         """Return the picture, (pixels, pixels, 3) RGB; PictureError if the map's file is damaged there."""
         try:
-            return self.town.read(self.window, self.pixels)[0]
+            return self.basemap.read(self.window, self.pixels)[0]
         except DataError as error:
             raise PictureError(str(error)) from error
 
@@ -94,12 +94,12 @@ def describe_place(window: Window, with_size: bool = True) -> str:
     return f"{place} ({window.size:.0f} m)" if with_size else place
 
 
-def covers_part_of(town: Map, window: Window) -> bool:
+def covers_part_of(basemap: Map, window: Window) -> bool:
     """Return whether a window lies at least partly within a map's bounds."""
     if not all(map(math.isfinite, (window.x, window.y))):
         return False
     (west, south), (east, north) = window.corners.min(axis=0).tolist(), window.corners.max(axis=0).tolist()
-    bounds = town.bounds
+    bounds = basemap.bounds
     return bool(west < bounds[2] and east > bounds[0] and south < bounds[3] and north > bounds[1])
 
 

@@ -244,10 +244,10 @@ class GdalRaster:
         if deep:
             limits = [np.percentile(band[valid].astype(np.float64), _PERCENTILES).tolist() for band in values]
             stretch = tuple((low, high if high > low else low + 1) for low, high in limits)
-            shown = ", ".join(f"{low:g} to {high:g}" for low, high in stretch)
+            ranges = ", ".join(f"{low:g} to {high:g}" for low, high in stretch)
             self.notes.append(
                 f"{self._called} holds {self._numbers} numbers; the percentiles {_PERCENTILES[0]:g} and {_PERCENTILES[1]:g} of "
-                f"each band ({shown}) become 0 and 255."
+                f"each band ({ranges}) become 0 and 255."
             )
         return Treatment(chosen.bands, chosen.alpha, stretch, tuple(borders))
 
@@ -302,8 +302,8 @@ class GdalRaster:
     def _rgb(self, values: AnyArray) -> UInt8Array:
         """Return the chosen bands as RGB, (height, width, 3)."""
         if self._palette is not None:
-            found: UInt8Array = self._palette[values[0], :3]
-            return found
+            colours: UInt8Array = self._palette[values[0], :3]
+            return colours
         if self.treatment.stretch is not None:
             low, high = np.array(self.treatment.stretch).T[:, :, None, None]
             with np.errstate(invalid="ignore"):

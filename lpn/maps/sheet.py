@@ -137,7 +137,7 @@ class Sheet:
         cells = around * (self.raster.width, self.raster.height)
         corners = np.column_stack([cells, np.ones(len(cells))]) @ self.matrix.T
         low, high = corners.min(0), corners.max(0)
-        shown = f"{low[0]:.9g} to {high[0]:.9g} and {low[1]:.9g} to {high[1]:.9g}"
+        span = f"{low[0]:.9g} to {high[0]:.9g} and {low[1]:.9g} to {high[1]:.9g}"
         name, crs = printable(self.name), describe(self.crs)
         if not (self.crs.is_geographic or self.crs.is_projected):
             raise DataError(
@@ -147,18 +147,18 @@ class Sheet:
         if self.crs.is_geographic:
             if low[1] < -90.001 or high[1] > 90.001 or low[0] < -360 or high[0] > 360:
                 raise DataError(
-                    f"The coordinates of {name} ({shown}) lie outside the world for its CRS {crs}, which is in degrees; give the "
+                    f"The coordinates of {name} ({span}) lie outside the world for its CRS {crs}, which is in degrees; give the "
                     "right one with --crs, or correct its georeference."
                 )
         elif max(high - low) < _DEGREES_AT_MOST and (np.abs(corners).max(0) <= (180, 90)).all():
             raise DataError(
-                f"The coordinates of {name} ({shown}) look like degrees, but its CRS {crs} is not in degrees; give the right one "
+                f"The coordinates of {name} ({span}) look like degrees, but its CRS {crs} is not in degrees; give the right one "
                 "with --crs, such as EPSG:4326."
             )
         degrees = self._degrees(cells)
         if not np.isfinite(degrees).all() or np.abs(degrees[:, 0]).max() > 90.001:
             raise DataError(
-                f"The coordinates of {name} ({shown}) lie outside of what its CRS {crs} covers; give the right one with "
+                f"The coordinates of {name} ({span}) lie outside of what its CRS {crs} covers; give the right one with "
                 "--crs, or correct its georeference."
             )
         return degrees
@@ -188,11 +188,11 @@ def describe(crs: Any) -> str:
 def _basis(nodes: Float64Array, count: int) -> Float64Array:
     """Return the Lagrange polynomials of the nodes at the centres of `count` equal intervals of 0 .. 1: (count, nodes)."""
     at = (np.arange(count) + 0.5) / count
-    found = np.ones((count, len(nodes)))
+    basis = np.ones((count, len(nodes)))
     for i, node in enumerate(nodes):
         for other in np.delete(nodes, i):
-            found[:, i] *= (at - other) / (node - other)
-    return found
+            basis[:, i] *= (at - other) / (node - other)
+    return basis
 
 
 def _resampled(
@@ -204,13 +204,15 @@ def _resampled(
     shape = columns.shape[1] // finer, columns.shape[0] // finer
 
     def sampled(source: Any, offset: int) -> Any:
-        found = cv2.remap(source, columns + offset, rows + offset, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return found if finer == 1 else cv2.resize(found, shape, interpolation=cv2.INTER_AREA)
+        resampled = cv2.remap(
+            source, columns + offset, rows + offset, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        return resampled if finer == 1 else cv2.resize(resampled, shape, interpolation=cv2.INTER_AREA)
 
     shares = sampled(share, 1)
     if valid.all():
         return sampled(picture, 0), shares >= 0.5
     weighted = sampled(picture.astype(np.float32) * valid[:, :, None], 0)
     inside = sampled(valid.astype(np.float32), 0)
-    found = weighted / np.maximum(inside, 1e-6)[:, :, None]
-    return np.clip(found.round(), 0, 255).astype(np.uint8), shares >= 0.5
+    resampled = weighted / np.maximum(inside, 1e-6)[:, :, None]
+    return np.clip(resampled.round(), 0, 255).astype(np.uint8), shares >= 0.5

@@ -115,8 +115,8 @@ def _files_in(folder: Path) -> list[Path]:
     for name in LISTS:
         if (folder / name).is_file():
             return _listed(folder / name)
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
-    if not found:
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    if not files:
         if any((folder / name).exists() for name in _ARCGIS):
             raise DataError(
                 f"{printable(str(folder))} is a tile cache of ArcGIS, whose levels are its own; export the map as GeoTIFF."
@@ -130,7 +130,7 @@ def _files_in(folder: Path) -> list[Path]:
             f"{printable(str(folder))} holds {inside}; expected GeoTIFF files, pictures with world files, tiles "
             "{z}/{x}/{y}.png, or map.csv."
         )
-    return found
+    return files
 
 
 def _listed(path: Path) -> list[Path]:
@@ -202,15 +202,15 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
     points = file.gcps[0]
     if len(points) >= 3:
         cells = np.array([(point.col, point.row, 1.0) for point in points])
-        found = np.linalg.lstsq(cells, np.array([(point.x, point.y) for point in points]), rcond=None)[0].T
-        inverse = np.linalg.pinv(found[:, :2])
-        off = (np.array([(point.x, point.y) for point in points]) - cells @ found.T) @ inverse.T
+        matrix = np.linalg.lstsq(cells, np.array([(point.x, point.y) for point in points]), rcond=None)[0].T
+        inverse = np.linalg.pinv(matrix[:, :2])
+        off = (np.array([(point.x, point.y) for point in points]) - cells @ matrix.T) @ inverse.T
         if np.abs(off).max() > _CONTROL_ERROR:
             raise DataError(
                 f"The control points of {printable(str(path))} lie up to {np.abs(off).max():.0f} pixels off a plane; warp the "
                 "file first, such as with gdalwarp."
             )
-        return np.asarray(found, np.float64)
+        return np.asarray(matrix, np.float64)
     suffixes = [f".{path.suffix[1:2]}{path.suffix[-1:]}w", f"{path.suffix}w", ".wld"]
     world = _beside(path, suffixes)
     if world is None and (rough := _beside(path, [f"{suffix}x" for suffix in suffixes])):
@@ -270,18 +270,18 @@ def _world_file(path: Path) -> Float64Array:
 
 def _projection_file(path: Path) -> Any:
     """Return the CRS in the .prj file beside a raster; None without one."""
-    found = _beside(path, [".prj"])
-    if found is None:
+    file = _beside(path, [".prj"])
+    if file is None:
         return None
     library = _gdal.rasterio()
     try:
-        text = _text(found).strip()
+        text = _text(file).strip()
         if re.match(r"EPSG:[0-9]+$|\+proj", text, re.IGNORECASE):
             return library.crs.CRS.from_user_input(text)
         return library.crs.CRS.from_wkt(text, morph_from_esri_dialect=True)
     except _gdal.failures(OSError, ValueError) as error:
         raise DataError(
-            f"{printable(str(found))} holds no coordinate reference system that can be read; give --crs."
+            f"{printable(str(file))} holds no coordinate reference system that can be read; give --crs."
         ) from error
 
 
@@ -294,8 +294,8 @@ def _text(path: Path) -> str:
 def _beside(path: Path, suffixes: Sequence[str]) -> Path | None:
     """Return the file beside another one with its stem and one of these suffixes, case ignored."""
     wanted = [path.stem.lower() + suffix.lower() for suffix in suffixes]
-    found = {other.name.lower(): other for other in path.parent.iterdir() if other.name.lower() in wanted}
-    return next((found[name] for name in wanted if name in found), None)
+    by_name = {other.name.lower(): other for other in path.parent.iterdir() if other.name.lower() in wanted}
+    return next((by_name[name] for name in wanted if name in by_name), None)
 
 
 def _from_corners(corners: Sequence[float], width: int, height: int, what: str) -> tuple[Any, Float64Array]:

@@ -257,15 +257,15 @@ class DatabaseTiles:
             raise
 
     def _open(self) -> None:
-        shown = printable(str(self.path))
+        file_name = printable(str(self.path))
         if not self.path.stat().st_size:
-            raise DataError(f"{shown} is empty; copy or download it again.")
+            raise DataError(f"{file_name} is empty; copy or download it again.")
         # Nothing here is a database: the first question says so, in its own words.
         tables = {str(name) for (name,) in self._rows("SELECT name FROM sqlite_master")}
         schema = next((schema for schema in _SCHEMAS if self._has(schema)), None)
         if schema is None:
             named = f" (its tables are {printable(', '.join(sorted(tables)))[:100]})" if tables else ""
-            raise DataError(f"{shown} has no table of tiles{named}; expected an .mbtiles of pictures.")
+            raise DataError(f"{file_name} has no table of tiles{named}; expected an .mbtiles of pictures.")
         self._table, self._z, self._x, self._y, self._data = schema
         self.from_south = self._z == "zoom_level"
         if self.from_south:
@@ -283,12 +283,12 @@ class DatabaseTiles:
         ):
             numbers = [number for number in row if isinstance(number, int)]
             if len(numbers) != len(row):
-                raise DataError(f"{shown} has tiles whose zoom, column, or row is no whole number; make it again.")
+                raise DataError(f"{file_name} has tiles whose zoom, column, or row is no whole number; make it again.")
             zoom, west, low, east, high, count = numbers
             if 0 <= zoom <= MAX_ZOOM:
                 self.zooms[zoom] = Extent((west, low), (east, high), count)
         if not self.zooms:
-            raise DataError(f"{shown} holds no tiles; make it again.")
+            raise DataError(f"{file_name} holds no tiles; make it again.")
 
     def places(self, zoom: int) -> list[Place]:
         """See `TileSet.places`."""
