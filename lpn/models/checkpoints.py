@@ -483,22 +483,22 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
 
 def _widened(state: State, name: str) -> State:
     """Return a file's tensors with kernels of 8 bits as float32, see `save`."""
-    found = {key: tensor for key, tensor in state.items() if not key.endswith(_SCALE)}
-    for key in state.keys() - found.keys():
+    widened = {key: tensor for key, tensor in state.items() if not key.endswith(_SCALE)}
+    for key in state.keys() - widened.keys():
         kernels, scale = state.get(key.removesuffix(_SCALE)), state[key]
         if kernels is None or kernels.dtype != torch.int8 or scale.shape != (len(kernels), 1, 1, 1):
             raise ModelFileError(f"In {name}, {key} scales no kernels of 8 bits; {_AGAIN}.")
-        found[key.removesuffix(_SCALE)] = kernels * scale
-    return found
+        widened[key.removesuffix(_SCALE)] = kernels * scale
+    return widened
 
 
 def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:
     state, metadata = _read_tensors(path)
-    if is_newer(found := metadata.get("format"), FORMAT):
-        raise ModelFileError(newer_version(path.name, str(found), FORMAT))
-    if found != FORMAT:
+    if is_newer(stated := metadata.get("format"), FORMAT):
+        raise ModelFileError(newer_version(path.name, str(stated), FORMAT))
+    if stated != FORMAT:
         raise ModelFileError(
-            f"{path.name} holds tensors but is not an LPN of ours (format {found!r}, expected {FORMAT!r}); "
+            f"{path.name} holds tensors but is not an LPN of ours (format {stated!r}, expected {FORMAT!r}); "
             "weights of a backbone alone go to lpn train --init."
         )
     return ModelSpec.from_json(metadata.get("spec", "")), state

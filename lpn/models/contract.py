@@ -98,9 +98,9 @@ class Contract:
                     f"The contract's {name} is {getattr(self, name)!r}; expected one of {', '.join(get_args(allowed))}."
                 )
         if self.roles == "role" and [len(group) for group in self.groups] != [1, 1]:
-            found = ", ".join(" ".join(group) for group in self.groups)
+            groups = ", ".join(" ".join(group) for group in self.groups)
             raise InputError(
-                f"The contract's roles are 'role' and its groups {found!r}; one branch describes queries and one the gallery, "
+                f"The contract's roles are 'role' and its groups {groups!r}; one branch describes queries and one the gallery, "
                 "so give two groups of one view each, or the roles 'view'."
             )
         counts = {"parts": self.n_parts, "numbers of a part": self.embedding}
@@ -231,10 +231,10 @@ def check_pass(contract: Contract, outputs: ForwardPass, heads: Heads) -> None:
             f"{'one vector' if n == 1 else 'parts only'!r}."
         )
     check_parts(contract, outputs.parts, count)
-    found = outputs.features.shape
-    channels = (found[-3] if len(found) > 3 else 1) if heads.weight is not None else size
-    cells = found[-2:]
-    by_part = (n,) if len(found) == 5 else ()
+    shape = outputs.features.shape
+    channels = (shape[-3] if len(shape) > 3 else 1) if heads.weight is not None else size
+    cells = shape[-2:]
+    by_part = (n,) if len(shape) == 5 else ()
     expected: list[tuple[str, AnyArray | None, tuple[int, ...]]] = [
         ("features", outputs.features, (count, *by_part, channels, *cells)),
         ("cells", outputs.cells, (count, n, *cells)),

@@ -53,14 +53,14 @@ class _AccountGraph(nn.Module):
     def __init__(self, model: PublishedModel, view: View) -> None:
         super().__init__()
         self.network = model.network(view)
-        given = self.network.account(torch.zeros(1, 3, *model.input_size))
-        self.fields = [name for name, tensor in given._asdict().items() if tensor is not None]
+        account = self.network.account(torch.zeros(1, 3, *model.input_size))
+        self.fields = [name for name, tensor in account._asdict().items() if tensor is not None]
         self.outputs = [*self.fields, *([] if model.heads(view).weight is None else ["head_weight"])]
 
     def forward(self, images: Tensor) -> tuple[Tensor, ...]:
         account = self.network.account(images)
-        found = [getattr(account, name) for name in self.fields]
-        return (*found, cast(Tensor, self.network.weight)) if "head_weight" in self.outputs else tuple(found)
+        fields = [getattr(account, name) for name in self.fields]
+        return (*fields, cast(Tensor, self.network.weight)) if "head_weight" in self.outputs else tuple(fields)
 
 
 class _Graph(nn.Module):

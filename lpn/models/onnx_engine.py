@@ -173,8 +173,8 @@ class Engine(Model):
         session = self._session(view)
         if session not in self._heads:
             blank = np.zeros((self._fixed_batch or 1, 3, *self.input_size), np.float32)
-            found = dict(zip(self._constants, self._compute(self._constants, blank, session), strict=True))
-            self._heads[session] = Heads(*(found.get(name) for name in CONSTANT_OUTPUTS))
+            constants = dict(zip(self._constants, self._compute(self._constants, blank, session), strict=True))
+            self._heads[session] = Heads(*(constants.get(name) for name in CONSTANT_OUTPUTS))
         return self._heads[session]
 
     def _session(self, view: View) -> ort.InferenceSession:
@@ -256,9 +256,9 @@ def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
 def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     metadata = cast("dict[str, str]", session.get_modelmeta().custom_metadata_map)
     names = {output.name for output in session.get_outputs()}
-    if is_newer(found := metadata.get("format"), contract_metadata.FORMAT):
-        raise ModelFileError(newer_version(path.name, str(found), contract_metadata.FORMAT))
-    if found == contract_metadata.FORMAT:
+    if is_newer(stated := metadata.get("format"), contract_metadata.FORMAT):
+        raise ModelFileError(newer_version(path.name, str(stated), contract_metadata.FORMAT))
+    if stated == contract_metadata.FORMAT:
         if [value.name for value in session.get_inputs()] != ["images"] or "parts" not in names:
             inputs = ", ".join(printable(value.name) for value in session.get_inputs())
             raise ModelFileError(
@@ -266,7 +266,7 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
                 "images and returns parts."
             )
         return {name: value for name, value in metadata.items() if name != "spec"}
-    ours = found == FORMAT and {"spec", "source", "group"} <= set(metadata)
+    ours = stated == FORMAT and {"spec", "source", "group"} <= set(metadata)
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
             f"{path.name} is an ONNX model, but not one written by `lpn export`, and has no contract in its metadata; export "
@@ -293,10 +293,10 @@ def _known_shapes(
         shapes: dict[str, Sequence[int]] = {output: declared[output] for output in names}
     else:
         try:
-            found = session.run(names, {"images": blank})
+            arrays = session.run(names, {"images": blank})
         except Exception as error:  # see `_open`
             raise ModelFileError(f"{name} cannot be computed, so it is damaged; {_AGAIN}.") from error
-        shapes = {output: array.shape for output, array in zip(names, found, strict=True)}
+        shapes = {output: array.shape for output, array in zip(names, arrays, strict=True)}
     if len(shapes["parts"]) not in (2, 3):
         raise ModelFileError(
             f"{name} returns parts of shape {shapes['parts']}; expected (B, n, D), or (B, D) for one part."
@@ -346,19 +346,19 @@ def _check_shapes(session: ort.InferenceSession, spec: ModelSpec, path: Path) ->
             )
 
 
-def _agrees(found: Sequence[Any], expected: Sequence[Any]) -> bool:
+def _agrees(actual: Sequence[Any], expected: Sequence[Any]) -> bool:
     """Return whether two shapes agree; unknown sides are names or None."""
-    known = [(a, b) for a, b in zip(found, expected, strict=False) if isinstance(a, int) and isinstance(b, int)]
-    return len(found) == len(expected) and all(a == b for a, b in known)
+    known = [(a, b) for a, b in zip(actual, expected, strict=False) if isinstance(a, int) and isinstance(b, int)]
+    return len(actual) == len(expected) and all(a == b for a, b in known)
 
 
-def _check_group(found: dict[str, str], main: dict[str, str], group: tuple[View, ...], file: Path) -> None:
-    if found.get("group", "+".join(group)) != "+".join(group):
+def _check_group(metadata: dict[str, str], main: dict[str, str], group: tuple[View, ...], file: Path) -> None:
+    if metadata.get("group", "+".join(group)) != "+".join(group):
         raise ModelFileError(
-            f"{file.name} holds the part of a model for {found['group'].replace('+', ' and ')}; "
+            f"{file.name} holds the part of a model for {metadata['group'].replace('+', ' and ')}; "
             f"open the file for {' and '.join(group)}, which was exported with it."
         )
-    if any(found.get(key) != main.get(key) for key in {*found, *main} - {"group", SEAL}):
+    if any(metadata.get(key) != main.get(key) for key in {*metadata, *main} - {"group", SEAL}):
         raise ModelFileError(
             f"{file.name} was exported from another model than the file beside it; export the model again."
         )

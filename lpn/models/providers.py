@@ -46,7 +46,7 @@ def settings(provider: ProviderName, input_size: tuple[int, int], cache: Path) -
     if provider == "cpu":
         return [(cpu, {})]
     # An exhaustive search would stall the first picture of each batch size, and a doubling arena takes memory from others.
-    found = [
+    providers = [
         (
             cuda,
             {
@@ -68,8 +68,8 @@ def settings(provider: ProviderName, input_size: tuple[int, int], cache: Path) -
             "trt_profile_opt_shapes": shape.format(GPU_BATCH),
             "trt_profile_max_shapes": shape.format(GPU_BATCH),
         }
-        found.insert(0, (tensorrt, options))
-    return found
+        providers.insert(0, (tensorrt, options))
+    return providers
 
 
 def open_on_gpu(path: Path, provider: ProviderName, input_size: tuple[int, int], cache: Path) -> ort.InferenceSession:

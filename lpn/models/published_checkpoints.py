@@ -58,18 +58,18 @@ def infer_spec(state: State, options: dict[str, Any], name: str = "the file") ->
     views = tuple(view for view, branch in BRANCH.items() if any(k.startswith(branch + ".model.") for k in state))
     heads = {m[1] for key in state if (m := re.match(r"classifier(\d*)\.", key))}
     if not views or not heads:
-        found = ", ".join(list(state)[:3]) or "nothing"
+        listed = ", ".join(list(state)[:3]) or "nothing"
         raise ModelFileError(
             f"{name} is not an LPN checkpoint: expected entries named model_1.model.* and classifier*.add_block.*, "
-            f"found {found}."
+            f"found {listed}."
         )
     n_parts = 1 if heads == {""} else 1 + max((int(head) for head in heads if head), default=0)
     expected = [""] if heads == {""} else [str(i) for i in range(n_parts)]
     lacking = [f"classifier{head}" for head in expected if head not in heads]
     if lacking or len(heads) != len(expected):
-        found = ", ".join(f"classifier{head}" for head in sorted(heads))
+        listed = ", ".join(f"classifier{head}" for head in sorted(heads))
         raise ModelFileError(
-            f"{name} has the heads {found}; expected classifier0 to classifier{n_parts - 1} without a gap, or one named "
+            f"{name} has the heads {listed}; expected classifier0 to classifier{n_parts - 1} without a gap, or one named "
             "classifier, so the file is incomplete."
         )
     if options.get("pool") not in (None, "avg"):
@@ -123,7 +123,7 @@ def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
         return "resnet50", last
     if "layer1.1.conv2.weight" in keys and not {"layer1.0.conv3.weight", "layer1.2.conv1.weight"} & keys:
         return "resnet18", last
-    blocks = {int(found[1]): len(state[key]) for key in keys if (found := _PROJECTION.fullmatch(key))}
+    blocks = {int(match[1]): len(state[key]) for key in keys if (match := _PROJECTION.fullmatch(key))}
     whole = "_conv_head.weight" in keys
     for lite in STAGES:
         # Lite1 and Lite2 differ in their widths alone.
@@ -184,22 +184,22 @@ def read_options(path: Path) -> dict[str, Any]:
     if not isinstance(options, dict):
         raise ModelFileError("The opts.yaml beside the model is not a list of options; correct or remove it.")
     typed = {key: _value(value) for key, value in options.items() if isinstance(key, str)}
-    found = {key: value for key, value in typed.items() if value is not None}
+    known = {key: value for key, value in typed.items() if value is not None}
     for key in ("h", "w", "stride", "block", "views"):
-        value = found.get(key, 1)
+        value = known.get(key, 1)
         if isinstance(value, float) and value.is_integer() and value < 1e9:
-            value = found[key] = int(value)
+            value = known[key] = int(value)
         if not isinstance(value, int) or isinstance(value, bool) or value < 1:
             raise _invalid(key, value, "a whole number")
-    rate = found.get("droprate", 0.5)
+    rate = known.get("droprate", 0.5)
     if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 <= rate < 1:
         raise _invalid("droprate", rate, "a number from 0 up to 1")
     for key in ("LPN", "use_vgg16"):
-        if not isinstance(found.get(key, True), bool):
-            if found[key] not in (0, 1):
-                raise _invalid(key, found[key], "true or false")
-            found[key] = bool(found[key])
-    return found
+        if not isinstance(known.get(key, True), bool):
+            if known[key] not in (0, 1):
+                raise _invalid(key, known[key], "true or false")
+            known[key] = bool(known[key])
+    return known
 
 
 def _invalid(key: str, value: Any, expected: str) -> ModelFileError:

@@ -138,22 +138,22 @@ def calibration_pictures(dataset: Dataset, views: Sequence[View], count: int) ->
         InputError: if the data set has pictures of none of the views.
     """
     lists = {view: _pictures(dataset, view) for view in views}
-    lists = {view: found for view, found in lists.items() if found}
+    lists = {view: pictures for view, pictures in lists.items() if pictures}
     if not lists:
         raise InputError(
             f"{printable(dataset.root.name)} has no {' or '.join(views)} pictures to calibrate by; give a data set that has some."
         )
     share = -(-count // len(lists))
     chosen: list[tuple[View, Picture]] = []
-    for view, found in lists.items():
-        steps = np.linspace(0, len(found) - 1, min(share, len(found))).round().astype(int)
-        chosen += [(view, found[step]) for step in steps]
+    for view, pictures in lists.items():
+        steps = np.linspace(0, len(pictures) - 1, min(share, len(pictures))).round().astype(int)
+        chosen += [(view, pictures[step]) for step in steps]
     return chosen
 
 
 def _pictures(dataset: Dataset, view: View) -> list[Picture]:
-    if found := dataset.train(view):
-        return found
+    if trained := dataset.train(view):
+        return trained
     for read in (dataset.gallery, dataset.queries):
         try:
             return read(view)
@@ -260,14 +260,14 @@ def _trunk(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
 def _upstream(graph: onnx.GraphProto) -> set[str]:
     """Return the names of the nodes that outputs depend on."""
     makers = {name: node for node in graph.node for name in node.output}
-    found: set[str] = set()
+    names: set[str] = set()
     left = [output.name for output in graph.output]
     while left:
         node = makers.get(left.pop())
-        if node is not None and node.name not in found:
-            found.add(node.name)
+        if node is not None and node.name not in names:
+            names.add(node.name)
             left += list(node.input)
-    return found
+    return names
 
 
 def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Picture]]) -> Agreement:
@@ -275,7 +275,7 @@ def _agreement(before: Engine, after: Engine, pictures: Sequence[tuple[View, Pic
     for view, picture in pictures:
         prepared = _inputs(before, view, picture)[:1]
         described.setdefault(view, []).append((before.descriptors(prepared, view), after.descriptors(prepared, view)))
-    pairs = {view: [np.concatenate(side) for side in zip(*found, strict=True)] for view, found in described.items()}
+    pairs = {view: [np.concatenate(side) for side in zip(*sides, strict=True)] for view, sides in described.items()}
     cosines = {view: float((one * other).sum((1, 2)).mean()) for view, (one, other) in pairs.items()}
     tiles, *others = pairs.values()
     if not others:

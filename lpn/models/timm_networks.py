@@ -244,24 +244,24 @@ class TimmMap(nn.Module):
         self.channels = int(cast(Any, self.network).num_features)
         self.prefix = int(getattr(self.network, "num_prefix_tokens", 0))
         self.channels_last = str(getattr(self.network, "output_fmt", "")).endswith("NHWC")
-        given = _features_shape(self.network, name, size)
+        shape = _features_shape(self.network, name, size)
         patch = getattr(getattr(self.network, "patch_embed", None), "patch_size", None)
         patch = (patch, patch) if isinstance(patch, int) else patch
-        self.patch: tuple[int, int] | None = None if len(given) != 3 or patch is None else (patch[0], patch[1])
-        cells = given[1] - self.prefix if self.patch is not None else 0
+        self.patch: tuple[int, int] | None = None if len(shape) != 3 or patch is None else (patch[0], patch[1])
+        cells = shape[1] - self.prefix if self.patch is not None else 0
         tokens = self.patch is not None and cells == (size[0] // self.patch[0]) * (size[1] // self.patch[1])
-        if not tokens and len(given) != 4:
+        if not tokens and len(shape) != 4:
             raise InputError(
-                f"timm's {name} gives an array of {' x '.join(map(str, given[1:]))} for a picture of {size[0]} x {size[1]} "
+                f"timm's {name} gives an array of {' x '.join(map(str, shape[1:]))} for a picture of {size[0]} x {size[1]} "
                 "pixels, which is no map of cells; choose another network, such as convnext_tiny."
             )
 
     def forward(self, images: Tensor) -> Tensor:
-        found = cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
+        features = cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
         if self.patch is None:
-            return found.permute(0, 3, 1, 2) if self.channels_last else found
+            return features.permute(0, 3, 1, 2) if self.channels_last else features
         grid = images.shape[2] // self.patch[0], images.shape[3] // self.patch[1]
-        tokens = found[:, self.prefix :].transpose(1, 2)
+        tokens = features[:, self.prefix :].transpose(1, 2)
         return tokens.reshape(*tokens.shape[:2], *grid)
 
     def with_own_names(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -271,10 +271,10 @@ class TimmMap(nn.Module):
         """
         module = sys.modules[type(self.network).__module__]
         try:
-            found = module.checkpoint_filter_fn(dict(state), self.network)
+            renamed = module.checkpoint_filter_fn(dict(state), self.network)
         except Exception:  # a filter of timm raises anything on names that it does not expect
-            found = state
-        return {f"network.{key}": value for key, value in found.items()}
+            renamed = state
+        return {f"network.{key}": value for key, value in renamed.items()}
 
 
 def _features_shape(network: nn.Module, name: str, size: tuple[int, int]) -> tuple[int, ...]:

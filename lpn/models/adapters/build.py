@@ -156,9 +156,9 @@ def _hand_made_network(entries: Entries, resnet: bool) -> _Network:
         branch = MeanVector(trunk, None, convnext.grid_of(size), convnext.STRIDE)
         return _Network(branch, _resnet_name(own.under("model.")), trunk.channels, size, level="exact", held="")
     if "downsample_layers.0.0.weight" not in own.state:
-        found = next((f"{own.prefix}{key}" for key in own.state), next(iter(entries.state), "nothing"))
+        entry = next((f"{own.prefix}{key}" for key in own.state), next(iter(entries.state), "nothing"))
         raise ModelFileError(
-            f"{entries.name} holds {found}; expected a ConvNeXt (model_1.convnext.downsample_layers.0.0.weight), as DAC and "
+            f"{entries.name} holds {entry}; expected a ConvNeXt (model_1.convnext.downsample_layers.0.0.weight), as DAC and "
             "CAMP were published with."
         )
     return _network_of_timm(convnext.with_timm_names(own))
@@ -221,9 +221,9 @@ def _network_of_timm(entries: Entries) -> _Network:
     width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
     if "pos_embed" not in entries.state:
         size = size_of(entries, (384, 384), patch)
-        rotary, given = transformers.rotary_vector(entries, size)
+        rotary, published = transformers.rotary_vector(entries, size)
         name = {512: "ViT-M", 640: "ViT-Betwixt", 768: "ViT-B"}[width] + " with rotary positions"
-        mean, std = (cast(Triple, tuple(given[key])) for key in ("mean", "std"))
+        mean, std = (cast(Triple, tuple(published[key])) for key in ("mean", "std"))
         return _Network(rotary, name, width, size, mean, std)
     size = size_of(entries, transformers.trained_side(entries), patch)
     branch = transformers.vector(entries, size)

@@ -104,10 +104,10 @@ def _backbone(entries: Entries) -> tuple[Any, str, tuple[int, int]]:
         return tokens, transformers.NAMES.get(tokens.channels, "ViT"), size
     name = matching(_BACKBONES, own)
     if name is None:
-        found = next((f"{own.prefix}{key}" for key in own.state), "nothing")
+        entry = next((f"{own.prefix}{key}" for key in own.state), "nothing")
         stated = entries.options.get("backbone")
         raise ModelFileError(
-            f"{entries.name} is DenseUAV's, of a backbone that is not read ({f'{stated}, ' if stated else ''}found {found}); "
+            f"{entries.name} is DenseUAV's, of a backbone that is not read ({f'{stated}, ' if stated else ''}found {entry}); "
             f"expected a plain vision transformer, or one of {', '.join(_BACKBONES)}."
         )
     side = _TRAINED_SIDES.get(name, 224)
@@ -123,9 +123,9 @@ def _check_head(entries: Entries, head: Entries) -> None:
     own = next((name for name, key in _HEADS.items() if key in head.state), None)
     stated = entries.options.get("head")
     if own is None or "netvlad.centroids" in head.state:
-        found = next((f"{head.prefix}{key}" for key in head.state if not key.startswith("classifier.")), "nothing")
+        entry = next((f"{head.prefix}{key}" for key in head.state if not key.startswith("classifier.")), "nothing")
         raise ModelFileError(
-            f"{entries.name} is DenseUAV's, of a head that is not read (found {found}); expected one of {', '.join(_HEADS)}."
+            f"{entries.name} is DenseUAV's, of a head that is not read (found {entry}); expected one of {', '.join(_HEADS)}."
         )
     if stated is not None and _ENDINGS.sub("", str(stated)) != own:
         raise ModelFileError(

@@ -68,16 +68,16 @@ class Entries:
         Raises:
             ModelFileError: if it is missing, or has another number of sides or an empty one.
         """
-        found = self.state.get(key)
-        if found is None:
+        tensor = self.state.get(key)
+        if tensor is None:
             raise ModelFileError(
                 f"{self.name} lacks {self.prefix}{key}; the file is incomplete or of another model, so give a whole checkpoint."
             )
-        if found.ndim != sides or 0 in found.shape:
+        if tensor.ndim != sides or 0 in tensor.shape:
             raise ModelFileError(
-                f"In {self.name}, {self.prefix}{key} has shape {tuple(found.shape)}; expected {sides} sides above 0."
+                f"In {self.name}, {self.prefix}{key} has shape {tuple(tensor.shape)}; expected {sides} sides above 0."
             )
-        return tuple(found.shape)
+        return tuple(tensor.shape)
 
     def tensor(self, key: str, shape: tuple[int, ...]) -> Tensor:
         """Return an entry as float32.
@@ -105,13 +105,13 @@ class Entries:
         """
         wanted = {key: value for key, value in network.state_dict().items() if not key.endswith("num_batches_tracked")}
         # Parameters that take a tensor as it is must own it: branches of one file may share tensors.
-        found = {key: self.tensor(key, tuple(value.shape)) for key, value in wanted.items()}
+        tensors = {key: self.tensor(key, tuple(value.shape)) for key, value in wanted.items()}
         counters = {
             key: torch.zeros((), dtype=torch.int64)
             for key in network.state_dict()
             if key.endswith("num_batches_tracked")
         }
-        network.load_state_dict(found | counters, assign=True)
+        network.load_state_dict(tensors | counters, assign=True)
 
     def head(self, prefix: str, channels: int) -> tuple[Tensor, Tensor]:
         """Return a head's Linear and BatchNorm1d at test time as one affine map: A (D, C) and c (D,).

@@ -50,11 +50,11 @@ def named_map(name: str, entries: Entries, size: tuple[int, int]) -> tuple[TimmM
         InputError: if timm has no such network, or it gives no map of pictures of that size.
         ModelFileError: if the entries are of another network.
     """
-    found = TimmMap(name, size)
-    _fill(found.network, name, entries)
+    network = TimmMap(name, size)
+    _fill(network.network, name, entries)
     with torch.inference_mode():
-        height, width = found.eval()(torch.zeros(1, 3, *size)).shape[2:]
-    return found, (height, width)
+        height, width = network.eval()(torch.zeros(1, 3, *size)).shape[2:]
+    return network, (height, width)
 
 
 def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> PartBranch:
@@ -77,8 +77,8 @@ def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> PartBran
     with torch.inference_mode():
         vector, pooled = whole.eval()(noise), mapped(noise).mean((2, 3))
         for norm in (None, _norm_behind(whole)):
-            found = pooled if norm is None else norm(pooled)
-            if found.shape == vector.shape and bool((found - vector).abs().max() < _SAME * vector.abs().max()):
+            candidate = pooled if norm is None else norm(pooled)
+            if candidate.shape == vector.shape and bool((candidate - vector).abs().max() < _SAME * vector.abs().max()):
                 uneven = size[0] % grid[0] or size[0] // grid[0] * grid[1] != size[1]
                 fixed = mapped.patch is not None or bool(uneven) or timm_networks.has_fixed_size(name)
                 return MeanVector(mapped, norm, grid, size[0] // grid[0], fixed)

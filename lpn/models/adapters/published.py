@@ -160,19 +160,19 @@ def size_of(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[
     return size
 
 
-def check_views(entries: Entries, found: int) -> None:
-    stated = entries.options.get("views", found)
-    if stated != found:
+def check_views(entries: Entries, held: int) -> None:
+    stated = entries.options.get("views", held)
+    if stated != held:
         raise ModelFileError(
-            f"{entries.name} describes {found} views by the networks that it holds, but the opts.yaml beside it says "
+            f"{entries.name} describes {held} views by the networks that it holds, but the opts.yaml beside it says "
             f"views: {stated}; correct or remove it."
         )
 
 
-def check_option(entries: Entries, option: str, found: int) -> None:
-    stated = entries.options.get(option, found)
-    if stated != found:
+def check_option(entries: Entries, option: str, held: int) -> None:
+    stated = entries.options.get(option, held)
+    if stated != held:
         raise ModelFileError(
-            f"{entries.name} has {found} of these heads, but the opts.yaml beside it says {option}: {stated}; correct or "
+            f"{entries.name} has {held} of these heads, but the opts.yaml beside it says {option}: {stated}; correct or "
             "remove it."
         )

@@ -81,13 +81,13 @@ def unwrapped(state: Mapping[str, Tensor], name: str) -> tuple[Kind, dict[str, T
     Raises:
         ModelFileError: as for `recognise`.
     """
-    found, inner = dict(state), dict(state)
+    state_without, inner = dict(state), dict(state)
     while True:
         if (kind := _kind(inner)) is not None:
             return kind, inner
         prefix = _wrapper(inner)
         if prefix is None:
-            return recognise(found, name), found
+            return recognise(state_without, name), state_without
         inner = {key.removeprefix(prefix): value for key, value in inner.items()}
 
 
@@ -123,13 +123,13 @@ def recognise(keys: Collection[str], name: str) -> Kind:
     # A file of another branch alone is nearest to its own method, too.
     alike = [re.sub(r"^model_\d\.", "model_1.", key) for key in keys]
     _, nearest = max(SIGNATURES, key=lambda pair: _share(pair[1], alike))
-    found = first_few([printable(key)[:80] for key in keys], _SHOWN) or "nothing"
+    entries = first_few([printable(key)[:80] for key in keys], _SHOWN) or "nothing"
     near = "none of the known models has such names"
     if _share(nearest, alike) > 0:
         lacking = [pattern for pattern in nearest.all_of if not _matched(pattern, keys)]
         near = f"the nearest is {nearest.title}, for which it lacks {', '.join(_plain(p) for p in lacking)}"
     raise ModelFileError(
-        f"{name} is not a checkpoint of a known model: it holds {found}; {near}. If it is one under other names, "
+        f"{name} is not a checkpoint of a known model: it holds {entries}; {near}. If it is one under other names, "
         f"name it with --kind ({', '.join(KINDS)})."
     )
 
@@ -146,7 +146,9 @@ def _kind(keys: Collection[str]) -> Kind | None:
 
 def title_of_other(kind: Kind, keys: Collection[str]) -> str | None:
     """Return the title of the method by whose signature names fit; None if it is `kind`, or if there is none."""
-    own = next(((found, signature) for found, signature in SIGNATURES if _share(signature, keys) == 1), None)
+    own = next(
+        ((kind_of_names, signature) for kind_of_names, signature in SIGNATURES if _share(signature, keys) == 1), None
+    )
     return None if own is None or own[0] == kind else own[1].title
 
 

@@ -80,7 +80,7 @@ def planes(side: int) -> list[list[ShiftedPlane]]:
             outer[span, span] = np.where(occupied, outer[span, span], square)
         return outer, inner
 
-    found: list[list[ShiftedPlane]] = []
+    by_shift: list[list[ShiftedPlane]] = []
     for shift in SHIFTS:
         p0 = cells[box(1, shift)]
         p1, p2 = hollow(cells[box(2, shift)], unit), hollow(cells[box(3, shift)], 2 * unit)
@@ -89,8 +89,8 @@ def planes(side: int) -> list[list[ShiftedPlane]]:
         p3 = cells
         pairs = [add(p0), add(p1), add(p2), add(p3)]
         pairs += [add(p1, p0), add(p2, p1), add(p3, p2), add(p2, p1, p0), add(p3, p2, p1), add(p3)]
-        found.append([ShiftedPlane(outer.reshape(-1), inner.reshape(-1)) for outer, inner in pairs])
-    return found
+        by_shift.append([ShiftedPlane(outer.reshape(-1), inner.reshape(-1)) for outer, inner in pairs])
+    return by_shift
 
 
 def build_branch(entries: Entries, heads: Entries, size: tuple[int, int]) -> tuple[PartBranch, tuple[str, ...]]:
@@ -172,8 +172,11 @@ class Sdpl(PartBranch):
             self._places[side] = [
                 [(torch.from_numpy(outer), torch.from_numpy(inner)) for outer, inner in parts] for parts in planes(side)
             ]
-        found = self._places[side]
-        return [[(outer.to(features.device), inner.to(features.device)) for outer, inner in parts] for parts in found]
+        places_of_side = self._places[side]
+        return [
+            [(outer.to(features.device), inner.to(features.device)) for outer, inner in parts]
+            for parts in places_of_side
+        ]
 
     def forward(self, images: Tensor) -> Tensor:
         """Return the raw parts of pictures: (B, 3, H, W) -> (B, 10, D)."""

@@ -70,10 +70,10 @@ def build_sues(entries: Entries) -> PublishedParts:
     own = entries.under("model_1.")
     name = matching(_NETWORKS, own)
     if name is None or "classifier.add_block.0.weight" not in entries.state:
-        found = next((f"{own.prefix}{key}" for key in own.state), "nothing")
+        entry = next((f"{own.prefix}{key}" for key in own.state), "nothing")
         raise ModelFileError(
-            f"{entries.name} is a baseline of SUES-200 that is not read (its LPN, its CBAM, or another; found {found}); expected "
-            f"one of {', '.join(_NETWORKS)} with one head. Its descriptors open as plain arrays (lpn explore arrays "
+            f"{entries.name} is a baseline of SUES-200 that is not read (its LPN, its CBAM, or another; found {entry}); "
+            f"expected one of {', '.join(_NETWORKS)} with one head. Its descriptors open as plain arrays (lpn explore arrays "
             "--queries q.npy --gallery g.npy)."
         )
     size = size_of(entries, (384, 384))
