@@ -109,19 +109,19 @@ class Calibration:
                 f"The scale is {change.scale:g}, and the calibration zooms {view} pictures by up to {zooms.max():.3g}; "
                 f"expected a scale of at most {MAX_SCALE / zooms.max():.3g}."
             )
-        found = np.zeros((len(pictures), model.n_parts, model.embedding), np.float32)
+        described = np.zeros((len(pictures), model.n_parts, model.embedding), np.float32)
         for zoom in np.unique(zooms):
             rows = np.flatnonzero(zooms == zoom)
             some = [pictures[row] for row in rows.tolist()]
-            found[rows] = read(model, some, view, replace(change, scale=change.scale * float(zoom)))
-        return normalise(found - self.means[view])
+            described[rows] = read(model, some, view, replace(change, scale=change.scale * float(zoom)))
+        return normalise(described - self.means[view])
 
     def stored(
         self, model: Model, pictures: Sequence[Picture], view: View, read: descriptors.Reader
     ) -> descriptors.StoredDescriptors:
         """Return the calibrated descriptors of pictures, and their digest."""
-        found = self.read(model, pictures, view, read)
-        return descriptors.StoredDescriptors(found, hashlib.sha256(found.tobytes()).hexdigest())
+        described = self.read(model, pictures, view, read)
+        return descriptors.StoredDescriptors(described, hashlib.sha256(described.tobytes()).hexdigest())
 
     def applied(self, model: Model) -> Model:
         """Return the model that subtracts the means; contributions stay exact, with the length of the mean's term held."""
@@ -146,9 +146,9 @@ class Calibration:
         """Return the calibration as a clause: "calibrated without labels on ... pictures, ..."."""
         counts = " and ".join(f"{len(zooms):,} {view}" for view, zooms in self.zooms.items())
         zoomed = [
-            f"{view} pictures zoomed by {min(found):.2f}" + (f" to {max(found):.2f}" if len(found) > 1 else "")
+            f"{view} pictures zoomed by {min(factors):.2f}" + (f" to {max(factors):.2f}" if len(factors) > 1 else "")
             for view, zooms in self.zooms.items()
-            if (found := set(zooms.values())) != {1.0}
+            if (factors := set(zooms.values())) != {1.0}
         ]
         return ", ".join(
             [f"calibrated without labels on {counts} pictures", *zoomed, "the mean of each view subtracted"]
@@ -209,11 +209,11 @@ def calibrate(
     best: Float64Array = np.full(len(sides["drone"].pictures), -np.inf)
     chosen, taken = np.zeros(len(best), np.int64), np.zeros((0, model.n_parts, model.embedding), np.float32)
     for step in range(max(-_OWN_STEPS, -max(of_all, 0)), _OWN_STEPS + 1):
-        found = sides["drone"].read(max(of_all, 0) + step)
-        level = Level(STEP ** (max(of_all, 0) + step), PRIOR * step**2, found.mean(axis=0))
-        value = _nearest(normalise(found - level.mean), tiles) - level.cost
+        described = sides["drone"].read(max(of_all, 0) + step)
+        level = Level(STEP ** (max(of_all, 0) + step), PRIOR * step**2, described.mean(axis=0))
+        value = _nearest(normalise(described - level.mean), tiles) - level.cost
         better = value > best
-        taken = np.where(better[:, None, None], found, taken) if levels else found
+        taken = np.where(better[:, None, None], described, taken) if levels else described
         best, chosen = np.where(better, value, best), np.where(better, len(levels), chosen)
         levels.append(level)
     means["drone"] = taken.mean(axis=0)
@@ -265,14 +265,14 @@ class _Side:
     def read(self, step: int) -> Float32Array:
         """Return the descriptors of all at the zoom STEP^step, (N, n, D), read list by list, as the tasks do."""
         known: set[Path] = set()
-        found = []
+        parts = []
         for pictures in self._lists:
             new = []
             for picture in pictures:
                 new.append(picture.path not in known)
                 known.add(picture.path)
-            found.append(self._described(pictures, step)[new])
-        return found[0] if len(found) == 1 else np.concatenate(found)
+            parts.append(self._described(pictures, step)[new])
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def sample(self, most: int, step: int) -> Float32Array:
         """Return the descriptors of at most so many."""

@@ -42,14 +42,14 @@ def hubness(query: Float32Array, tiles: Float32Array, neighbours: int) -> Float3
     """
     check_neighbours(neighbours, len(query))
     flat = query.reshape(len(query), -1)
-    found = np.empty(tiles.shape[:2], np.float32)
+    means = np.empty(tiles.shape[:2], np.float32)
     rows = max(1, _BLOCK // max(len(query), neighbours * flat.shape[1]))
     for start in range(0, len(tiles), rows):
         block = tiles[start : start + rows]
         products = block.reshape(len(block), -1) @ flat.T
         nearest = np.argpartition(products, len(query) - neighbours, axis=1)[:, -neighbours:]
-        found[start : start + rows] = np.einsum("gknd,gnd->gn", query[nearest], block) / (2 * neighbours)
-    return found
+        means[start : start + rows] = np.einsum("gknd,gnd->gn", query[nearest], block) / (2 * neighbours)
+    return means
 
 
 def scaled(query: Float32Array, tiles: Float32Array, neighbours: int) -> tuple[Float32Array, Float32Array]:

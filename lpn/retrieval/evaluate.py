@@ -143,7 +143,7 @@ class Result:
             "queries": self.queries,
             "gallery": self.gallery,
             "galleries": [figures.to_dict() for figures in self.galleries],
-            "groups": {name: [figures.to_dict() for figures in found] for name, found in self.groups.items()},
+            "groups": {name: [figures.to_dict() for figures in of_group] for name, of_group in self.groups.items()},
             "task": self.task,
             "rotate": change.rotate,
             "shift": change.shift,
@@ -235,9 +235,9 @@ def evaluate(
     result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, clauses)
     errors = None if positions is None else _errors(retrieval, *positions)
     # Half-true matches of GTA-UAV are measured by distances; its paper has no hit rate.
-    found = {} if truth is None or dataset.measured_by else _hit_rate(query, tiles, truth, protocol)
+    measures = {} if truth is None or dataset.measured_by else _hit_rate(query, tiles, truth, protocol)
     if measured_by is not None and where is not None:
-        found |= field_figures(measured_by, *protocol.compared(query, tiles), *where)
+        measures |= field_figures(measured_by, *protocol.compared(query, tiles), *where)
     groups = {
         name: _measure(
             query[query_rows],
@@ -258,7 +258,7 @@ def evaluate(
         errors=errors,
         groups=groups,
         group_name=dataset.group_name,
-        measures=found,
+        measures=measures,
         calibration=calibration,
     )
 
@@ -296,14 +296,14 @@ def field_figures(
         degrees = field_metrics.degree_distances(starts, ends)
         top = field_metrics.great_circle(query_places, ends[:, 0])
         depths = [k for k in (1, 3, 5, 10) if k <= order.shape[1]]
-        found = {f"sdm_denseuav@{k}": float(field_metrics.sdm_denseuav(degrees, k).mean()) for k in depths}
-        return found | {f"ma@{metres}": field_metrics.accuracy_within(top, metres) for metres in (5, 10, 20, 50, 100)}
+        figures = {f"sdm_denseuav@{k}": float(field_metrics.sdm_denseuav(degrees, k).mean()) for k in depths}
+        return figures | {f"ma@{metres}": field_metrics.accuracy_within(top, metres) for metres in (5, 10, 20, 50, 100)}
     metres = (
         field_metrics.geodesic(starts, ends) if measured_by == "UAV-VisLoc" else np.linalg.norm(starts - ends, axis=2)
     )
     depths = [k for k in (1, 3, 5) if k <= order.shape[1]]
-    found = {f"sdm_gta_uav@{k}": float(field_metrics.sdm_gta_uav(metres, k).mean()) for k in depths}
-    return found | {f"dis@{k}": float(field_metrics.distance_at(metres, k).mean()) for k in depths}
+    figures = {f"sdm_gta_uav@{k}": float(field_metrics.sdm_gta_uav(metres, k).mean()) for k in depths}
+    return figures | {f"dis@{k}": float(field_metrics.distance_at(metres, k).mean()) for k in depths}
 
 
 def _hit_rate(query: Float32Array, tiles: Float32Array, truth: Sequence[Truth], protocol: Protocol) -> dict[str, float]:

@@ -125,9 +125,9 @@ def geodesic(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Array:
     b_term = square / 1024 * (256 + square * (-128 + square * (74 - 47 * square)))
     last = b_term / 6 * middle * (4 * cross**2 - 3) * (4 * middle**2 - 3)
     shift = b_term * cross * (middle + b_term / 4 * (along * (2 * middle**2 - 1) - last))
-    found = polar * scale * (arc - shift)
+    metres = polar * scale * (arc - shift)
     settled = np.abs(turn - before) < 1e-9
-    return cast(Float64Array, np.where(settled, found, great_circle(np.degrees(a), np.degrees(b))))
+    return cast(Float64Array, np.where(settled, metres, great_circle(np.degrees(a), np.degrees(b))))
 
 
 def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArray | None = None) -> Int64Array:
@@ -148,7 +148,7 @@ def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArra
     depth = min(k, kept)
     if depth < 1:
         raise InputError(f"{kept} gallery pictures are not junk, and K is {k}; expected at least one of both.")
-    found = np.empty((len(queries), depth), np.int64)
+    nearest_first = np.empty((len(queries), depth), np.int64)
     scores = Scores(queries, tiles, lengths)
     for rows, block, errors in scores.blocks():
         if junk is not None:
@@ -160,8 +160,8 @@ def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArra
                 close &= ~junk
             candidates = np.flatnonzero(close)
             order = np.argsort(-scores.exact(query_index, candidates), kind="stable")
-            found[query_index] = candidates[order[:depth]]
-    return found
+            nearest_first[query_index] = candidates[order[:depth]]
+    return nearest_first
 
 
 def _sdm(distances: npt.ArrayLike, k: int, decay: float) -> Float64Array:

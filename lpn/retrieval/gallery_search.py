@@ -165,14 +165,14 @@ def describe_picture(
     turned = change.apply(picture)
     prepared = model.normalise(change.move(model.to_input_size(turned, view)))
     outputs = model.run(model.with_mirror(prepared), view)
-    shown = turned if model.contract.unrolled(view) else change.show(turned, model.input_size)
+    seen = turned if model.contract.unrolled(view) else change.show(turned, model.input_size)
     if not model.contract.has_cells:
         check_parts(model.contract, outputs.parts, len(outputs.parts))
         raw = cast(Float32Array, outputs.parts.sum(axis=0))
         centred = whitened(raw + model.centring(raw, view), model.whitening)
-        return DescribedPicture(shown, normalise(centred), None, None)
+        return DescribedPicture(seen, normalise(centred), None, None)
     trace = Trace.from_pass(model, outputs, view)
-    return DescribedPicture(shown, normalise(trace.embedding), scoring.activation(trace.activation), trace)
+    return DescribedPicture(seen, normalise(trace.embedding), scoring.activation(trace.activation), trace)
 
 
 def rank(

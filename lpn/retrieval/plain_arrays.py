@@ -205,12 +205,12 @@ def _read(file: Path, side: Side) -> AnyArray:
 def _read_npy(file: Path, side: Side) -> AnyArray:
     del side
     try:
-        found = np.load(file, mmap_mode="r", allow_pickle=False)
-        if not isinstance(found, np.ndarray):
+        array = np.load(file, mmap_mode="r", allow_pickle=False)
+        if not isinstance(array, np.ndarray):
             raise ValueError("an archive")
     except DAMAGED_ARRAY as error:
         raise DataError(f"{_name(file)} is no array that NumPy saved, or damaged; save it again.") from error
-    return found
+    return array
 
 
 def _read_npz(file: Path, side: Side) -> AnyArray:
@@ -231,13 +231,13 @@ def _read_npz(file: Path, side: Side) -> AnyArray:
 
 def _read_mat(file: Path, side: Side) -> AnyArray:
     keys = _KEYS[side]
-    found = matlab.load(file, (), f"a MATLAB 5 file with {' or '.join(keys)}", keys, simplify=False)
-    chosen = next((key for key in keys if key in found), None)
+    variables = matlab.load(file, (), f"a MATLAB 5 file with {' or '.join(keys)}", keys, simplify=False)
+    chosen = next((key for key in keys if key in variables), None)
     if chosen is None:
         raise DataError(
             f"{_name(file)} has none of the variables {', '.join(keys)}; save the descriptors as one of them."
         )
-    return np.asarray(found[chosen])
+    return np.asarray(variables[chosen])
 
 
 def _read_parquet(file: Path, side: Side) -> AnyArray:
@@ -258,9 +258,9 @@ def _read_parquet(file: Path, side: Side) -> AnyArray:
         column = table.column(lists[0]).combine_chunks()
         lengths = pc.unique(pc.list_value_length(column)).to_pylist()
         if len(lengths) != 1 or not lengths[0]:
-            found = " and ".join("none" if length is None else str(length) for length in lengths[:2]) or "no"
+            listed = " and ".join("none" if length is None else str(length) for length in lengths[:2]) or "no"
             raise DataError(
-                f"The rows of {printable(lists[0])} in {_name(file)} have {found} numbers; expected as many in each row, at "
+                f"The rows of {printable(lists[0])} in {_name(file)} have {listed} numbers; expected as many in each row, at "
                 "least one."
             )
         return cast(AnyArray, column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), lengths[0]))
@@ -354,22 +354,22 @@ def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[
             f"The first line of {name} is {printable(','.join(header)) or 'empty'}; expected file,side and, if known, "
             "label,latitude,longitude."
         )
-    found: dict[Side, list[_Line]] = {"query": [], "gallery": []}
+    lines_of: dict[Side, list[_Line]] = {"query": [], "gallery": []}
     for number, values in rows:
         where = f"Line {number} of {name}"
         if len(values) != len(header):
             raise DataError(f"{where} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
         row = {column: value.strip() for column, value in zip(header, values, strict=True)}
-        if row["side"] not in found:
+        if row["side"] not in lines_of:
             raise DataError(f"{where} has the side {printable(row['side'])!r}; expected query or gallery.")
         line = _Line(listed_path(row["file"], where), row.get("label", ""), _position(row, where))
-        found[row["side"]].append(line)
-    for side, lines in found.items():
+        lines_of[row["side"]].append(line)
+    for side, lines in lines_of.items():
         if len(lines) != len(arrays[side]):
             raise DataError(
                 f"{name} has {len(lines)} lines of the side {side}, and the array {len(arrays[side])} rows; expected as many."
             )
-    return found
+    return lines_of
 
 
 def _here(folder: Path, lines: dict[Side, list[_Line]], name: str) -> dict[Side, list[_Line]]:

@@ -52,8 +52,8 @@ class PublishedResult:
     @property
     def views(self) -> tuple[View, View] | None:
         """The views of queries and gallery, read from their folders (query_drone, gallery_satellite); None when unknown."""
-        found = _view(self.query_paths, "query"), _view(self.gallery_paths, "gallery")
-        return None if None in found else cast("tuple[View, View]", found)
+        views = _view(self.query_paths, "query"), _view(self.gallery_paths, "gallery")
+        return None if None in views else cast("tuple[View, View]", views)
 
     @property
     def task(self) -> str:
@@ -254,8 +254,8 @@ def _pictures_of_rows(
         same = len(pictures) == len(labels) and all(p.label == label for p, label in zip(pictures, labels, strict=True))
         return pictures if same else None
     named = {"/".join(picture.path.parts[-2:]): picture for picture in pictures}
-    found = [named.get("/".join(path.split("/")[-2:])) for path in paths]
-    return None if None in found else cast("list[Picture]", found)
+    of_rows = [named.get("/".join(path.split("/")[-2:])) for path in paths]
+    return None if None in of_rows else cast("list[Picture]", of_rows)
 
 
 def _view(paths: tuple[str, ...] | None, role: str) -> View | None:

@@ -118,7 +118,7 @@ def test_queries_without_a_label_are_ranked_and_not_counted(
     task = array_task(found, "q.npy")
     assert task.known is not None
     assert task.known.tolist() == [True, False, True, True, False]
-    assert task.outcomes.failed.sum() + task.outcomes.found.sum() == 3
+    assert task.outcomes.failed.sum() + task.outcomes.hits.sum() == 3
     assert task.geometry is None
     alone = array_task(load_arrays(*files), "q.npy")
     assert alone.known is not None
