@@ -62,12 +62,12 @@ def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> Non
     }
     if recipe.n_parts > 1 and recipe.pooling == "average":
         compared["layout"] = (spec.layout, recipe.layout)
-    for what, (found, expected) in compared.items():
-        if found != expected:
+    for what, (actual, expected) in compared.items():
+        if actual != expected:
             read = what == "input size" and file.suffix == ".pth" and not file.with_name("opts.yaml").is_file()
             hint = " (no opts.yaml is beside it, and without one a .pth is read as 256 x 256)" if read else ""
             raise InputError(
-                f"{file.name} has {what} {found}{hint}, and {name} needs {what} {expected} in {use.used_by}; give it "
+                f"{file.name} has {what} {actual}{hint}, and {name} needs {what} {expected} in {use.used_by}; give it "
                 "under the name of a network of its own kind, or leave it out."
             )
 
@@ -101,10 +101,10 @@ def check_pretrained(jobs: Sequence[TrainingJob], from_scratch: bool) -> None:
         if job.start is None:
             lacking.setdefault(job.recipe.backbone, {})[job.training.name] = None
     rows = "; ".join(f"{backbone} for {', '.join(names)}" for backbone, names in lacking.items())
-    given = sorted({job.start.name for job in jobs if job.start is not None})
-    if from_scratch and given:
+    files = sorted({job.start.name for job in jobs if job.start is not None})
+    if from_scratch and files:
         lack = f" Weights are lacking of {rows}." if lacking else ""
-        raise InputError(f"--init ({', '.join(given)}) and --from-scratch exclude each other; give one of them.{lack}")
+        raise InputError(f"--init ({', '.join(files)}) and --from-scratch exclude each other; give one of them.{lack}")
     if lacking and not from_scratch:
         raise InputError(
             f"Every recipe starts from a backbone trained on ImageNet, and no --init has the weights of {rows}; give its "

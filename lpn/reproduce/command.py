@@ -75,7 +75,7 @@ class Reproduction:
         self._starts = pretrained.by_backbone(self.init)
         drawn = self._drawn(keys)
         uses = self._uses(wanted, drawn)
-        self._given = self._load(uses)
+        self._loaded = self._load(uses)
         self._check(wanted, drawn)
         self._plan(wanted, drawn, uses)
         if self.train:
@@ -128,12 +128,12 @@ class Reproduction:
             if name not in known:
                 raise InputError(f"--model names {name!r}; the networks are called {', '.join(sorted(known))}.")
         checks.check_used(self.models, uses)
-        found = {name: lpn.load(file) for name, file in self.models.items()}
+        loaded = {name: lpn.load(file) for name, file in self.models.items()}
         for use in uses:
-            if use.training.name in found:
+            if use.training.name in loaded:
                 recipe = self.scale.recipe(use.training, 0)
-                checks.check_fits(found[use.training.name], self.models[use.training.name], use, recipe)
-        return found
+                checks.check_fits(loaded[use.training.name], self.models[use.training.name], use, recipe)
+        return loaded
 
     def _check(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:
         """Check the data before any work."""
@@ -148,11 +148,11 @@ class Reproduction:
 
     def _plan(self, wanted: Sequence[PaperTable], drawn: Sequence[str], uses: Sequence[NetworkUse]) -> None:
         """Plan the trials and the trainings, check them, and print the plan."""
-        needed = {use.training.name: use.training for use in uses if use.training.name not in self._given}
+        needed = {use.training.name: use.training for use in uses if use.training.name not in self._loaded}
         self._trials = {
-            name: found
+            name: planned
             for name, training in needed.items()
-            if self.tune and (found := self._trials_of(training)) and (self.train or tuning.best(found))
+            if self.tune and (planned := self._trials_of(training)) and (self.train or tuning.best(planned))
         }
         self._jobs = self._planned(uses)
         ours = {job.recipe.backbone for job in self._jobs}
@@ -182,7 +182,7 @@ class Reproduction:
         jobs = []
         for seed in self.seeds:
             for training in {use.training.name: use.training for use in uses}.values():
-                if training.name not in self._given:
+                if training.name not in self._loaded:
                     recipe = scale.recipe(training, seed)
                     folder = self.out / "runs" / f"{training.name}-seed{seed}"
                     source, start = self._sources.role(training.role), self._starts.get(recipe.backbone)
@@ -194,7 +194,7 @@ class Reproduction:
         if left:
             epochs = sum(job.recipe.epochs - len(job.seconds()) for job in left)
             trials = sum(1 for job in left if job.held_out)
-            known = [*left, *self._jobs, *(trial.job for found in self._trials.values() for trial in found)]
+            known = [*left, *self._jobs, *(trial.job for of_network in self._trials.values() for trial in of_network)]
             self.console.print(
                 f"Plan: {len(left)} of {total} trainings are left, {trials} of them short trials: {epochs} epochs, "
                 f"{trainings.said_left(left, known)} for one process. A second process with the same command shares them.",
@@ -212,7 +212,7 @@ class Reproduction:
                 f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
             )
         if not self.train:
-            there = {*self._given, *(job.training.name for job in self._jobs if job.done)}
+            there = {*self._loaded, *(job.training.name for job in self._jobs if job.done)}
             for name in drawn:
                 self._say_lacking(name, [network.name for network in SHOWN[name] if network.name not in there])
 
@@ -239,8 +239,8 @@ class Reproduction:
 
     def _networks(self, name: str) -> dict[str, Model]:
         """Return the networks of a training by seed, or the given one."""
-        if name in self._given:
-            return {"given": self._given[name]}
+        if name in self._loaded:
+            return {"given": self._loaded[name]}
         return {f"seed {job.seed}": lpn.load(job.model) for job in self._own(name)}
 
     def _own(self, name: str) -> list[TrainingJob]:
@@ -251,12 +251,12 @@ class Reproduction:
         rows: list[RowRecord] = []
         protocols: dict[str, str] = {}
         for row in table.rows:
-            found = {
+            figures_of = {
                 name: self._store.figures(row, table.measure, model, data) for name, model in self._models(row).items()
             }
-            rows.append(self._row(row, found))
-            if found:
-                protocols[row.label] = next(iter(found.values())).protocol
+            rows.append(self._row(row, figures_of))
+            if figures_of:
+                protocols[row.label] = next(iter(figures_of.values())).protocol
         columns, beside, alone = self._columns(table)
         title = table.title if table.measure == "landmarks" else f"{table.title}, on {data[0].kind}"
         notes = [footnotes.protocol(protocols), *footnotes.about(table, data), *self._of_networks(table)]
@@ -264,12 +264,12 @@ class Reproduction:
         self._store.keep(record)
         return report.write(record, self.out)
 
-    def _row(self, row: TableRow, found: Mapping[str, MeasuredFigures]) -> RowRecord:
+    def _row(self, row: TableRow, figures_of: Mapping[str, MeasuredFigures]) -> RowRecord:
         trained: dict[str, Provenance] = {}
-        if row.training is not None and row.training.name not in self._given:
+        if row.training is not None and row.training.name not in self._loaded:
             trained = {f"seed {job.seed}": job.made for job in self._own(row.training.name) if job.made}
-        values = {name: figures.values for name, figures in found.items()}
-        made = {name: figures.made for name, figures in found.items()}
+        values = {name: figures.values for name, figures in figures_of.items()}
+        made = {name: figures.made for name, figures in figures_of.items()}
         return row_record(row.label, values, row.paper, row.note, trained, made)
 
     def _columns(self, table: PaperTable) -> tuple[tuple[str, ...], tuple[int | None, ...], dict[int, str]]:
@@ -289,13 +289,15 @@ class Reproduction:
     def _of_networks(self, table: PaperTable) -> list[str]:
         """Describe where the table's networks come from."""
         names = {row.training.name for row in table.rows if row.training}
-        given = [f"{n} = {self.models[n].name} ({self._given[n].describe()})" for n in sorted(names & set(self._given))]
-        notes = [f"Networks given: {', '.join(given)}."] if given else []
+        listed = [
+            f"{n} = {self.models[n].name} ({self._loaded[n].describe()})" for n in sorted(names & set(self._loaded))
+        ]
+        notes = [f"Networks given: {', '.join(listed)}."] if listed else []
         notes += footnotes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
         if tuned := tuning.note({name: trials for name, trials in self._trials.items() if name in names}):
             notes.append(tuned)
         of_places = table.measure in ("both ways", "centre")
-        if of_places and names - set(self._given) and not self._sources.role("places").has_google:
+        if of_places and names - set(self._loaded) and not self._sources.role("places").has_google:
             notes.append("There is no train/google, so all networks are trained without it.")
         return notes
 
@@ -307,14 +309,14 @@ class Reproduction:
         if not of:
             return None
         dataset = self._sources.role(SHOWN[name][0].role).dataset
-        shown = [(network, next(iter(networks.values()))) for network, networks in of.items()]
+        drawn = [(network, next(iter(networks.values()))) for network, networks in of.items()]
         if name == "figure7a":
-            data = paper_figures.heatmaps(shown, dataset, "drone", self.queries)
+            data = paper_figures.heatmaps(drawn, dataset, "drone", self.queries)
         elif name == "figure7b":
-            data = paper_figures.heatmaps(shown, dataset, "street")
+            data = paper_figures.heatmaps(drawn, dataset, "street")
         elif name == "figure8":
-            data = paper_figures.retrievals(shown[0][1], dataset, ("drone", "satellite"), self.queries)
+            data = paper_figures.retrievals(drawn[0][1], dataset, ("drone", "satellite"), self.queries)
         else:
-            data = paper_figures.retrievals(shown[0][1], dataset, ("street",), top=3)
+            data = paper_figures.retrievals(drawn[0][1], dataset, ("street",), top=3)
         write_atomic(self.out / f"{name}.png", data)
         return self.out / f"{name}.png"

@@ -160,7 +160,7 @@ class CrossValidation:
         self.out, self.trials, self.folds = out, tuple(trials), folds
         self.source = Source(dataset, rendered=False)
         recipes = {trial.name: replace(recipe, **trial.changes) for trial in trials}
-        starts = {} if from_scratch else self._starts(init, {found.backbone for found in recipes.values()})
+        starts = {} if from_scratch else self._starts(init, {one.backbone for one in recipes.values()})
         # All trials of a fold come one after the other, so that a run that is stopped has whole comparisons.
         self.jobs = [
             TrainingJob(
@@ -196,7 +196,7 @@ class CrossValidation:
 
     def table(self) -> dict[str, Any]:
         """Return the figures of all trainings that are done, as plain data for JSON."""
-        found = {trial.name: [(job, self._measured(job)) for job in self.jobs if job.training.name == trial.name and job.done]
+        runs = {trial.name: [(job, self._measured(job)) for job in self.jobs if job.training.name == trial.name and job.done]
                  for trial in self.trials}  # fmt: skip
         first = self.trials[0].name
         places = self.source.places(self.jobs[0].recipe.google)
@@ -212,31 +212,29 @@ class CrossValidation:
             "trained folds": len({job.fold for job in self.jobs}),
             "seeds": sorted({job.seed for job in self.jobs}),
             "recipe": msgspec.to_builtins(self.jobs[0].recipe),
-            "trials": {trial.name: self._trial(trial, found[trial.name]) for trial in self.trials},
+            "trials": {trial.name: self._trial(trial, runs[trial.name]) for trial in self.trials},
             "against": first,
             "differences": {
-                trial.name: _differences(found[trial.name], found[first])
-                for trial in self.trials
-                if trial.name != first
+                trial.name: _differences(runs[trial.name], runs[first]) for trial in self.trials if trial.name != first
             },
         }
 
-    def _trial(self, trial: RecipeTrial, found: Sequence[tuple[TrainingJob, _FoldFile]]) -> dict[str, Any]:
+    def _trial(self, trial: RecipeTrial, runs: Sequence[tuple[TrainingJob, _FoldFile]]) -> dict[str, Any]:
         job = next(job for job in self.jobs if job.training.name == trial.name)
         figures = {
             task: {
-                reading: _figures([file for _, file in found], task, reading)
-                for reading in _readings([file for _, file in found], task)
+                reading: _figures([file for _, file in runs], task, reading)
+                for reading in _readings([file for _, file in runs], task)
             }
-            for task in (found[0][1].labels if found else ())
+            for task in (runs[0][1].labels if runs else ())
         }
         start = None if job.start is None else {"file": job.start.name, "fingerprint": fingerprint(job.start)}
         return {
             "changes": dict(trial.changes),
             "start": start,
-            "runs": len(found),
+            "runs": len(runs),
             "diverged": [one.folder.name for one in self.jobs if one.training.name == trial.name and one.diverged],
-            "training seconds of a run": float(np.mean([sum(one.seconds()) for one, _ in found])) if found else None,
+            "training seconds of a run": float(np.mean([sum(one.seconds()) for one, _ in runs])) if runs else None,
             "figures": figures,
         }
 
@@ -323,9 +321,9 @@ def _measure(model: Model, held: Mapping[int, Mapping[str, Sequence[Path]]], fin
     labels = {view: np.array([picture.label for picture in pictures[view]]) for view in views}
     read = {"plain": plain, "centred": {view: centred(plain[view]) for view in views}}
     if min(map(len, pictures.values())) >= MIN_PICTURES:
-        found = calibrate(model, {view: [pictures[view]] for view in views}, descriptors.temporary_descriptors)
+        calibration = calibrate(model, {view: [pictures[view]] for view in views}, descriptors.temporary_descriptors)
         read["calibrated"] = {
-            view: found.read(model, pictures[view], view, descriptors.temporary_descriptors) for view in views
+            view: calibration.read(model, pictures[view], view, descriptors.temporary_descriptors) for view in views
         }
     made = _FoldFile(fingerprint_of_model, {}, {}, {}, here())
     for query, gallery in (views, views[::-1]):
@@ -352,9 +350,9 @@ def _values(file: _FoldFile, task: str, reading: str) -> dict[str, Float64Array]
     return {**hits, "AP": np.array(file.precision[task][reading])}
 
 
-def _figures(found: Sequence[_FoldFile], task: str, reading: str) -> dict[str, Any]:
+def _figures(files: Sequence[_FoldFile], task: str, reading: str) -> dict[str, Any]:
     """Return mean, spread (standard deviation between runs), and each run's value, in percent."""
-    runs = [{name: 100 * float(of.mean()) for name, of in _values(file, task, reading).items()} for file in found]
+    runs = [{name: 100 * float(of.mean()) for name, of in _values(file, task, reading).items()} for file in files]
     return {
         name: {
             "mean": float(np.mean([run[name] for run in runs])),
@@ -366,11 +364,11 @@ def _figures(found: Sequence[_FoldFile], task: str, reading: str) -> dict[str, A
 
 
 def _differences(
-    found: Sequence[tuple[TrainingJob, _FoldFile]], other: Sequence[tuple[TrainingJob, _FoldFile]]
+    runs: Sequence[tuple[TrainingJob, _FoldFile]], other: Sequence[tuple[TrainingJob, _FoldFile]]
 ) -> dict[str, Any]:
     """Compare two trials query by query on the folds and seeds that both have, with 95 % intervals (bootstrap over places)."""
     against = {(job.seed, job.fold): file for job, file in other}
-    pairs = [(file, against[job.seed, job.fold]) for job, file in found if (job.seed, job.fold) in against]
+    pairs = [(file, against[job.seed, job.fold]) for job, file in runs if (job.seed, job.fold) in against]
     result: dict[str, Any] = {}
     for task in pairs[0][0].labels if pairs else ():
         labels: Int64Array = np.concatenate([np.array(one.labels[task]) for one, _ in pairs])

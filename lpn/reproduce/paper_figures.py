@@ -32,7 +32,7 @@ def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, view: View, 
     """
     tiles = {picture.label: picture for picture in dataset.gallery("satellite")}
     chosen = named(dataset, view, names)
-    shown, axes = pyplot().subplots(
+    figure, axes = pyplot().subplots(
         2 * len(chosen),
         1 + len(models),
         figsize=(2.1 * (1 + len(models)), 4.2 * len(chosen)) if view == "drone" else (10.2, 2.9 * len(chosen)),
@@ -57,7 +57,7 @@ def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, view: View, 
                     )
                 if row == line == 0:
                     cell.set_title(models[column - 1][0] if column else "picture", fontsize=9)
-    return png(shown, 100)
+    return png(figure, 100)
 
 
 def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Sequence[str] = (), top: int = 5) -> bytes:
@@ -75,7 +75,7 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
     labels = {picture.label for picture in chosen}
     shown_queries = [(picture, views[0]) for picture in chosen]
     shown_queries += [(p, view) for view in views[1:] for p in dataset.queries(view) if p.label in labels]
-    shown, axes = pyplot().subplots(
+    figure, axes = pyplot().subplots(
         len(shown_queries),
         1 + top,
         figsize=(1.7 * (1 + top), 1.85 * len(shown_queries)),
@@ -86,8 +86,8 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
         other: View = "drone" if view == "satellite" else "satellite"
         gallery = dataset.gallery(other)
         described = descriptors.cached_descriptors(model, gallery, other)
-        found = retrieval.describe_picture(model, images.load_picture(query.path), view)
-        cosines = scoring.part_cosines(found.descriptor, described)
+        described_query = retrieval.describe_picture(model, images.load_picture(query.path), view)
+        cosines = scoring.part_cosines(described_query.descriptor, described)
         order = np.argsort(-cosines.mean(axis=1), kind="stable")[:top]
         for cell in row:
             cell.set_xticks([])
@@ -100,7 +100,7 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
             cell.set_title(title, fontsize=7)
             for side in cell.spines.values():
                 side.set(linewidth=0 if query_cell else 3, color=TRUE if right else FALSE)
-    return png(shown, 100)
+    return png(figure, 100)
 
 
 def named(dataset: Dataset, view: View, names: Sequence[str] = ()) -> list[Picture]:

@@ -26,14 +26,14 @@ def by_backbone(files: Sequence[Path]) -> dict[str, Path]:
         ModelFileError: when a file cannot be read or holds no known backbone.
         InputError: when two files hold the same backbone.
     """
-    found: dict[str, Path] = {}
-    for given in files:
-        file = model_file(given, trained=True)
+    files_of: dict[str, Path] = {}
+    for weights in files:
+        file = model_file(weights, trained=True)
         name = checkpoints.backbone_in(file)
-        if name in found:
-            raise InputError(f"{found[name]} and {file} both hold a {name}; give one of them with --init.")
-        found[name] = file
-    return found
+        if name in files_of:
+            raise InputError(f"{files_of[name]} and {file} both hold a {name}; give one of them with --init.")
+        files_of[name] = file
+    return files_of
 
 
 def features_alone(recipe: Recipe, init: Path) -> checkpoints.TorchModel:

@@ -59,7 +59,7 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     measured: dict[str, Provenance] = {}
 
     @property
-    def shown(self) -> str:
+    def title(self) -> str:
         """The label with its note."""
         return f"{self.label} ({self.note})" if self.note else self.label
 

@@ -47,7 +47,7 @@ def markdown(record: TableRecord) -> str:
                 texts.append(_format(row.mean[index], row.spread[index]) if row.mean else "not run")
             else:
                 texts.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
-        lines.append(f"| {row.shown} | " + " | ".join(texts) + " |")
+        lines.append(f"| {row.title} | " + " | ".join(texts) + " |")
     lines += ["", *(f"{sentence}  " for sentence in record.notes)]
     claims = verdicts(record)
     if claims:
@@ -65,16 +65,16 @@ def _csv(record: TableRecord) -> bytes:
     for row in record.rows:
         for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
             paper = row.paper[beside] if beside is not None and beside < len(row.paper) else ""
-            found = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
-            rows.append([row.shown, title, paper, f"{row.mean[index]:.4f}" if row.mean else "", *found])
+            values = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
+            rows.append([row.title, title, paper, f"{row.mean[index]:.4f}" if row.mean else "", *values])
     return csv_bytes(rows)
 
 
 def figure(record: TableRecord) -> bytes:
     """Draw the table as a PNG: bars, or lines where the rows are steps of one quantity."""
-    labels = [row.shown for row in record.rows]
+    labels = [row.title for row in record.rows]
     steps = record.key in ("table3", "figure5")
-    shown, axes = pyplot().subplots(
+    drawn, axes = pyplot().subplots(
         figsize=(8.2, 3.9) if steps else (8.2, 0.5 * len(labels) + 1.6), layout="constrained"
     )
     for index, (column, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
@@ -98,7 +98,7 @@ def figure(record: TableRecord) -> bytes:
     axes.set_title(record.title, loc="left", fontsize=11)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
-    return png(shown, 110)
+    return png(drawn, 110)
 
 
 def _draw(

@@ -92,7 +92,7 @@ class Source:
         if measure not in self._digests:
             truth = {task: self.dataset.truth(task) for task in TASKS[measure]}
             listed = {
-                task: [[t.good.tolist(), t.junk.tolist()] for t in found] for task, found in truth.items() if found
+                task: [[t.good.tolist(), t.junk.tolist()] for t in truths] for task, truths in truth.items() if truths
             }
             # Sorted, so that the order of the lists does not matter.
             lists = dict(sorted(lists_of(self.dataset, TASKS[measure]).items()))
@@ -157,16 +157,16 @@ class Sources:
         self.roles[role] = source
 
 
-def counted(found: int, full: int | None) -> str:
+def counted(count: int, full: int | None) -> str:
     """Format a count, with the total if it is known."""
-    return f"{found:,}" if full is None else f"{found:,} of {full:,}"
+    return f"{count:,}" if full is None else f"{count:,} of {full:,}"
 
 
-def is_world(given: str) -> bool:
+def is_world(data: str) -> bool:
     """Return whether an argument of --data is a rendered world, or its panoramas."""
-    root = Path(given)
+    root = Path(data)
     panoramas = root.name == "cvusa" and is_rendered(root.parent)
-    return panoramas or is_rendered(root) or (given == "world" and not root.is_dir())
+    return panoramas or is_rendered(root) or (data == "world" and not root.is_dir())
 
 
 def open_sources(data: Sequence[str], out: Path) -> Sources:
@@ -175,25 +175,25 @@ def open_sources(data: Sequence[str], out: Path) -> Sources:
     Raises:
         LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
     """
-    found = Sources()
-    for given in data:
-        root = Path(given)
-        if given == "world" and not root.is_dir():
+    sources = Sources()
+    for where in data:
+        root = Path(where)
+        if where == "world" and not root.is_dir():
             root = _rendered(out)
         if is_rendered(root):
             made = world.prepare(root, out / "data")
-            found.add("places", Source(open_dataset(made["places"]), True))
+            sources.add("places", Source(open_dataset(made["places"]), True))
             if "panoramas" in made:
-                found.add("panoramas", Source(open_dataset(made["panoramas"]), True))
+                sources.add("panoramas", Source(open_dataset(made["panoramas"]), True))
             if "landmarks" in made:
-                found.landmarks.append(Source(open_dataset(made["landmarks"]), True))
+                sources.landmarks.append(Source(open_dataset(made["landmarks"]), True))
             continue
-        source = Source(open_dataset(root), is_world(given))
+        source = Source(open_dataset(root), is_world(where))
         if "street-to-street" in source.dataset.tasks():
-            found.landmarks.append(source)
+            sources.landmarks.append(source)
         else:
-            found.add("panoramas" if source.dataset.panoramas else "places", source)
-    return found
+            sources.add("panoramas" if source.dataset.panoramas else "places", source)
+    return sources
 
 
 def _rendered(out: Path) -> Path:

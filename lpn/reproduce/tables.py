@@ -254,28 +254,28 @@ def tables(scale: Scale) -> dict[str, PaperTable]:
             [TableRow(f"n = {n}", _of_parts(n), paper_values.FIGURE5.get(n, ())) for n in (1, 2, 4, 6, 8)],
         ),
     }
-    found = {
+    by_name = {
         key: PaperTable(key, title, "both ways", paper_values.BOTH_WAYS, tuple(rows))
         for key, (title, rows) in both_ways.items()
     }
-    found["table2"] = PaperTable(
+    by_name["table2"] = PaperTable(
         "table2",
         "Table II: ground to satellite",
         "ground",
         paper_values.GROUND,
         tuple(TableRow(label, training, paper_values.TABLE2.get(label, ())) for label, training in of_table2),
     )
-    found["table6"] = PaperTable(
+    by_name["table6"] = PaperTable(
         "table6", "Table VI: features carried over to landmarks", "landmarks", paper_values.LANDMARKS, _carried()
     )
-    found["figure7"] = PaperTable(
+    by_name["figure7"] = PaperTable(
         "figure7",
         "Figure 7: activation in the centre",
         "centre",
         paper_values.CENTRE,
         (TableRow("Baseline, n = 1", _BASELINE), TableRow("LPN, n = 4", _LPN)),
     )
-    return dict(sorted(found.items(), key=lambda item: (item[0].startswith("figure"), item[0])))
+    return dict(sorted(by_name.items(), key=lambda item: (item[0].startswith("figure"), item[0])))
 
 
 def _of_size(size: int, scale: Scale, values: paper_values.Values) -> TableRow:
