@@ -180,8 +180,8 @@ class Cases:
         activation = None
         if query.trace is not None and tile.trace is not None:
             activation = part_activation(query.trace), part_activation(tile.trace)
-        found = None if evidence is None else evidence.evidence
-        return Pair(match, self._partitioned(tile.picture, 1), self._areas(tile, 1), found, activation)
+        evidence_of_pair = None if evidence is None else evidence.evidence
+        return Pair(match, self._partitioned(tile.picture, 1), self._areas(tile, 1), evidence_of_pair, activation)
 
     def _areas(self, described: DescribedPicture, side: int) -> PartAreas | None:
         view = self._task.views[side]

@@ -143,8 +143,8 @@ def _heatmaps(case: Case, task: Task) -> Markup | None:
         return None
     drawn = _draw_parts(case.picture, case.areas, task), _draw_parts(pair.picture, pair.areas, task)
     pictures = [
-        PictureActivation(name, maps, shown)
-        for name, maps, shown in zip(("query", "tile"), pair.activation, drawn, strict=True)
+        PictureActivation(name, maps, pixels)
+        for name, maps, pixels in zip(("query", "tile"), pair.activation, drawn, strict=True)
     ]
     return heatmaps.draw(pictures, task.part_names)
 
@@ -158,8 +158,8 @@ def _draw_parts(picture: UInt8Array, areas: PartAreas | None, task: Task) -> UIn
 
 
 def _with_evidence(picture: UInt8Array, areas: PartAreas | None, cells: FloatingArray, limit: float, task: Task) -> str:
-    shown = overlays.with_evidence(images.resize(picture, *_size(task, _MAP)), cells, limit)
-    return overlays.data_uri(overlays.with_parts(shown, areas), 66)
+    drawn = overlays.with_evidence(images.resize(picture, *_size(task, _MAP)), cells, limit)
+    return overlays.data_uri(overlays.with_parts(drawn, areas), 66)
 
 
 def _size(task: Task, width: int) -> tuple[int, int]:
