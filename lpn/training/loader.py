@@ -156,7 +156,9 @@ class Loader:
             return
         if self.recipe.sampling == "places":
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
-                labels = {name: self._shown(name, number, places, epoch) for number, name in enumerate(self._files, 1)}
+                labels = {
+                    name: self._labels_of(name, number, places, epoch) for number, name in enumerate(self._files, 1)
+                }
                 rows = [
                     partial(
                         self._draw_place,
@@ -199,27 +201,27 @@ class Loader:
         rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
         return {name: self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)}
 
-    def _shown(self, name: str, number: int, places: Int64Array, epoch: int) -> Int64Array:
+    def _labels_of(self, name: str, number: int, places: Int64Array, epoch: int) -> Int64Array:
         """Return the place that each row of a set shows: its own, or another one if that has no picture in the set.
 
         Args:
             number: of the set, from 1, as a zero would repeat the random numbers of `_draw_place`.
         """
-        shown = places.copy()
+        labels = places.copy()
         for row, place in enumerate(places):
             if not self._files[name][place]:
                 rng = np.random.default_rng([self.recipe.seed, epoch, int(place), number])
-                shown[row] = rng.choice(self._there[name])
-        return shown
+                labels[row] = rng.choice(self._there[name])
+        return labels
 
     def _draw_place(
-        self, places: TrainingSet, place: int, epoch: int, shown: Mapping[str, int]
+        self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]
     ) -> dict[str, UInt8Array]:
         """Draw and augment one picture of each set, (H, W, 3) uint8; runs in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
-        for name, of in shown.items():
+        for name, of in labels.items():
             files = self._files[name][of]
             path = files[int(rng.integers(len(files)))]
             drawn[name] = self._augmented(places, path, name, rng, angle, mirror)

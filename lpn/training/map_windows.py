@@ -75,23 +75,23 @@ class MapWindows:
     panoramas = False
 
     def __init__(
-        self, town: Map, recipe: Recipe, sizes: tuple[float, float] | None = None, in_memory: int = _IN_MEMORY
+        self, basemap: Map, recipe: Recipe, sizes: tuple[float, float] | None = None, in_memory: int = _IN_MEMORY
     ) -> None:
         if not recipe.windows:
             raise InputError("The recipe cuts no windows of a map, as windows is 0; give --recipe map with --map.")
-        self.town, self.recipe = town, recipe
-        self.sizes = _check_sizes(town, recipe.size, sizes)
+        self.basemap, self.recipe = basemap, recipe
+        self.sizes = _check_sizes(basemap, recipe.size, sizes)
         edges = np.geomspace(*self.sizes, _LEVELS + 1)
-        self._levels = [_places(town, float(size)) for size in np.sqrt(edges[1:] * edges[:-1])]
+        self._levels = [_places(basemap, float(size)) for size in np.sqrt(edges[1:] * edges[:-1])]
         if not all(len(centres) for centres, _ in self._levels):
             raise DataError(
-                f"The map {printable(town.name)} has no window of up to {self.sizes[1]:.3g} m with data on {_MIN_VALID:.0%} of "
-                "it; give smaller ones with --window-sizes."
+                f"The map {printable(basemap.name)} has no window of up to {self.sizes[1]:.3g} m with data on "
+                f"{_MIN_VALID:.0%} of it; give smaller ones with --window-sizes."
             )
-        resolution = max(town.resolution, self.sizes[0] / recipe.size)
-        side = max(town.bounds[2] - town.bounds[0], town.bounds[3] - town.bounds[1])
+        resolution = max(basemap.resolution, self.sizes[0] / recipe.size)
+        side = max(basemap.bounds[2] - basemap.bounds[0], basemap.bounds[3] - basemap.bounds[1])
         pixels = math.ceil(side / resolution)
-        self._whole = _ground_of(town, pixels) if pixels <= in_memory else None
+        self._whole = _ground_of(basemap, pixels) if pixels <= in_memory else None
         self._windows = lru_cache(4)(self._draw_windows)
 
     def __len__(self) -> int:
@@ -99,7 +99,7 @@ class MapWindows:
 
     def digest(self) -> str:
         """Hash map and sizes: a run can be resumed only with the same ones."""
-        return hashlib.sha256(json.dumps([self.town.digest(), self.sizes]).encode()).hexdigest()
+        return hashlib.sha256(json.dumps([self.basemap.digest(), self.sizes]).encode()).hexdigest()
 
     def windows(self, epoch: int) -> list[Window]:
         """Return the windows of an epoch; each is turned by up to the recipe's `place_rotation`."""
@@ -117,7 +117,7 @@ class MapWindows:
         """
         recipe, window = self.recipe, self.windows(epoch)[place]
         rng = np.random.default_rng([recipe.seed, epoch, place + 1])
-        ground = self._whole or _ground_about(self.town, window, recipe.size)
+        ground = self._whole or _ground_about(self.basemap, window, recipe.size)
         tile = ground.tile(window, recipe.size)
         photo = ground.photo(draw_photo(window, recipe, rng), recipe.size)
         if recipe.flip == "place" and rng.random() < 0.5:
@@ -161,9 +161,9 @@ class SimulatedPhoto:
         frame = self.frame
         seen = footprint(frame)
         assert seen is not None
-        found = four_point_homography(corner_pixels(frame.width, frame.height), seen)
-        middle = apply_homography(found, middle_pixel(frame.width, frame.height))
-        return translation(self.centre - middle) @ found
+        homography = four_point_homography(corner_pixels(frame.width, frame.height), seen)
+        middle = apply_homography(homography, middle_pixel(frame.width, frame.height))
+        return translation(self.centre - middle) @ homography
 
 
 def draw_photo(window: Window, recipe: Recipe, rng: np.random.Generator) -> SimulatedPhoto:
@@ -179,8 +179,8 @@ def draw_photo(window: Window, recipe: Recipe, rng: np.random.Generator) -> Simu
     pitch, roll = -90.0 + rng.uniform(-1, 1) * recipe.tilt, rng.uniform(-1, 1) * recipe.tilt
     heading, error = rng.uniform(0, 360), rng.uniform(-1, 1) * recipe.rotation
     fov = rng.uniform(*_FOV)
-    shown = window.size / share * math.exp(rng.uniform(-1, 1) * recipe.scale)
-    above = shown / 2 / math.tan(math.radians(fov) / 2) * -math.sin(math.radians(pitch))
+    metres = window.size / share * math.exp(rng.uniform(-1, 1) * recipe.scale)
+    above = metres / 2 / math.tan(math.radians(fov) / 2) * -math.sin(math.radians(pitch))
     frame = Frame(
         "", Path(), width, height, height_above_ground=above, heading=heading % 360, pitch=pitch, roll=roll, fov=fov
     )
@@ -208,8 +208,8 @@ class GroundPyramid:
         level, matrix = self._from_view(to_ground, pixels, pixels)
         picture, valid = self.levels[level]
         cut = _warp(picture, matrix, pixels, pixels)
-        shown = cv2.warpPerspective(valid, matrix, (pixels, pixels), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
-        cut[shown == 0] = 0
+        inside = cv2.warpPerspective(valid, matrix, (pixels, pixels), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+        cut[inside == 0] = 0
         return cut
 
     def photo(self, shot: SimulatedPhoto, pixels: int) -> UInt8Array:
@@ -248,15 +248,15 @@ def overlaps(corners: npt.ArrayLike) -> BoolArray:
     return np.asarray(meets & meets.T)
 
 
-def _check_sizes(town: Map, pixels: int, sizes: tuple[float, float] | None) -> tuple[float, float]:
+def _check_sizes(basemap: Map, pixels: int, sizes: tuple[float, float] | None) -> tuple[float, float]:
     """Return the sides of windows in metres, or raise InputError."""
-    west, south, east, north = town.bounds
+    west, south, east, north = basemap.bounds
     most = _LARGEST * min(east - west, north - south)
     if sizes is None:
-        low, high = (factor * pixels * town.resolution for factor in _SIZES)
+        low, high = (factor * pixels * basemap.resolution for factor in _SIZES)
         low, high = min(low, most / 2), min(high, most)
         # A map of an irregular outline has data for smaller windows only.
-        while high > 1.5 * low and not len(_places(town, high)[0]):
+        while high > 1.5 * low and not len(_places(basemap, high)[0]):
             high *= 0.8
         return low, high
     low, high = sizes
@@ -266,32 +266,32 @@ def _check_sizes(town: Map, pixels: int, sizes: tuple[float, float] | None) -> t
         )
     if high > most:
         raise InputError(
-            f"Windows of {high:g} m are too large for the map {printable(town.name)}, which is {east - west:.0f} m by "
+            f"Windows of {high:g} m are too large for the map {printable(basemap.name)}, which is {east - west:.0f} m by "
             f"{north - south:.0f} m; give at most {most:.3g} m, half of its shorter side, with --window-sizes."
         )
     return float(low), float(high)
 
 
-def _places(town: Map, size: float) -> tuple[Float64Array, float]:
+def _places(basemap: Map, size: float) -> tuple[Float64Array, float]:
     """Return the centres, (N, 2) metres, of windows with enough data, and the step between them in metres."""
-    west, south, east, north = town.bounds
+    west, south, east, north = basemap.bounds
     step = max(size / _STEPS, math.sqrt((east - west) * (north - south) / _MAX_PLACES))
-    centres = grid(town.bounds, size, step)
-    return centres[town.valid_shares(centres, size) >= _MIN_VALID], step
+    centres = grid(basemap.bounds, size, step)
+    return centres[basemap.valid_shares(centres, size) >= _MIN_VALID], step
 
 
-def _ground_of(town: Map, pixels: int) -> GroundPyramid:
+def _ground_of(basemap: Map, pixels: int) -> GroundPyramid:
     """Hold a whole map, `pixels` along its longer side."""
-    west, south, east, north = town.bounds
+    west, south, east, north = basemap.bounds
     side = max(east - west, north - south)
-    return _ground(Window(west + side / 2, north - side / 2, side), pixels, *town.overview(pixels))
+    return _ground(Window(west + side / 2, north - side / 2, side), pixels, *basemap.overview(pixels))
 
 
-def _ground_about(town: Map, window: Window, pixels: int) -> GroundPyramid:
+def _ground_about(basemap: Map, window: Window, pixels: int) -> GroundPyramid:
     """Read the ground about a window, at the resolution at which it fills `pixels` a side."""
     around = Window(window.x, window.y, _AROUND * window.size)
     side = math.ceil(_AROUND * pixels)
-    return _ground(around, side, *town.read(around, side), levels=1)
+    return _ground(around, side, *basemap.read(around, side), levels=1)
 
 
 def _ground(
@@ -299,9 +299,9 @@ def _ground(
 ) -> GroundPyramid:
     mask = valid.astype(np.uint8) * np.uint8(255)
     picture = _filled(picture, mask)
-    found = []
+    levels_made = []
     for _ in range(levels):
-        found.append((picture, mask))
+        levels_made.append((picture, mask))
         # An odd row or column at the end is left out, so that pixels of all levels have common edges.
         rows, columns = (side // 2 * 2 for side in mask.shape)
         if min(rows, columns) < 2:
@@ -310,7 +310,7 @@ def _ground(
             cast(UInt8Array, cv2.resize(of[:rows, :columns], (columns // 2, rows // 2), interpolation=how))
             for of, how in ((picture, cv2.INTER_AREA), (mask, cv2.INTER_NEAREST))
         )
-    return GroundPyramid(window, pixels, found)
+    return GroundPyramid(window, pixels, levels_made)
 
 
 def _filled(picture: UInt8Array, mask: UInt8Array) -> UInt8Array:

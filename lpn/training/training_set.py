@@ -96,25 +96,25 @@ class TrainingSet:
         _check_sets(by_place, dataset.root)
         _leave_out_broken(by_place, dataset.root, console)
         _check_sets(by_place, dataset.root)
-        found = trainable(by_place)
-        if not found.places:
+        training_places = trainable(by_place)
+        if not training_places.places:
             raise DataError(
                 f"No place of {dataset.root.name} has pictures in two of {', '.join(by_place)}; nothing to train on."
             )
-        if found.left_out:
+        if training_places.left_out:
             views = [name for name in by_place if name != "google"]
             lacking = "one" if len(views) == 2 else "all but one"
             console.print(
-                f"{len(found.left_out)} places lack a picture in {lacking} of {', '.join(views)} and are left out: "
-                f"{named(found.left_out)}.",
+                f"{len(training_places.left_out)} places lack a picture in {lacking} of {', '.join(views)} and are left out: "
+                f"{named(training_places.left_out)}.",
                 soft_wrap=True,
             )
-        for name, without in found.gaps.items():
+        for name, without in training_places.gaps.items():
             console.print(
                 f"{len(without)} places lack a picture in {name} and are trained on in their other views: {named(without)}.",
                 soft_wrap=True,
             )
-        self.labels = found.places
+        self.labels = training_places.places
         self.files = _filled(
             {name: [places.get(label, []) for label in self.labels] for name, places in by_place.items()}
         )
@@ -209,9 +209,9 @@ class TrainingSet:
 def _check_sets(by_place: Mapping[str, object], root: Path) -> None:
     """Raise DataError without tiles, or without pictures of another view."""
     if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
-        found = ", ".join(f"train/{name}" for name in by_place) or "none"
+        listed = ", ".join(f"train/{name}" for name in by_place) or "none"
         raise DataError(
-            f"{root.name} has pictures in {found}; training needs train/satellite and at least one of train/drone, "
+            f"{root.name} has pictures in {listed}; training needs train/satellite and at least one of train/drone, "
             "train/street, as in University-1652."
         )
 
