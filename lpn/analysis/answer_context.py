@@ -81,7 +81,7 @@ def answers_alike(
 
 def describe_lead(outcomes: Outcomes, lead: float) -> str:
     """Compare a right answer's lead in d² with those of all right answers; empty where there are few of them."""
-    leads = outcomes.margin[outcomes.found]
+    leads = outcomes.margin[outcomes.hits]
     leads = leads[np.isfinite(leads)]
     if len(leads) < _FEWEST:
         return ""

@@ -105,10 +105,10 @@ def umap(queries: npt.ArrayLike, gallery: npt.ArrayLike, neighbours: int = 15, s
 
 def inside(points: Float64Array, corners: Float64Array) -> Int64Array:
     """Return the indices of points (N, 2) within a closed line of corners (C, 2), by the even-odd rule, (M,), ascending."""
-    found = np.zeros(len(points), bool)
+    is_inside = np.zeros(len(points), bool)
     x, y = points.T
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         if y0 != y1:
             crossed = (y0 > y) != (y1 > y)
-            found ^= crossed & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
-    return np.flatnonzero(found)
+            is_inside ^= crossed & (x < x0 + (y - y0) / (y1 - y0) * (x1 - x0))
+    return np.flatnonzero(is_inside)

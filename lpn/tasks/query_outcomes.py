@@ -80,13 +80,13 @@ class Outcomes:
         return np.asarray(self.known & (self.rank != 0))
 
     @property
-    def found(self) -> BoolArray:
+    def hits(self) -> BoolArray:
         """The queries whose true match is first, (Q,)."""
         return np.asarray(self.known & (self.rank == 0))
 
     def verdict(self, query: int) -> bool | None:
         """Return whether a query is found; None if its truth is not known."""
-        return bool(self.found[query]) if self.known[query] else None
+        return bool(self.hits[query]) if self.known[query] else None
 
     def __len__(self) -> int:
         return len(self.rank)
@@ -157,8 +157,8 @@ def outcomes_from_parts(
     deciding_part = np.where(ranking.first == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
     deciding_part = np.where(np.isnan(margin), -1, deciding_part)
     known = np.ones(len(parts), bool) if known is None else known
-    found = ranking.first, ranking.best, ranking.true, ranking.false
-    return Outcomes(*found, parts, margin, deciding_part, used, known, ranking.depth)
+    ranks = ranking.first, ranking.best, ranking.true, ranking.false
+    return Outcomes(*ranks, parts, margin, deciding_part, used, known, ranking.depth)
 
 
 def table(
