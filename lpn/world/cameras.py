@@ -121,10 +121,10 @@ def any_drone_poses(aim: tuple[float, float, float], views: int, sight: float, r
     """
     poses: list[Pose] = []
     while len(poses) < views:
-        height, shown = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((60, 400), (0.6 * TILE, 2.2 * TILE)))
+        height, metres = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in ((60, 400), (0.6 * TILE, 2.2 * TILE)))
         tilt = float(rng.uniform(40, 80) if rng.random() < 0.7 else rng.uniform(80, 90))
         distance = height / np.sin(np.radians(tilt))
-        fov = float(np.degrees(2 * np.arctan(shown / 2 / distance)))
+        fov = float(np.degrees(2 * np.arctan(metres / 2 / distance)))
         heading = float(rng.uniform(0, 360))
         h, away = np.radians(heading), height / np.tan(np.radians(tilt))
         x, y = float(aim[0] - away * np.sin(h)), float(aim[1] - away * np.cos(h))

@@ -37,4 +37,4 @@ def splits(pairs: Sequence[tuple[Split, str, str]]) -> dict[str, bytes]:
     lines: dict[str, list[str]] = {file: [] for file in _SPLITS.values()}
     for split, tile, panorama in pairs:
         lines[_SPLITS[split]].append(",".join([*(path.removeprefix(f"{FOLDER}/") for path in (tile, panorama)), ""]))
-    return {file: "".join(f"{line}\n" for line in found).encode() for file, found in lines.items()}
+    return {file: "".join(f"{line}\n" for line in lines_of).encode() for file, lines_of in lines.items()}

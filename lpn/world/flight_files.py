@@ -43,14 +43,14 @@ _XMP = """<?xpacket begin="\ufeff" id="W5M0MpCehiHzreSzNTczkc9d"?>
 <?xpacket end="w"?>"""
 
 
-def photo_bytes(picture: FlightPicture, shown: NDArray[np.uint8]) -> bytes:
+def photo_bytes(picture: FlightPicture, pixels: NDArray[np.uint8]) -> bytes:
     """Encode a photo (h, w, 3) as JPEG with EXIF and XMP.
 
     XMP has latitude and longitude to 1e-9 degrees, heights to 0.01 m, and angles to 0.1 degrees.
     """
-    height, width = shown.shape[:2]
+    height, width = pixels.shape[:2]
     data = io.BytesIO()
-    Image.fromarray(shown).save(
+    Image.fromarray(pixels).save(
         data, "JPEG", quality=_QUALITY, exif=_exif(picture, width, height), xmp=_xmp(picture, width)
     )
     return data.getvalue()
@@ -201,18 +201,22 @@ class MapGrid:
         middles = (np.arange(self.pixels) + 0.5) * scale
         cut = np.empty((self.pixels, self.pixels, light.shape[2]), np.float32)
         for row, middle in enumerate(middles):
-            found = (_terms(middles, np.full(self.pixels, middle)) @ fit - 0.5).astype(np.float32)
+            source_pixels = (_terms(middles, np.full(self.pixels, middle)) @ fit - 0.5).astype(np.float32)
             cut[row] = cv2.remap(
-                light, found[None, :, 0], found[None, :, 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+                light,
+                source_pixels[None, :, 0],
+                source_pixels[None, :, 1],
+                cv2.INTER_CUBIC,
+                borderMode=cv2.BORDER_REPLICATE,
             )[0]
         return np.maximum(cut, 0)
 
-    def geotiff(self, shown: NDArray[np.uint8]) -> bytes:
+    def geotiff(self, pixels: NDArray[np.uint8]) -> bytes:
         """Encode the map (n, n, 3) as a tiled GeoTIFF with overviews, JPEG-compressed."""
         from rasterio import Affine
 
         return _geotiff(
-            shown, self.crs, Affine(self._pixel, 0.0, self.west, 0.0, -self._pixel, self.north), _MAP_QUALITY
+            pixels, self.crs, Affine(self._pixel, 0.0, self.west, 0.0, -self._pixel, self.north), _MAP_QUALITY
         )
 
 
@@ -224,19 +228,19 @@ def compressed_map(file: Path, quality: int) -> bytes:
         return _geotiff(np.moveaxis(opened.read(), 0, 2), opened.crs, opened.transform, quality)
 
 
-def _geotiff(shown: NDArray[np.uint8], crs: Any, transform: Any, quality: int) -> bytes:
+def _geotiff(pixels: NDArray[np.uint8], crs: Any, transform: Any, quality: int) -> bytes:
     """Encode a picture (h, w, 3) as a tiled GeoTIFF with overviews."""
     import rasterio
     from rasterio.enums import Resampling
     from rasterio.io import MemoryFile
 
-    height, width = shown.shape[:2]
+    height, width = pixels.shape[:2]
     with rasterio.Env(JPEG_QUALITY_OVERVIEW=quality), MemoryFile() as file:
         with file.open(
             driver="GTiff", width=width, height=height, count=3, dtype="uint8", crs=crs, transform=transform,
             tiled=True, blockxsize=256, blockysize=256, compress="jpeg", photometric="ycbcr", jpeg_quality=quality,
         ) as written:  # fmt: skip
-            written.write(np.moveaxis(shown, 2, 0))
+            written.write(np.moveaxis(pixels, 2, 0))
             written.build_overviews([2, 4, 8], Resampling.average)
         return bytes(file.read())
 

@@ -214,7 +214,7 @@ def plan_flight(city: City, site: Site, frames: int) -> FlightPlan:
     tilt = rng.normal(0, e.tilt, (2, frames))
     drift = np.stack([gauss_markov(rng, times, e.drift, e.drift_seconds) for _ in range(2)], axis=1)
     velocity = speeds[:, None] * np.stack([np.sin(np.radians(courses)), np.cos(np.radians(courses))], axis=1)
-    told = places + rng.normal(0, e.offset, 2) + drift + rng.normal(0, e.noise, (frames, 2)) - e.lag * velocity
+    logged = places + rng.normal(0, e.offset, 2) + drift + rng.normal(0, e.noise, (frames, 2)) - e.lag * velocity
     risen = heights + gauss_markov(rng, times, e.height_drift, e.height_seconds)
     altitude = ground + rng.normal(0, e.altitude)
     lean = rng.normal(0, (1.2, 1.6), (frames, 2)) + np.stack([-0.7 * speeds, 0.9 * _across(wind, courses)], axis=1)
@@ -225,7 +225,7 @@ def plan_flight(city: City, site: Site, frames: int) -> FlightPlan:
             float(x + places[i, 0]), float(y + places[i, 1]), float(ground + heights[i]), float(heading[i] % 360),
             float(pitch[i] + tilt[0, i]), float(tilt[1, i]),
         )  # fmt: skip
-        latitude, longitude = site.degrees(x + told[i, 0], y + told[i, 1])
+        latitude, longitude = site.degrees(x + logged[i, 0], y + logged[i, 1])
         tag = Tag(
             float(latitude), float(longitude), float(risen[i]), float(altitude + risen[i]), (float(yaw[i]), float(pitch[i]), 0.0),
             (float(nose[i]), float(lean[i, 0]), float(lean[i, 1])),

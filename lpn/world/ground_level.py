@@ -95,16 +95,18 @@ class GroundLevel:
         low, high = corners.min(axis=0) - far, corners.max(axis=0) + far
         things = self._things(low, high)
         close = _inside(self._ways, low, high)
-        found = self._judged(target, things, self._ways[close], self._kinds[close], (near, far), _TRIED)
-        if (found.seen > 0.4).sum() < _ENOUGH:
+        viewpoints = self._judged(target, things, self._ways[close], self._kinds[close], (near, far), _TRIED)
+        if (viewpoints.seen > 0.4).sum() < _ENOUGH:
             x, y = (np.arange(a, b, 3.0) for a, b in zip(low, high, strict=True))
             grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
             kinds = np.full(len(grid), _OPEN)
             more = self._judged(target, things, grid, kinds, (min(near, CLOSER), far), 3 * _TRIED)
-            found = Viewpoints(*(np.concatenate(pair) for pair in zip(_columns(found), _columns(more), strict=True)))
-        if not len(found.places):
+            viewpoints = Viewpoints(
+                *(np.concatenate(pair) for pair in zip(_columns(viewpoints), _columns(more), strict=True))
+            )
+        if not len(viewpoints.places):
             raise InputError(f"There is nowhere to stand around place {target.number} of this world; try another seed.")
-        return found
+        return viewpoints
 
     def _things(self, low: Float64Array, high: Float64Array) -> Obstacles:
         """Return the obstacles in a box, or reaching into it."""
@@ -208,7 +210,7 @@ def panoramas(
     river = city.terrain.river
     choice = {target.number: outdoors.around(target, 6.0, 60.0) for target in city.targets} if count else {}
     taken = np.zeros((0, 2))
-    found: dict[int, list[Panorama]] = {target.number: [] for target in city.targets}
+    by_target: dict[int, list[Panorama]] = {target.number: [] for target in city.targets}
     for number in range(count):
         for target in city.targets:
             stands = choice[target.number]
@@ -226,8 +228,8 @@ def panoramas(
             if not own_side[pick] or (len(taken) and distances(stands.places[pick][None], taken).min() < 1):
                 raise InputError(f"Place {target.number} has room for {number} panoramas; ask for no more.")
             taken = np.concatenate([taken, stands.places[pick][None]])
-            found[target.number].append(Panorama(x, y, city.height(x, y) + float(rng.uniform(2.1, 2.5))))
-    return found
+            by_target[target.number].append(Panorama(x, y, city.height(x, y) + float(rng.uniform(2.1, 2.5))))
+    return by_target
 
 
 def _ways(city: City) -> tuple[Float64Array, _Kind]:

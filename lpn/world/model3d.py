@@ -158,8 +158,8 @@ def _windows(style: str) -> bytes:
     height, width = (int(_UNITS * side / units) for side, units in zip(pattern.shape, (STOREYS, BAYS), strict=False))
     side = _UNITS * _UNIT_PIXELS
     value = np.clip(cv2.resize(pattern[-height:, :width], (side, side), interpolation=cv2.INTER_AREA), 0, 1)
-    shown = np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
-    return cv2.imencode(".png", np.rint(shown[..., ::-1] * 255).astype(np.uint8))[1].tobytes()
+    encoded = np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
+    return cv2.imencode(".png", np.rint(encoded[..., ::-1] * 255).astype(np.uint8))[1].tobytes()
 
 
 def _ground(city: City, window: Window, detail: Detail) -> Primitive:

@@ -204,16 +204,16 @@ def develop(light: Float32Array, look: Look, rng: np.random.Generator, pose: Pos
     value = light * np.float32(look.exposure) * np.array(look.balance, np.float32)
     # A film-like shoulder keeps white roofs from burning out.
     value = value * (1 + value / 4.5) / (1 + value)
-    shown = np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
-    grey = shown @ np.array([0.3, 0.59, 0.11], np.float32)
-    shown = grey[..., None] + look.saturation * (shown - grey[..., None])
-    shown = 0.42 + look.contrast * (shown - 0.42)
+    developed = np.where(value < 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 1e-6) ** (1 / 2.4) - 0.055)
+    grey = developed @ np.array([0.3, 0.59, 0.11], np.float32)
+    developed = grey[..., None] + look.saturation * (developed - grey[..., None])
+    developed = 0.42 + look.contrast * (developed - 0.42)
     depth = np.float32(look.haze) if pose is None else 1 - (1 - look.haze) ** (_distance(pose, light.shape[0]) / 500)
-    shown = shown + np.expand_dims(depth, -1) * (np.array(look.veil, np.float32) - shown)
+    developed = developed + np.expand_dims(depth, -1) * (np.array(look.veil, np.float32) - developed)
     if look.blur:
-        shown = cv2.GaussianBlur(shown, (0, 0), look.blur)
-    noise = rng.normal(0, look.noise, shown.shape) * 0.6 + rng.normal(0, look.noise, (*shown.shape[:2], 1))
-    picture: NDArray[np.uint8] = (np.clip(shown + noise, 0, 1) * 255 + 0.5).astype(np.uint8)
+        developed = cv2.GaussianBlur(developed, (0, 0), look.blur)
+    noise = rng.normal(0, look.noise, developed.shape) * 0.6 + rng.normal(0, look.noise, (*developed.shape[:2], 1))
+    picture: NDArray[np.uint8] = (np.clip(developed + noise, 0, 1) * 255 + 0.5).astype(np.uint8)
     return picture
 
 

@@ -213,12 +213,12 @@ def _river(west: Float64Array, east: Float64Array, warp: Warp, rng: np.random.Ge
 def _arterials(nodes: Float64Array, river: int, warp: Warp) -> list[Street]:
     """Lay arterials along the grid's lines; those from west to east stop at the river, where their bridges begin."""
     columns, rows, _ = nodes.shape
-    found: list[Street] = []
+    streets: list[Street] = []
     for i in range(columns):
-        found.extend(street(nodes[i, j : j + 2], "arterial", warp) for j in range(rows - 1))
+        streets.extend(street(nodes[i, j : j + 2], "arterial", warp) for j in range(rows - 1))
     for j in range(rows):
-        found.extend(street(nodes[i : i + 2, j], "arterial", warp) for i in range(columns - 1) if i != river)
-    return found
+        streets.extend(street(nodes[i : i + 2, j], "arterial", warp) for i in range(columns - 1) if i != river)
+    return streets
 
 
 def _bridges(nodes: Float64Array, river: int, warp: Warp) -> list[RoadBridge]:

@@ -110,11 +110,11 @@ class BlenderScene:
         file = self._folder / f"frame-{os.getpid()}.png"
         render.filepath = str(file)
         bpy.ops.render.render(write_still=True)
-        shown = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        stored = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         file.unlink()
-        if shown is None:
+        if stored is None:
             raise OSError(f"Blender left no picture at {file}")
-        value = shown[..., 2::-1].astype(np.float32) / 65535
+        value = stored[..., 2::-1].astype(np.float32) / 65535
         return np.where(value < 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32) * 4
 
     def _settings(self, samples: int, threads: int) -> None:
@@ -318,8 +318,8 @@ class BlenderScene:
 
     def _image(self, name: str, colour: Float32Array, alpha: Float32Array | None) -> Any:
         """Make an sRGB image of linear colours in [0, 1] with an alpha channel."""
-        shown = np.where(colour < 0.0031308, 12.92 * colour, 1.055 * np.maximum(colour, 1e-6) ** (1 / 2.4) - 0.055)
-        channels = [shown[..., ::-1]] if alpha is None else [shown[..., ::-1], alpha[..., None]]
+        encoded = np.where(colour < 0.0031308, 12.92 * colour, 1.055 * np.maximum(colour, 1e-6) ** (1 / 2.4) - 0.055)
+        channels = [encoded[..., ::-1]] if alpha is None else [encoded[..., ::-1], alpha[..., None]]
         data = (np.clip(np.concatenate(channels, axis=-1), 0, 1) * 255 + 0.5).astype(np.uint8)
         file = self._folder / f"{name.replace(' ', '-')}-{os.getpid()}.png"
         cv2.imwrite(str(file), data, [cv2.IMWRITE_PNG_COMPRESSION, 1])

@@ -175,7 +175,7 @@ def _polygons(mesh: meshes.Mesh, face: float = 0.0) -> dict[str, Polygons]:
     areas = np.linalg.norm(crosses, axis=1) / 2
     units = crosses / np.maximum(2 * areas, 1e-12)[:, None]
     styles = np.array([name.removeprefix("wall ") if _has_windows(name) else PLAIN for name in mesh.materials])
-    found = {}
+    by_style = {}
     for style in sorted(set(styles[areas >= face].tolist())):
         mine = np.flatnonzero((styles == style) & (areas >= face))
         corners = np.concatenate([np.arange(starts[i], starts[i] + sizes[i]) for i in mine])
@@ -184,14 +184,14 @@ def _polygons(mesh: meshes.Mesh, face: float = 0.0) -> dict[str, Polygons]:
             k = int(sizes[i])
             faces.append(first + np.stack([np.zeros(k - 2, int), np.arange(1, k - 1), np.arange(2, k)], axis=1))
             first += k
-        found[style] = Polygons(
+        by_style[style] = Polygons(
             vertices[corners],
             np.concatenate(faces),
             np.repeat(units[mine], sizes[mine], axis=0),
             np.repeat(tints[mine], sizes[mine], axis=0),
             uv[corners] * (style != PLAIN),
         )
-    return found
+    return by_style
 
 
 def _has_windows(material: str) -> bool:
