@@ -76,8 +76,8 @@ class DescribeCommand:
     def _store(self) -> int:
         from lpn import descriptors
 
-        if given := [name for name in _FOR_RAY if getattr(self, name) is not None]:
-            raise InputError(f"--{given[0]} is for many workers; give it with --engine ray.")
+        if options := [name for name in _FOR_RAY if getattr(self, name) is not None]:
+            raise InputError(f"--{options[0]} is for many workers; give it with --engine ray.")
         if "://" in (self.images or "") + self.out:
             raise InputError("Only --engine ray reads and writes addresses; give folders, or --engine ray.")
         if self.map is not None:
@@ -96,15 +96,15 @@ class DescribeCommand:
         if self.images is not None:
             raise InputError("A map's windows are described in place of pictures; give either --map or --images.")
         view = self.view or "satellite"
-        model, town = self._model(view), open_map(where)
-        sizes = self.size or pyramid_sizes(town, [])
-        windows = town.pyramid(sizes, 0.5 if self.overlap is None else self.overlap)
+        model, basemap = self._model(view), open_map(where)
+        sizes = self.size or pyramid_sizes(basemap, [])
+        windows = basemap.pyramid(sizes, 0.5 if self.overlap is None else self.overlap)
         if not windows:
             raise InputError(
-                f"No window of {min(sizes):.0f} m or more fits on the map {printable(town.name)}; give smaller ones as --size."
+                f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
             )
-        named = NamedWindow.all_of(windows, town.frame)
-        self._report(describe_windows(model, town, named, self.out, view, self.precision), model, "windows")
+        named = NamedWindow.all_of(windows, basemap.frame)
+        self._report(describe_windows(model, basemap, named, self.out, view, self.precision), model, "windows")
         return 0
 
     def _model(self, view: View) -> Model:

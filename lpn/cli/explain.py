@@ -76,7 +76,7 @@ class ExplainCommand:
         query = retrieval.describe_picture(model, images.load_picture(self.query), self.view_query, self.rotate)
         tile = retrieval.describe_picture(model, images.load_picture(self.match), self.view_match)
         traces = None if query.trace is None or tile.trace is None else (query.trace, tile.trace)
-        found = None if traces is None else explain.evidence(*traces, weights)
+        evidence = None if traces is None else explain.evidence(*traces, weights)
         cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
         names = model.contract.names(self.view_query)
         console = wide_console(100)
@@ -85,23 +85,23 @@ class ExplainCommand:
         of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
         if losses is not None:
             of |= occlusion.to_dict(cosines, weights, losses, names)
-        elif found is not None:
-            of |= found.to_dict(names, model.contract.claim)
-        _show(console, cosines, weights, found, names, model.contract.claim)
-        if found is not None:
-            console.print(verdicts.describe_evidence(found, names, *views), markup=False)
+        elif evidence is not None:
+            of |= evidence.to_dict(names, model.contract.claim)
+        _show(console, cosines, weights, evidence, names, model.contract.claim)
+        if evidence is not None:
+            console.print(verdicts.describe_evidence(evidence, names, *views), markup=False)
         if self.json is not None:
             write_json(self.json, of)
-        if self.png is not None and found is not None and traces is not None:
+        if self.png is not None and evidence is not None and traces is not None:
             cut = [model.as_partitioned(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
             titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
             areas = [
                 PartAreas.of(model.contract, view, trace.size, trace) for view, trace in zip(views, traces, strict=True)
             ]
-            shown = pair_figure.draw(
-                found, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses
+            figure = pair_figure.draw(
+                evidence, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses
             )
-            write_atomic(self.png, pair_figure.encode(shown))
+            write_atomic(self.png, pair_figure.encode(figure))
 
 
 def part_values(text: str | None) -> list[float] | None:
@@ -124,16 +124,16 @@ def _losses(
 
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("Covering", total=occlusion.SQUARES**2)
-        for found in occlusion.occlude(model, query.picture, view, tile.descriptor):
-            bar.update(task, completed=found[0])
-    return found[1]
+        for done_losses in occlusion.occlude(model, query.picture, view, tile.descriptor):
+            bar.update(task, completed=done_losses[0])
+    return done_losses[1]
 
 
 def _show(
     console: Console,
     cosines: Float32Array,
     weights: Float32Array,
-    found: Evidence | None,
+    evidence: Evidence | None,
     names: Sequence[str],
     claim: str,
 ) -> None:
@@ -141,7 +141,7 @@ def _show(
 
     score = float(cosines @ weights)
     table = Table(title=f"score {score:.4f}, squared distance {2 - 2 * score:.4f} ({claim})")
-    sums = () if found is None else found.part_sums
+    sums = () if evidence is None else evidence.part_sums
     for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant")[
         : 4 + len(sums)
     ]:

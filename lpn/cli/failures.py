@@ -175,11 +175,11 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
     # Among failures alone, every rate is 100 %.
     looked = rows if 0 < failures < len(rows) else table.rows()
     for column in picture_columns(table):
-        found = breakdown.rates(outcomes.failed, column, rows=looked)
-        if column.name not in ("latitude", "longitude") and len(found) > 1:
+        rates = breakdown.rates(outcomes.failed, column, rows=looked)
+        if column.name not in ("latitude", "longitude") and len(rates) > 1:
             of = f"{'all ' if len(looked) == len(table) else ''}{len(looked)} queries"
-            listed = f"; {top} of {len(found)} values" if len(found) > top else ""
-            _print_rates(console, f"Failures by {column.name}, of {of}{listed}:", found[:top])
+            listed = f"; {top} of {len(rates)} values" if len(rates) > top else ""
+            _print_rates(console, f"Failures by {column.name}, of {of}{listed}:", rates[:top])
 
 
 def _print_counts(console: Console, title: str, counts: list[tuple[str, int]]) -> None:

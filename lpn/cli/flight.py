@@ -73,14 +73,14 @@ def _known(frames: tuple[Frame, ...], value: Callable[[Frame], float | None]) ->
 
 def _range(frames: tuple[Frame, ...], value: Callable[[Frame], float | None], unit: str) -> tuple[int, str]:
     """Return the number of known values, and least, median, and most of them."""
-    known = sorted(found for frame in frames if (found := value(frame)) is not None)
+    known = sorted(number for frame in frames if (number := value(frame)) is not None)
     if not known:
         return 0, ""
     least, median, most = known[0], known[len(known) // 2], known[-1]
-    told = (
+    text = (
         f"{median:.1f}{unit}" if most - least < 0.05 else f"{least:.1f} to {most:.1f}{unit}, median {median:.1f}{unit}"
     )
-    return len(known), told
+    return len(known), text
 
 
 def _sources(frames: tuple[Frame, ...]) -> str:

@@ -64,7 +64,7 @@ class IndexCommand:
                     index.add(chosen, chunk.rows(some), None if chunk.positions is None else chunk.positions[some])
                     added += len(some)
                 bar.advance(task, len(chunk.names))
-            print(f"{printable(_shown(self.out))} holds {index.count()} tiles, {added} of them added now.")
+            print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
         if there := tiles.count - added:
             print(
                 f"{there} were there already and were left as they are; give --replace where pictures or positions changed."
@@ -74,7 +74,7 @@ class IndexCommand:
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
-        return f"The tiles that {printable(_shown(self.out))} has by now are kept; the same command goes on."
+        return f"The tiles that {printable(_displayed(self.out))} has by now are kept; the same command goes on."
 
 
 @dataclass
@@ -131,12 +131,12 @@ class SearchCommand:
             ).descriptor
             # One more than is listed, for the gap after the last, where the index gives so many.
             wanted = self.top + (index.most is None or self.top < index.most)
-            found = index.search(query, weights, wanted, self.box)
-        matches = _matches(found, query, weights, self.top, model, self.view)
+            result = index.search(query, weights, wanted, self.box)
+        matches = _matches(result, query, weights, self.top, model, self.view)
         _show(matches, model.contract.names(self.view))
         if self.json is not None:
             request: dict[str, Any] = {
-                "index": _shown(self.index),
+                "index": _displayed(self.index),
                 "model": model.fingerprint,
                 "picture": str(self.picture),
             }
@@ -146,27 +146,27 @@ class SearchCommand:
 
 
 def _matches(
-    found: SearchResult, query: Float32Array, weights: Float32Array, top: int, model: Model, view: View
+    result: SearchResult, query: Float32Array, weights: Float32Array, top: int, model: Model, view: View
 ) -> list[dict[str, Any]]:
     """Return the facts about each tile."""
     import numpy as np
 
     from lpn.retrieval import scoring
 
-    cosines = scoring.part_cosines(query, found.vectors)
+    cosines = scoring.part_cosines(query, result.vectors)
     contributions = scoring.contributions(cosines, weights)
     names = model.contract.names(view)
     matches = []
-    for i, name in enumerate(found.ids[:top]):
-        score = float(found.scores[i])
-        gap = 2 * (score - float(found.scores[i + 1])) if i + 1 < len(found) else None
+    for i, name in enumerate(result.ids[:top]):
+        score = float(result.scores[i])
+        gap = 2 * (score - float(result.scores[i + 1])) if i + 1 < len(result) else None
         match: dict[str, Any] = {"rank": i + 1, "tile": name, "score": score, "distance2": 2 - 2 * score, "gap": gap}
         match["parts"] = [
             {"name": part, "cosine": float(cosines[i, p]), "contribution": float(contributions[i, p])}
             for p, part in enumerate(names)
         ]
-        if not np.isnan(found.positions[i]).any():
-            match["latitude"], match["longitude"] = found.positions[i].tolist()
+        if not np.isnan(result.positions[i]).any():
+            match["latitude"], match["longitude"] = result.positions[i].tolist()
         matches.append(match)
     return matches
 
@@ -188,7 +188,7 @@ def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
     console.print(table if matches else "There is no tile to compare with.")
 
 
-def _shown(where: str) -> str:
+def _displayed(where: str) -> str:
     """Return an address without its password."""
     scheme, separator, rest = where.partition("://")
     return f"{scheme}://{rest.rpartition('@')[2]}" if separator else where

@@ -141,13 +141,13 @@ def locate_files(
         raise InputError(
             "An index has the windows that the retrieval ranks, and their sizes; give --index with --model and without --size."
         )
-    town, flight = open_map(map_path), open_flight(flight_path)
+    basemap, flight = open_map(map_path), open_flight(flight_path)
     flight = replace(flight, frames=flight.frames[:limit])
     kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
     network = None if model is None else lpn.load(model, provider, kind=kind)
-    indexed = None if index is None or network is None else indexed_windows(index, network, town)
+    indexed = None if index is None or network is None else indexed_windows(index, network, basemap)
     with _progress(console) as report:
-        return locate(town, flight, network, options, report, kept, indexed)
+        return locate(basemap, flight, network, options, report, kept, indexed)
 
 
 def print_summary(located: LocatedFlight, console: Console) -> None:
@@ -174,16 +174,16 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     )
     for name in columns:
         table.add_column(name, justify="left" if name == "stage" else "right")
-    for stage, found in summaries.items():
+    for stage, summary in summaries.items():
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
-        shares = [f"{found.within[m]:.0f} %" for m in sorted(found.within)]
-        numbers = [f"{value:.1f}" if found.answered else "-" for value in (found.median, found.p90)]
+        shares = [f"{summary.within[m]:.0f} %" for m in sorted(summary.within)]
+        numbers = [f"{value:.1f}" if summary.answered else "-" for value in (summary.median, summary.p90)]
         table.add_row(
             stage,
             "not verified" if stage == "retrieval" else f"{accepted}",
             *numbers,
             *shares,
-            f"{found.coverage_at_zero:.0f} %",
+            f"{summary.coverage_at_zero:.0f} %",
         )
     console.print(table)
     corrected = sum(frame.by_hand is not None for frame in located.frames)
@@ -198,10 +198,10 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         "ranks windows and verifies none.",
         soft_wrap=True,
     )
-    for stage, found in summaries.items():
-        if found.calibration:
+    for stage, summary in summaries.items():
+        if summary.calibration:
             inside, right = (
-                ", ".join(f"{share:.0f} %" for share in of.values()) for of in (found.calibration, RIGHT_CALIBRATION)
+                ", ".join(f"{share:.0f} %" for share in of.values()) for of in (summary.calibration, RIGHT_CALIBRATION)
             )
             console.print(
                 f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {inside}; right radii, against an exact truth, "

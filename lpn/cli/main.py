@@ -86,24 +86,24 @@ def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int],
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        level, given = log.parse_level(list(sys.argv[1:] if arguments is None else arguments))
+        level, words = log.parse_level(list(sys.argv[1:] if arguments is None else arguments))
     except LPNError as error:
         print(f"lpn: {error}", file=sys.stderr)
         return 2
-    if not given or given[0] in ("-h", "--help"):
+    if not words or words[0] in ("-h", "--help"):
         print(_help())
         return 0
-    if given[0] == "--version":
+    if words[0] == "--version":
         print(lpn.__version__)
         return 0
-    if given[0] not in commands():
-        print(f"lpn has no command {given[0]!r}; it has {', '.join(commands())}.", file=sys.stderr)
+    if words[0] not in commands():
+        print(f"lpn has no command {words[0]!r}; it has {', '.join(commands())}.", file=sys.stderr)
         return 2
     parsed: list[Any] = []
     stop = StopSignals(lambda number: _stopped(parsed, number))
     with log.log_to_stderr(level), stop.listening():
         try:
-            return _run(given, parsed)
+            return _run(words, parsed)
         except KeyboardInterrupt:
             pass
         except BaseException:  # libraries may convert KeyboardInterrupt
@@ -116,10 +116,10 @@ def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int],
         return status
 
 
-def _run(given: list[str], parsed: list[Any]) -> int:
+def _run(arguments: list[str], parsed: list[Any]) -> int:
     """Parse a command, append it to `parsed`, and run it."""
     try:
-        parsed.append(_parse(commands()[given[0]], given[1:], f"lpn {given[0]}"))
+        parsed.append(_parse(commands()[arguments[0]], arguments[1:], f"lpn {arguments[0]}"))
         return int(parsed[0].run() or 0)
     except LPNError as error:
         print(f"lpn: {printable(str(error))}", file=sys.stderr)

@@ -33,14 +33,14 @@ class MapCommand:
         from lpn.maps.folder import build_map
 
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
-        town = build_map(self.files, self.out, options, lambda message: print(printable(message), flush=True))
-        for note in town.notes:
+        written = build_map(self.files, self.out, options, lambda message: print(printable(message), flush=True))
+        for note in written.notes:
             print(printable(note))
-        west, south, east, north = town.bounds
-        latitude, longitude = town.frame.latitude, town.frame.longitude
-        sheets = f"{len(town.sheets)} sheets" if len(town.sheets) > 1 else "one sheet"
+        west, south, east, north = written.bounds
+        latitude, longitude = written.frame.latitude, written.frame.longitude
+        sheets = f"{len(written.sheets)} sheets" if len(written.sheets) > 1 else "one sheet"
         print(
             f"{printable(str(self.out))} shows {east - west:.0f} m by {north - south:.0f} m about {latitude:.6f}, "
-            f"{longitude:.6f}, {town.coverage().mean():.0%} of it with data, from {sheets}; the finest has "
-            f"{town.resolution:.3g} m per pixel."
+            f"{longitude:.6f}, {written.coverage().mean():.0%} of it with data, from {sheets}; the finest has "
+            f"{written.resolution:.3g} m per pixel."
         )

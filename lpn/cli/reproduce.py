@@ -55,7 +55,7 @@ class ReproduceCommand:
     queries: tuple[str, ...] = ()
     """Queries shown in figures 7 (a) and 8, by name."""
     settings: tyro.conf.OmitArgPrefixes[RecipeChanges] = field(default_factory=RecipeChanges)
-    given: tyro.conf.Suppress[tuple[str, ...]] = ()
+    set_recipe: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> None:
         import_module("torch")
@@ -69,7 +69,7 @@ class ReproduceCommand:
             )
         if not self.seeds:
             raise InputError("--seeds is empty; give at least one seed.")
-        if fixed := [name for name in self.given if name in ROW_SETTINGS]:
+        if fixed := [name for name in self.set_recipe if name in ROW_SETTINGS]:
             other = (
                 "give --seeds" if fixed[0] == "seed" else "train that network with lpn train and give it with --model"
             )
@@ -78,13 +78,13 @@ class ReproduceCommand:
                 f"leave it out, or {other}."
             )
         keys = KEYS if self.what == ("all",) else tuple(dict.fromkeys(self.what))
-        rendered = {is_world(given) for given in self.data}
+        rendered = {is_world(data) for data in self.data}
         if len(rendered) > 1 and self.recipe == "auto":
             raise InputError(
                 "--data names a rendered world and others; say with --recipe whether it is paper, released, or reduced."
             )
         name = self.recipe if self.recipe != "auto" else "reduced" if True in rendered else "paper"
-        scale = replace(SCALES[name], changes={name: getattr(self.settings, name) for name in self.given})
+        scale = replace(SCALES[name], changes={name: getattr(self.settings, name) for name in self.set_recipe})
         made = Reproduction(
             self.data,
             self.out,
@@ -105,7 +105,7 @@ class ReproduceCommand:
 
 
 def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
-    """Parse the options of a reproduction; `given` names the settings of the recipes that are among them.
+    """Parse the options of a reproduction; `set_recipe` names the settings of the recipes that are among them.
 
     Raises:
         InputError: if the recipe is unknown.
@@ -119,20 +119,20 @@ def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
     )
     flags = {argument.partition("=")[0] for argument in arguments if argument.startswith("--")}
     names = {flag.removeprefix("--").replace("-", "_").removeprefix("no_") for flag in flags}
-    return replace(command, given=tuple(field.name for field in fields(Recipe) if field.name in names))
+    return replace(command, set_recipe=tuple(field.name for field in fields(Recipe) if field.name in names))
 
 
-def _by_name(given: Sequence[str]) -> dict[str, Path]:
+def _by_name(texts: Sequence[str]) -> dict[str, Path]:
     """Return the files given with --model by the network they replace.
 
     Raises:
         InputError: if two files replace the same network.
     """
-    found: dict[str, Path] = {}
-    for text in given:
+    files: dict[str, Path] = {}
+    for text in texts:
         name, _, file = text.partition("=")
         name, file = (name, file) if file else ("lpn", name)
-        if name in found:
-            raise InputError(f"--model gives two files as {name}, {found[name]} and {file}; give one of them.")
-        found[name] = Path(file)
-    return found
+        if name in files:
+            raise InputError(f"--model gives two files as {name}, {files[name]} and {file}; give one of them.")
+        files[name] = Path(file)
+    return files

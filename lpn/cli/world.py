@@ -77,9 +77,9 @@ class WorldCommand:
     def _check_given(self) -> None:
         """Raise InputError for an option that the chosen kind of pictures has no use for."""
         what, others = ("A flight", _OF_PLACES) if self.flight else ("A world without --flight", _OF_FLIGHTS)
-        given = [name for name in others if getattr(self, name) != getattr(type(self), name)]
-        if given:
-            raise InputError(f"{what} takes no --{given[0].replace('_', '-')}; leave it out.")
+        names = [name for name in others if getattr(self, name) != getattr(type(self), name)]
+        if names:
+            raise InputError(f"{what} takes no --{names[0].replace('_', '-')}; leave it out.")
 
     def _render_flight(self) -> None:
         from lpn.world.flight import FlightSettings, build_flight
