@@ -148,8 +148,8 @@ class App:
         return self._services[key]
 
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
-        found = (services.find_picture(path) for services in list(self._services.values()))
-        return next((compute for compute in found if compute is not None), None)
+        computes = (services.find_picture(path) for services in list(self._services.values()))
+        return next((compute for compute in computes if compute is not None), None)
 
     def _show_other(self, session: ClientSession, key: str, search: str) -> None:
         threading.Thread(target=self._replace, args=(session, key, search), name="explorer-show", daemon=True).start()

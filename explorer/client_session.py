@@ -282,8 +282,8 @@ class ClientSession:
             screen = "&screen=first" if self._state.first_screen else ""
             self._show_other(self, key, f"?show={key}&theme={'dark' if self._state.dark else 'light'}{screen}")
 
-    def _on_select(self, shown: SessionState, index: int) -> None:
-        self.change(lambda state: session_state.compare(state, shown, index))
+    def _on_select(self, drawn_state: SessionState, index: int) -> None:
+        self.change(lambda state: session_state.compare(state, drawn_state, index))
 
     def _on_back(self, search: Any) -> None:
         """Show what an earlier address of the page's history shows."""
@@ -347,8 +347,8 @@ class ClientSession:
         if not self._greeted:  # the page would lose the address that it has yet to send
             return
         with self._lock:  # otherwise the worker could replace a newer address of the laboratory by an older one
-            shown = session_state.with_windows(state, self._state)
-            self._bridge.set_address(self._url_state.write(shown), self._url_state.keys)
+            whole_state = session_state.with_windows(state, self._state)
+            self._bridge.set_address(self._url_state.write(whole_state), self._url_state.keys)
 
     def _fit(self, small: Any) -> None:
         if small is True or self._small:

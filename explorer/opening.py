@@ -296,7 +296,7 @@ def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
         _city(first) if with_city else None,
         first.root,
     )
-    workspace.flight, workspace.town = source.located, source.map
+    workspace.flight, workspace.basemap = source.located, source.map
     return workspace
 
 

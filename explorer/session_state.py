@@ -311,9 +311,9 @@ def upright(state: SessionState) -> SessionState:
     return replace(state, angle=0.0, shift=0, down=0, zoom=1.0, region=())
 
 
-def compare(state: SessionState, shown: SessionState, index: int) -> SessionState:
-    """Compare with a gallery tile that was chosen while `shown` was drawn, unless the query has changed since."""
-    same = (state.task, state.query, state.upload) == (shown.task, shown.query, shown.upload)
+def compare(state: SessionState, drawn_state: SessionState, index: int) -> SessionState:
+    """Compare with a gallery tile that was chosen while `drawn_state` was drawn, unless the query has changed since."""
+    same = (state.task, state.query, state.upload) == (drawn_state.task, drawn_state.query, drawn_state.upload)
     return replace(state, selected=index) if same else state
 
 

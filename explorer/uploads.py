@@ -44,8 +44,8 @@ def read(name: str, content: bytes) -> OwnPicture:
     if not (
         content.startswith((b"\xff\xd8", b"\x89PNG\r\n\x1a\n")) or (content[:4], content[8:12]) == (b"RIFF", b"WEBP")
     ):
-        found = images.other_kind(content[:512]) or "is not a picture that can be read"
-        raise PictureError(f"{name} {found}; expected a {KINDS} file.")
+        flaw = images.other_kind(content[:512]) or "is not a picture that can be read"
+        raise PictureError(f"{name} {flaw}; expected a {KINDS} file.")
     if content.startswith(b"\xff\xd8") and (scans := content.count(b"\xff\xda")) > _MAX_SCANS:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     with _READING:

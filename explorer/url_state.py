@@ -118,19 +118,19 @@ class UrlState:
             state: supplies what the query string leaves out.
         """
         try:
-            given = _given(text)
+            values = _parameters_of(text)
         except ValueError:
             return state, [f"It has more than {_MOST_PARAMETERS} parameters or {_MAX_LENGTH:,} characters."]
         problems = []
         for parameter in self._parameters:  # in this order: the query depends on the task
-            if (value := given.get(parameter.key)) is None:
+            if (value := values.get(parameter.key)) is None:
                 continue
             try:
                 state = parameter.read(state, value)
             except UnusableError as problem:
                 problems.append(f"{parameter.key}={printable(value[:60])}: {problem}")
                 if (parameter.key, value) == ("query", OWN):  # what was done to that picture suits no other one
-                    given = {key: text for key, text in given.items() if key not in _OF_QUERY}
+                    values = {key: text for key, text in values.items() if key not in _OF_QUERY}
         return state, problems
 
     def names_a_state(self, text: str) -> bool:
@@ -156,21 +156,21 @@ class UrlState:
             text: untrusted.
         """
         try:
-            given = {key: printable(value[:60]) for key, value in _given(text).items()}
+            values = {key: printable(value[:60]) for key, value in _parameters_of(text).items()}
         except ValueError:
             return "more than an address holds"
-        words = [given.get("query", "")]
-        if tile := given.get("with"):
+        words = [values.get("query", "")]
+        if tile := values.get("with"):
             words.append(f"with {'the true tile' if tile == POSITIVE else tile}")
-        if off := given.get("off"):
+        if off := values.get("off"):
             words.append(f"without part {off}")
-        words += [word for key, word in _SUMMARY.items() if given.get(key, "0") not in ("0", "")]
+        words += [word for key, word in _SUMMARY.items() if values.get(key, "0") not in ("0", "")]
         return ", ".join(filter(None, words)) or "the page as it is"
 
     def _named(self, text: str) -> set[str]:
         """Return the keys of what a query string names besides a theme; none if it has too many parameters."""
         try:
-            return _given(text).keys() & (set(self.keys) - {"theme"})
+            return _parameters_of(text).keys() & (set(self.keys) - {"theme"})
         except ValueError:
             return set()
 
@@ -181,7 +181,7 @@ class UrlState:
             text: untrusted.
         """
         try:
-            return _given(text).get("show") or next(iter(self._workspace.choices), self._workspace.key)
+            return _parameters_of(text).get("show") or next(iter(self._workspace.choices), self._workspace.key)
         except ValueError:
             return self._workspace.key
 
@@ -192,7 +192,7 @@ class UrlState:
             text: untrusted.
         """
         try:
-            key = _given(text).get("show")
+            key = _parameters_of(text).get("show")
         except ValueError:
             return None
         return key if key != self._workspace.key and key in self._workspace.choices else None
@@ -282,7 +282,7 @@ class UrlState:
         return replace(state, laboratory=replace(state.laboratory, chosen=tuple(chosen)))
 
 
-def _given(text: str) -> dict[str, str]:
+def _parameters_of(text: str) -> dict[str, str]:
     """Return the parameters of a query string; ValueError if there are too many, or it is too long."""
     if len(text) > _MAX_LENGTH:
         raise ValueError

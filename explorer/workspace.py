@@ -110,7 +110,7 @@ class Workspace:
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
         # The map that windows are cut from; None without one.
-        self.town: Map | None = None
+        self.basemap: Map | None = None
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.contract.input_size)
@@ -256,9 +256,9 @@ class Workspace:
         assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
-                town = self.town if self.flight is None else self.flight.town
-                if town is not None:
-                    drawn = mosaic.draw_map(task.geometry, town)
+                basemap = self.basemap if self.flight is None else self.flight.town
+                if basemap is not None:
+                    drawn = mosaic.draw_map(task.geometry, basemap)
                 elif task.depth is not None:
                     drawn = mosaic.empty(task.geometry)
                 else:
@@ -298,10 +298,10 @@ class Workspace:
 
     def _make_thumbnail(self, picture: Picture) -> str:
         try:
-            shown = overlays.square(picture.load(), _THUMBNAIL)
+            square = overlays.square(picture.load(), _THUMBNAIL)
         except PictureError:  # a flight may have frames that cannot be read
-            shown = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
-        return overlays.data_uri(shown)
+            square = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
+        return overlays.data_uri(square)
 
 
 class LazyWorkspace:

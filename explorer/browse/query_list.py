@@ -33,7 +33,7 @@ class QueryList:
     ) -> None:
         self._workspace, self._feeds, self._change = workspace, feeds, change
         self._key: object = None
-        self._shown, self._feed = np.zeros(0, np.int64), ""
+        self._listed, self._feed = np.zeros(0, np.int64), ""
         self._count, self._shell = Html(gui), Html(gui, render("browse/queries"))
         self._data = Html(gui)
 
@@ -48,10 +48,10 @@ class QueryList:
         key = task.name, state.find, ranking.result
         if self._key != key:
             self._key = key
-            self._shown = np.array(session_state.matching_names(task.query_names, state.find), np.int64)
-            self._feed = publish(self._feeds, self, ranking, self._shown)
-            self._count.show(render("browse/count", found=len(self._shown), total=len(task.queries)))
-        position = -1 if state.upload else position_of(state.query, self._shown)
+            self._listed = np.array(session_state.matching_names(task.query_names, state.find), np.int64)
+            self._feed = publish(self._feeds, self, ranking, self._listed)
+            self._count.show(render("browse/count", listed=len(self._listed), total=len(task.queries)))
+        position = -1 if state.upload else position_of(state.query, self._listed)
         data = {
             "kind": "queries",
             "message": "pick",
@@ -60,7 +60,7 @@ class QueryList:
             "address": self._feeds.address,
             "feed": self._feed,
             "pictures": self._feeds.thumbnails(task, "query"),
-            "total": len(self._shown),
+            "total": len(self._listed),
             "chosen": position,
             "reveal": True,
         }

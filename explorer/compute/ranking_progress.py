@@ -21,13 +21,13 @@ class RankingProgress:
     def __init__(self, on_progress: Callable[[RankingJob], None], on_done: Callable[[], None]) -> None:
         self._on_progress, self._on_done, self._lock = on_progress, on_done, threading.Lock()
         self._pending: tuple[RankingJob, ...] = ()
-        self._shown: RankingJob | None = None
+        self._followed: RankingJob | None = None
         self._thread: threading.Thread | None = None
         self._closed = False
 
-    def follow(self, shown: RankingJob, other: RankingJob | None = None) -> None:
+    def follow(self, main: RankingJob, other: RankingJob | None = None) -> None:
         """Wait for the ranking that the page shows, then for another one, and for no others."""
-        needed = (shown,) if other is None else (shown, other)
+        needed = (main,) if other is None else (main, other)
         pending = tuple(
             ranking for ranking in needed if ranking.automatic and ranking.result is None and not ranking.error
         )
@@ -37,11 +37,11 @@ class RankingProgress:
             for ranking in self._pending:
                 if ranking not in pending:
                     ranking.leave(self)
-            self._pending, self._shown = pending, shown
+            self._pending, self._followed = pending, main
             if pending and self._thread is None:
                 self._thread = threading.Thread(target=self._loop, name="explorer-ranking", daemon=True)
                 self._thread.start()
-            self._on_progress(shown)  # the thread's last report may be about another ranking
+            self._on_progress(main)  # the thread's last report may be about another ranking
 
     def close(self) -> None:
         """Stop waiting for good: the browser has left."""
@@ -70,7 +70,7 @@ class RankingProgress:
             with self._lock:
                 if self._pending[:1] != (ranking,):
                     continue
-                if self._shown is ranking:
+                if self._followed is ranking:
                     self._on_progress(ranking)
                 if ended:
                     self._pending = self._pending[1:]

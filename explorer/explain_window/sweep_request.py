@@ -96,5 +96,5 @@ class SweepProgress:
             return None
         over = self.request.over
         now = sweeps.swept_value(over, analysis.state.change)
-        shown = next((p.change for p in self.points if abs(sweeps.swept_value(over, p.change) - now) < 1e-6), None)
-        return SweepResult(over, self.points, shown or self.request.for_query(self.request.analysis.state.change))
+        nearest = next((p.change for p in self.points if abs(sweeps.swept_value(over, p.change) - now) < 1e-6), None)
+        return SweepResult(over, self.points, nearest or self.request.for_query(self.request.analysis.state.change))

@@ -135,8 +135,8 @@ def lines(findings: Findings, points: MapPoints, rows: Int64Array) -> list[list[
 
 def counted(colours: Colours, rows: Int64Array) -> list[int]:
     """Return how many of the selected queries have each code of the palette, and last how many have none."""
-    found = np.bincount(colours.codes[rows], minlength=UNKNOWN + 1)
-    return [*found[: len(colours.labels)].tolist(), int(found[UNKNOWN])]
+    counts = np.bincount(colours.codes[rows], minlength=UNKNOWN + 1)
+    return [*counts[: len(colours.labels)].tolist(), int(counts[UNKNOWN])]
 
 
 def legend(colours: Colours, rows: Int64Array) -> dict[str, Any]:

@@ -95,7 +95,7 @@ class MapPage:
             self._rows, self._chosen = rows, chosen
             self._published.pop("flags", None)
         colour = lab.colour if lab.colour in findings.table.columns else map_data.OUTCOME
-        shown = map_data.colours(findings, colour)
+        colours = map_data.colours(findings, colour)
         origin, unit = map_data.scale(points)
         data: dict[str, Any] = {
             "map": lab.map,
@@ -105,10 +105,10 @@ class MapPage:
             "tiles": len(points.tiles),
             "plane": self._publish("plane", points, lambda: map_data.plane(points)),
             "flags": self._publish("flags", findings.outcomes, lambda: map_data.flags(findings, rows, chosen)),
-            "codes": self._publish("codes", (findings, colour), shown.codes.tobytes),
+            "codes": self._publish("codes", (findings, colour), colours.codes.tobytes),
             "colour": colour,
-            "palette": shown.palette,
-            "legend": map_data.legend(shown, rows),
+            "palette": colours.palette,
+            "legend": map_data.legend(colours, rows),
             "lines": map_data.lines(findings, points, rows),
             "axes": points.axes,
             "selected": len(rows),

@@ -21,7 +21,7 @@ class NoteForm:
         self._service = service
         self._boxes, self._message = Html(gui), Html(gui)
         # The query's path and the note that the boxes were filled with.
-        self._shown: tuple[str, Note] | None = None
+        self._drawn_note: tuple[str, Note] | None = None
         # Path and name of a query whose note could not be saved, and why.
         self._unsaved: tuple[str, str, str] | None = None
         # The path and the note that this browser saved last.
@@ -31,16 +31,16 @@ class NoteForm:
     def show(self, findings: Findings | None, query: int | None) -> None:
         """Fill the boxes if the query or its stored note changed; None removes them."""
         if findings is None or query is None:
-            self._shown = None
+            self._drawn_note = None
             self._boxes.show("")
             self._message.show("")
             return
         stored = findings.table.paths[query], findings.note(query)
-        if stored == self._shown:
+        if stored == self._drawn_note:
             return
-        if self._shown is None or self._shown[0] != stored[0]:
+        if self._drawn_note is None or self._drawn_note[0] != stored[0]:
             self._message.show(self._reminder(stored[0]))
-        self._shown = stored
+        self._drawn_note = stored
         self._revision += 1
         self._boxes.show(table.note(findings, query, stored[1], self._revision))
 
@@ -63,8 +63,8 @@ class NoteForm:
             self._unsaved = None
         newest = self._service.findings(message.task)
         self._saved = None if newest is None else (path, newest.note(message.row))
-        if newest is not None and self._shown is not None and self._shown[0] == path:
-            self._shown = path, newest.note(message.row)
+        if newest is not None and self._drawn_note is not None and self._drawn_note[0] == path:
+            self._drawn_note = path, newest.note(message.row)
         self._say(f"Saved in {self._service.notes_place}.", True, path, (message.tags, message.note))
         return True
 

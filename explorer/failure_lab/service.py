@@ -38,11 +38,11 @@ class SecondRanks:
 
     Attributes:
         names: of the table's own model, which is A, and of the second one, which is B.
-        found: the queries whose true match B ranks first, (Q,).
+        hits: the queries whose true match B ranks first, (Q,).
     """
 
     names: tuple[str, str]
-    found: BoolArray
+    hits: BoolArray
 
 
 @dataclass(frozen=True)

@@ -117,26 +117,26 @@ def choices(lab: LabState) -> LabChoices:
     return LabChoices(chosen=chosen, **same)
 
 
-def with_choices(findings: Findings, lab: LabState, shown: LabChoices) -> LabState:
+def with_choices(findings: Findings, lab: LabState, wanted: LabChoices) -> LabState:
     """Return the state that shows what an address says; an invalid filter is left out, and told."""
-    selections = [Selection(one.kind, one.label, np.array(one.rows, np.int64)) for one in shown.chosen]
+    selections = [Selection(one.kind, one.label, np.array(one.rows, np.int64)) for one in wanted.chosen]
     lab = replace(
         clear(lab),
         rows=lab.rows,
-        tab=shown.tab,
-        outcome=shown.outcome,
-        name_search=shown.name_search,
+        tab=wanted.tab,
+        outcome=wanted.outcome,
+        name_search=wanted.name_search,
         selections=tuple(one for one in selections if not len(one.rows) or one.rows[-1] < len(findings.table)),
-        sort_column=shown.sort_column,
-        descending=shown.descending,
-        columns=shown.columns,
-        full_height=shown.full_height,
-        map=shown.map,
-        map_chosen=lab.map_chosen or shown.tab == "maps",
-        colour=shown.colour,
-        paused=lab.paused - {shown.map} if shown.tab == "maps" else lab.paused,
+        sort_column=wanted.sort_column,
+        descending=wanted.descending,
+        columns=wanted.columns,
+        full_height=wanted.full_height,
+        map=wanted.map,
+        map_chosen=lab.map_chosen or wanted.tab == "maps",
+        colour=wanted.colour,
+        paused=lab.paused - {wanted.map} if wanted.tab == "maps" else lab.paused,
     )
-    return set_filter(lab, shown.filter, findings.table)
+    return set_filter(lab, wanted.filter, findings.table)
 
 
 def show_tab(findings: Findings, lab: LabState, tab: Tab) -> LabState:
@@ -189,15 +189,15 @@ def choose_rows(findings: Findings, lab: LabState, first: int, last: int, how: R
     return replace(lab, rows=changed[how])
 
 
-def chosen_rows(lab: LabState, shown: Int64Array) -> Int64Array:
+def chosen_rows(lab: LabState, listed: Int64Array) -> Int64Array:
     """Return the shown queries whose rows are chosen, in the order of the shown ones."""
-    return shown[np.isin(shown, list(lab.rows))]
+    return listed[np.isin(listed, list(lab.rows))]
 
 
-def chosen_or_shown(lab: LabState, shown: Int64Array) -> Int64Array:
+def chosen_or_all(lab: LabState, listed: Int64Array) -> Int64Array:
     """Return the queries that an action is about: those of the chosen rows, or all shown ones if none is chosen."""
-    chosen = chosen_rows(lab, shown)
-    return chosen if len(chosen) else shown
+    chosen = chosen_rows(lab, listed)
+    return chosen if len(chosen) else listed
 
 
 def show_chosen_rows(findings: Findings, lab: LabState) -> LabState:
@@ -260,7 +260,7 @@ def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
         selections.append(Selection(one.kind, label, rows))
     maps: tuple[MapKind, ...] = get_args(MapKind)
     tabs: tuple[Tab, ...] = get_args(Tab)
-    shown = replace(
+    made = replace(
         choices(lab),
         tab=next((tab for tab in tabs if tab == view.tab), lab.tab),
         outcome=next((outcome for outcome in get_args(OutcomeFilter) if outcome == view.outcome), "all"),
@@ -271,7 +271,7 @@ def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
         map=next((kind for kind in maps if kind == view.map), lab.map),
         colour=view.colour,
     )
-    return replace(with_choices(findings, lab, shown), selections=tuple(selections), rows=frozenset())
+    return replace(with_choices(findings, lab, made), selections=tuple(selections), rows=frozenset())
 
 
 def fixed_columns(table: Table) -> list[str]:
@@ -283,8 +283,8 @@ def fixed_columns(table: Table) -> list[str]:
 
 def toggle_column(lab: LabState, table: Table, name: str) -> LabState:
     """Show a column, or hide it."""
-    shown = extra_columns(lab, table)
-    return replace(lab, columns=tuple(c for c in shown if c != name) if name in shown else (*shown, name))
+    extra = extra_columns(lab, table)
+    return replace(lab, columns=tuple(c for c in extra if c != name) if name in extra else (*extra, name))
 
 
 def extra_columns(lab: LabState, table: Table) -> list[str]:
@@ -300,10 +300,10 @@ def outcome_masks(findings: Findings) -> dict[OutcomeFilter, BoolArray]:
     masks: dict[OutcomeFilter, BoolArray] = {
         "all": np.ones(len(outcomes), bool),
         "failed": outcomes.failed,
-        "found": outcomes.found,
+        "found": outcomes.hits,
     }
     if second is not None:
-        masks |= {"only A": outcomes.found & ~second.found, "only B": second.found & ~outcomes.found}
+        masks |= {"only A": outcomes.hits & ~second.hits, "only B": second.hits & ~outcomes.hits}
     return masks
 
 
@@ -316,8 +316,8 @@ def selected_rows(findings: Findings, lab: LabState, without: str = "", any_outc
     """
     table = findings.table
     rows = table.filter(table.rows(), lab.filter)
-    if (shown := outcome_masks(findings).get(lab.outcome)) is not None and not any_outcome:
-        rows = rows[shown[rows]]
+    if (mask := outcome_masks(findings).get(lab.outcome)) is not None and not any_outcome:
+        rows = rows[mask[rows]]
     for selection in lab.selections:
         if selection.kind != without:
             rows = np.intersect1d(rows, selection.rows, assume_unique=True)

@@ -131,10 +131,10 @@ def column_choice(findings: Findings, lab: LabState) -> str:
     """Return the columns to choose from."""
     fixed = fixed_columns(findings.table)
     names = {name: column.about for name, column in findings.table.columns.items() if name not in fixed}
-    return render("failure_lab/columns", names=names, shown=extra_columns(lab, findings.table))
+    return render("failure_lab/columns", names=names, extra=extra_columns(lab, findings.table))
 
 
-def shown_columns(findings: Findings, lab: LabState) -> list[Column]:
+def visible_columns(findings: Findings, lab: LabState) -> list[Column]:
     """Return the columns of the table."""
     # A column of the user's choice may have become one that is always shown.
     names = dict.fromkeys((*fixed_columns(findings.table), *extra_columns(lab, findings.table)))
@@ -153,7 +153,7 @@ def table(findings: Findings, lab: LabState, selected: int, shell: int, height: 
     if findings.second is not None:
         of_both = zip((RANK_A, RANK_B), findings.second.names, strict=True)
         hints = hints | {rank: f"{_HINTS['rank']} by {name}" for rank, name in of_both}
-    columns = shown_columns(findings, lab)
+    columns = visible_columns(findings, lab)
     return render(
         "failure_lab/table", lab=lab, columns=columns, hints=hints, selected=selected, shell=shell, height=height
     )
@@ -165,7 +165,7 @@ def publish(feeds: Feeds, owner: object, findings: Findings, lab: LabState, rows
     Args:
         rows: the selected queries, in the table's order.
     """
-    columns = shown_columns(findings, lab)
+    columns = visible_columns(findings, lab)
 
     def entries(start: int, end: int) -> list[tuple[int, str]]:
         return lines(findings, columns, feeds, rows[start:end])
@@ -282,7 +282,7 @@ def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit
     if column.name in ("rank", RANK_A):
         return _Cell("number", text or "–", right=outcomes.verdict(row))
     if column.name == RANK_B and findings.second is not None:
-        return _Cell("number", text or "–", right=bool(findings.second.found[row]) if outcomes.known[row] else None)
+        return _Cell("number", text or "–", right=bool(findings.second.hits[row]) if outcomes.known[row] else None)
     if not text:
         return _Cell(column.kind, "")
     if column.name == "answer":

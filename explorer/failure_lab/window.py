@@ -110,15 +110,15 @@ class FailureLabWindow:
 
     def show(self, analysis: StateAnalysis) -> None:
         """Open or close the window, and follow the query that the page shows."""
-        shown = analysis.state
-        query = None if shown.upload else shown.query
+        session = analysis.state
+        query = None if session.upload else session.query
         with self._lock:
-            self._lab = state.for_task(self._lab, shown.task)
-            before, reasons = self._view, shown.shows_reasons
-            order = before.order if shown.lab else ""
-            if shown.lab and not before.open and reasons and not before.reasons:
+            self._lab = state.for_task(self._lab, session.task)
+            before, reasons = self._view, session.shows_reasons
+            order = before.order if session.lab else ""
+            if session.lab and not before.open and reasons and not before.reasons:
                 order = run_once(call("raiseReasons"))
-            self._view = _View(shown.task, query, shown.lab, reasons, order)
+            self._view = _View(session.task, query, session.lab, reasons, order)
         self._worker.wake()
 
     def restore(self, session: SessionState, whole: bool = False) -> None:
@@ -212,24 +212,24 @@ class FailureLabWindow:
         try:
             match message:
                 case messages.TagChosen(tags):
-                    rows = state.chosen_or_shown(lab, self._rows(findings, lab))
+                    rows = state.chosen_or_all(lab, self._rows(findings, lab))
                     self._service.add_tags([findings.table.paths[row] for row in rows.tolist()], tags)
                     what = "query is" if len(rows) == 1 else "queries are"
-                    told = f"{len(rows):,} {what} tagged in {self._service.notes_place}."
+                    result = f"{len(rows):,} {what} tagged in {self._service.notes_place}."
                 case messages.SaveView(name):
                     self._service.save_view(state.to_view(findings, lab, name))
-                    told = f"Saved in {self._service.views_place}."
+                    result = f"Saved in {self._service.views_place}."
                 case messages.RemoveView(name):
                     self._service.remove_view(lab.task, name)
-                    told = ""
+                    result = ""
                 case messages.OpenView(name):
-                    told = ""
+                    result = ""
                     for view in self._service.views(lab.task):
                         if view.name == name:
                             with self._lock:
-                                self._lab = shown = state.from_view(findings, self._lab, view)
-                            self._tell(shown)
-            self._drawer_message, self._drawer_refused = (told, True) if told else None, ""
+                                self._lab = opened = state.from_view(findings, self._lab, view)
+                            self._tell(opened)
+            self._drawer_message, self._drawer_refused = (result, True) if result else None, ""
         except LPNError as error:
             self._drawer_message, self._drawer_refused = (str(error), False), ""
             match message:
@@ -269,8 +269,8 @@ class FailureLabWindow:
         with self._lock:
             if self._wanted is not None and self._wanted[0] == lab.task:
                 return
-        shown = state.choices(lab)
-        self._change(lambda session: replace(session, laboratory=shown) if session.task == lab.task else session)
+        choices = state.choices(lab)
+        self._change(lambda session: replace(session, laboratory=choices) if session.task == lab.task else session)
 
     def _rows(self, findings: Findings, lab: LabState) -> Int64Array:
         """Return the selected queries in the table's order, the same array until the selection or the order changes."""
@@ -435,7 +435,7 @@ class FailureLabWindow:
         if findings is None:
             self._say_no_table()
             return
-        rows = state.chosen_or_shown(self._lab, self._rows(findings, self._lab))
+        rows = state.chosen_or_all(self._lab, self._rows(findings, self._lab))
         name = re.sub(r"[^\w-]+", "-", f"{self._workspace.data_name}-{findings.task.name}-{len(rows)}-queries")
         self._client.send_file_download(f"{name}.csv", findings.table.to_csv(rows), save_immediately=True)
 
@@ -449,9 +449,9 @@ class FailureLabWindow:
         if findings is None:
             self._say_no_table()
             return
-        shown = self._rows(findings, lab)
-        rows, task = state.chosen_or_shown(lab, shown).tolist(), findings.task
-        chosen = f"{state.count_rows(len(rows))} of: " if len(rows) < len(shown) else ""
+        listed = self._rows(findings, lab)
+        rows, task = state.chosen_or_all(lab, listed).tolist(), findings.task
+        chosen = f"{state.count_rows(len(rows))} of: " if len(rows) < len(listed) else ""
         description = f"{chosen}{state.describe(findings, lab)} (failure laboratory)"
         self._reporter.make(
             lambda progress, model: reports.of_selection(self._workspace, task, rows, description, progress, model)

@@ -53,22 +53,22 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         address: folder of the pictures, relative to the page.
     """
     flight = view.flight
-    town, frames, pyramid = flight.town, flight.frames, Pyramid.of(flight.town)
+    basemap, frames, pyramid = flight.town, flight.frames, Pyramid.of(flight.town)
     known = [frame.frame.time for frame in frames]
     sheets = [
         {
             "name": printable(sheet.name),
             "colour": theme.css(theme.part_colour(i)),
-            "outline": _rounded(town.frame.xy(*sheet.outline.T)),
+            "outline": _rounded(basemap.frame.xy(*sheet.outline.T)),
         }
-        for i, sheet in enumerate(town.sheets)
+        for i, sheet in enumerate(basemap.sheets)
     ]
     return {
         "address": address,
-        "bounds": list(town.bounds),
+        "bounds": list(basemap.bounds),
         "pyramid": {"west": pyramid.west, "north": pyramid.north, "side": pyramid.side, "levels": pyramid.levels},
-        "resolution": town.resolution,
-        "degrees": town.frame.polynomials(town.bounds).tolist(),
+        "resolution": basemap.resolution,
+        "degrees": basemap.frame.polynomials(basemap.bounds).tolist(),
         "sheets": sheets if len(sheets) > 1 else [],
         "names": [printable(frame.frame.name) for frame in frames],
         "times": None if any(time is None for time in known) else known,
@@ -90,7 +90,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
 
     The state is -1 while the stage has no answer.
     """
-    found: dict[str, Any] = {"label": LABELS[name], "colour": theme.css(COLOURS[name])}
+    track: dict[str, Any] = {"label": LABELS[name], "colour": theme.css(COLOURS[name])}
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
     flight = view.flight
     for i, located in enumerate(flight.frames):
@@ -111,15 +111,15 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
             rows.append((answer.x, answer.y, _STATES[answer.state], answer.radius, located.error(name)))
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
-        found[key] = list(values) if key == "state" else [_number(value, 2) for value in values]
-    states, total = found["state"], len(flight.frames)
+        track[key] = list(values) if key == "state" else [_number(value, 2) for value in values]
+    states, total = track["state"], len(flight.frames)
     if name in ("tag", "corrected"):
-        found["count"] = f"{sum(x is not None for x in found['x'])} of {total}"
+        track["count"] = f"{sum(x is not None for x in track['x'])} of {total}"
     elif 1 in states:
-        found["count"] = ""
+        track["count"] = ""
     else:
-        found["count"] = f"{states.count(0)} of {total}"
-    return found
+        track["count"] = f"{states.count(0)} of {total}"
+    return track
 
 
 def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = False) -> str:
@@ -154,13 +154,13 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
 
 def _correction(view: FlightView, frame: int, place: StageRecord | None) -> tuple[float, float, float | None] | None:
     """Return latitude and longitude of a correction, and the metres from it to the answer that counts."""
-    found = view.corrected(frame)
-    if found is None:
+    corrected = view.corrected(frame)
+    if corrected is None:
         return None
     latitude, longitude = view.corrections[view.flight.frames[frame].frame.name].middle.tolist()
     if place is None or place.x is None or place.y is None:
         return latitude, longitude, None
-    return latitude, longitude, math.hypot(place.x - found[0], place.y - found[1])
+    return latitude, longitude, math.hypot(place.x - corrected[0], place.y - corrected[1])
 
 
 def _verdict_colour(sign: bool | None) -> str:
@@ -205,10 +205,10 @@ def sentence(view: FlightView, running: bool) -> str:
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:
     """Return centre and side, in metres, of the window that the stage compares with the query."""
-    found, tile = view.flight.retrieval, analysis.chosen.index
-    if found is None or tile >= len(found.windows):
+    retrieval, tile = view.flight.retrieval, analysis.chosen.index
+    if retrieval is None or tile >= len(retrieval.windows):
         return None
-    return [float(found.places[tile, 0]), float(found.places[tile, 1]), float(found.sizes[tile])]
+    return [float(retrieval.places[tile, 0]), float(retrieval.places[tile, 1]), float(retrieval.sizes[tile])]
 
 
 def painting(
@@ -219,13 +219,13 @@ def painting(
     Args:
         painted: all parts under the current weights, or one part, whose score is its cosine.
     """
-    found = view.flight.retrieval
-    if painted == "off" or found is None:
+    retrieval = view.flight.retrieval
+    if painted == "off" or retrieval is None:
         return None
     ranking = analysis.ranking
     values: FloatingArray = ranking.scores if painted == "all" else ranking.cosines[:, painted]
     ranked = ranking.order  # without windows of other sizes, which the retrieval does not rank
-    drawn = score_map.score_map(found.places[ranked], found.sizes[ranked], values[ranked].astype(np.float64))
+    drawn = score_map.score_map(retrieval.places[ranked], retrieval.sizes[ranked], values[ranked].astype(np.float64))
     if drawn is None:
         return None
     cells = overlays.heat_cells(drawn.cells, drawn.low, drawn.high)
@@ -266,8 +266,8 @@ def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float
     entries = []
     for i in frames:
         one = view.outlines[i]
-        told = "by its registration" if one is not None and one.registered else "by its tag and the camera's angles"
-        entries.append((i, printable(view.flight.frames[i].frame.name), [told]))
+        source = "by its registration" if one is not None and one.registered else "by its tag and the camera's angles"
+        entries.append((i, printable(view.flight.frames[i].frame.name), [source]))
     unknown = sum(one is None for one in view.outlines)
     sentence = f"{len(frames)} of {len(view.outlines)} frames show {degrees[0]:.6f}, {degrees[1]:.6f}."
     if unknown:
@@ -296,8 +296,8 @@ def _number(value: float | None, digits: int) -> float | None:
 
 
 def _rounded(points: FloatingArray) -> list[list[float]]:
-    found: list[list[float]] = np.round(points, 2).tolist()
-    return found
+    rounded: list[list[float]] = np.round(points, 2).tolist()
+    return rounded
 
 
 def calls(values: Mapping[str, Any]) -> str:

@@ -53,11 +53,11 @@ class Pyramid:
     levels: int
 
     @classmethod
-    def of(cls, town: Map) -> Pyramid:
+    def of(cls, basemap: Map) -> Pyramid:
         """Lay a pyramid over a map from its north-west corner on."""
-        west, south, east, north = town.bounds
+        west, south, east, north = basemap.bounds
         side = max(east - west, north - south)
-        levels = max(0, math.ceil(math.log2(side / (TILE * town.resolution))))
+        levels = max(0, math.ceil(math.log2(side / (TILE * basemap.resolution))))
         return cls(west, north, side, levels)
 
     def window(self, level: int, column: int, row: int) -> Window | None:
@@ -103,17 +103,17 @@ class FlightPictures:
         return None
 
 
-def tile(town: Map, level: int, column: int, row: int) -> tuple[UInt8Array, BoolArray]:
+def tile(basemap: Map, level: int, column: int, row: int) -> tuple[UInt8Array, BoolArray]:
     """Return a tile of a map's pyramid, RGB (TILE, TILE, 3), and which pixels are valid, (TILE, TILE)."""
-    pyramid = Pyramid.of(town)
+    pyramid = Pyramid.of(basemap)
     window = pyramid.window(level, column, row)
     assert window is not None
     if level > _COARSE or pyramid.levels <= _COARSE:
-        return town.read(window, TILE)
+        return basemap.read(window, TILE)
     try:
-        overview = town.overview(OVERVIEW)
+        overview = basemap.overview(OVERVIEW)
     except DataError:  # a damaged part of the map must not hide the others
-        return town.read(window, TILE)
+        return basemap.read(window, TILE)
     step = OVERVIEW >> level
     part = np.s_[row * step : (row + 1) * step, column * step : (column + 1) * step]
     picture, valid = (array[part] for array in overview)
@@ -121,8 +121,8 @@ def tile(town: Map, level: int, column: int, row: int) -> tuple[UInt8Array, Bool
     missing = ((0, step - valid.shape[0]), (0, step - valid.shape[1]))
     shares = _reduced(np.pad(valid, missing).astype(np.float32))
     sums = _reduced(np.pad(picture, (*missing, (0, 0))).astype(np.float32))
-    found = sums / np.maximum(shares, 1e-6)[..., None]  # invalid pixels are 0
-    return np.clip(found.round(), 0, 255).astype(np.uint8), shares >= 0.5
+    mean = sums / np.maximum(shares, 1e-6)[..., None]  # invalid pixels are 0
+    return np.clip(mean.round(), 0, 255).astype(np.uint8), shares >= 0.5
 
 
 def _reduced(array: Float32Array) -> Float32Array:
@@ -157,9 +157,9 @@ def ground_window(located: LocatedFrame, stage: str | None) -> Window | None:
     return Window(answer.x, answer.y, best.size, best.heading)
 
 
-def pair(town: Map, located: LocatedFrame) -> tuple[EncodedPicture, EncodedPicture]:
+def pair(basemap: Map, located: LocatedFrame) -> tuple[EncodedPicture, EncodedPicture]:
     """Return the middle of a frame, and the map where its answer is, empty without one."""
-    return _square_photo(located), _ground(town, located)
+    return _square_photo(located), _ground(basemap, located)
 
 
 def _photo(located: LocatedFrame) -> EncodedPicture:
@@ -174,8 +174,8 @@ def _square_photo(located: LocatedFrame) -> EncodedPicture:
     return encoded(images.resize(picture[top : top + side, left : left + side], _PAIR, _PAIR))
 
 
-def _ground(town: Map, located: LocatedFrame) -> EncodedPicture:
+def _ground(basemap: Map, located: LocatedFrame) -> EncodedPicture:
     window = ground_window(located, belief(located).stage)
     if window is None:
         return encoded(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), bool))
-    return encoded(*town.read(window, _PAIR))
+    return encoded(*basemap.read(window, _PAIR))

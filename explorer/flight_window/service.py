@@ -42,9 +42,9 @@ class FlightView:
     @classmethod
     def of(cls, flight: LocatedFlight, kept: dict[str, Correction], error: str) -> FlightView:
         """Derive the view of a flight with its corrections, or with the reason why they cannot be used."""
-        found = disagreements(flight.frames)
-        verdicts = beliefs(flight.frames, found)
-        return cls(flight, [outline(located) for located in flight.frames], found, verdicts, kept, error)
+        pairs = disagreements(flight.frames)
+        verdicts = beliefs(flight.frames, pairs)
+        return cls(flight, [outline(located) for located in flight.frames], pairs, verdicts, kept, error)
 
     def corrected(self, frame: int) -> tuple[float, float] | None:
         """Return where a person says that the middle of a frame's picture lies, in metres of the map's frame."""
@@ -103,10 +103,10 @@ class FlightService:
         """
         with self._lock:  # otherwise an older state of the file could be assigned last
             view = self.view()
-            name, town = view.flight.frames[frame].frame.name, view.flight.town
-            correction = None if corners is None else Correction.of(corners, town.frame)
-            found = corrections.set_correction(self.corrections_file, name, correction)
-            self._view = replace(view, corrections=found, corrections_error="")
+            name, basemap = view.flight.frames[frame].frame.name, view.flight.town
+            correction = None if corners is None else Correction.of(corners, basemap.frame)
+            kept = corrections.set_correction(self.corrections_file, name, correction)
+            self._view = replace(view, corrections=kept, corrections_error="")
             watchers = list(self._watchers)
         for on_change in watchers:
             on_change()

@@ -204,9 +204,9 @@ class FlightWindow:
             self._data.show(page.calls({"show": page.data(view, self._pictures.address), "lists": page.lists(view)}))
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height, choices.full_height))
-        shown = None if state.upload or state.query >= len(view.flight.frames) else state.query
+        frame = None if state.upload or state.query >= len(view.flight.frames) else state.query
         failed = analysis.matches[0].true is False
-        message = self._message_of(shown)
+        message = self._message_of(frame)
         self._progress.show(
             page.calls(
                 {
@@ -219,8 +219,8 @@ class FlightWindow:
             page.calls(
                 {
                     "follow": None
-                    if shown is None
-                    else page.chosen(view, shown, self._pictures.address, saves, failed),
+                    if frame is None
+                    else page.chosen(view, frame, self._pictures.address, saves, failed),
                     "answer": page.answer_window(view, analysis),
                 }
             )

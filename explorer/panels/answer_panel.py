@@ -32,7 +32,7 @@ class AnswerPanel:
     def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
         self._workspace, self._change = workspace, change
         self._header, self.stories, self._verdict = Html(gui), Html(gui), Html(gui)
-        self._shown: pages.ShownAnalysis | None = None
+        self._last: pages.ShownAnalysis | None = None
         self._status = Html(gui, pages.status(None))
         with gui.add_folder("Matches"):
             self._matches = Html(gui)
@@ -53,7 +53,7 @@ class AnswerPanel:
         """Return a callback that compares the query with the tile in a slot of the ranking."""
 
         def on_click(_: Any) -> None:
-            analysis = None if self._shown is None else self._shown.analysis
+            analysis = None if self._last is None else self._last.analysis
             if analysis is not None and slot < len(analysis.matches):
                 index = analysis.matches[slot].index
                 self._change(lambda state: session_state.compare(state, analysis.state, index))
@@ -67,7 +67,7 @@ class AnswerPanel:
         self._verdict.show(pages.verdict(analysis, workspace))
         self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
         self._table.show(pages.parts_table(analysis, workspace))
-        self._shown = pages.ShownAnalysis(analysis, sequence, time.perf_counter() - started)
+        self._last = pages.ShownAnalysis(analysis, sequence, time.perf_counter() - started)
         self.show_idle()
 
     def show_results(self, ranking: RankingJob) -> None:
@@ -76,12 +76,12 @@ class AnswerPanel:
 
     def show_idle(self) -> None:
         """Show the status of the last analysis."""
-        self._status.show(pages.status(self._shown))
+        self._status.show(pages.status(self._last))
 
     def show_busy(self) -> None:
         """Show that the next analysis is being computed; the last one stays until then."""
-        self._status.show(pages.status(self._shown, "computing"))
+        self._status.show(pages.status(self._last, "computing"))
 
     def show_overloaded(self) -> None:
         """Show that the server is overloaded and the page will retry; the last analysis stays."""
-        self._status.show(pages.status(self._shown, "full"))
+        self._status.show(pages.status(self._last, "full"))

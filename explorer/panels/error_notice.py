@@ -15,13 +15,13 @@ class ErrorNotice:
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client, self._lock = client, threading.Lock()
-        self._shown: viser.NotificationHandle | None = None
+        self._notification: viser.NotificationHandle | None = None
 
     def show(self, title: str, text: str) -> None:
         """Show an error in place of the one before."""
         with self._lock:
             self._take_away()
-            self._shown = self._client.add_notification(title, text, color="red", auto_close_seconds=_TOLD)
+            self._notification = self._client.add_notification(title, text, color="red", auto_close_seconds=_TOLD)
 
     def forget(self) -> None:
         """Take the last error away: it speaks of something that is over."""
@@ -29,6 +29,6 @@ class ErrorNotice:
             self._take_away()
 
     def _take_away(self) -> None:
-        shown, self._shown = self._shown, None
-        if shown is not None:
-            shown.remove()
+        notification, self._notification = self._notification, None
+        if notification is not None:
+            notification.remove()

@@ -65,8 +65,8 @@ def heat_legend(analysis: StateAnalysis, workspace: Workspace) -> str:
     if kind is None or analysis.state.first_screen or analysis.state.shows_reasons or analysis.state.flight:
         return ""
     scale = overlays.evidence_scale if kind == "evidence" else overlays.heat_scale
-    shown = "" if part is None else f" of part {workspace.part_names[part]}"
-    return render("panels/heat_legend", kind=kind, shown=shown, scale=overlays.data_uri(scale(*_SCALE), 95))
+    of_part = "" if part is None else f" of part {workspace.part_names[part]}"
+    return render("panels/heat_legend", kind=kind, of_part=of_part, scale=overlays.data_uri(scale(*_SCALE), 95))
 
 
 def header(workspace: Workspace, task: Task) -> str:
@@ -102,14 +102,14 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     )
 
 
-def status(shown: ShownAnalysis | None, waiting: Literal["", "computing", "full"] = "") -> str:
+def status(last: ShownAnalysis | None, waiting: Literal["", "computing", "full"] = "") -> str:
     """Return the status line; its attributes identify the state that the page shows.
 
     Args:
-        shown: what the page shows; None before the first analysis.
+        last: what the page shows; None before the first analysis.
         waiting: "computing" while the next analysis is computed, "full" while the server is busy and the page retries.
     """
-    return render("panels/status", shown=shown, waiting=waiting)
+    return render("panels/status", last=last, waiting=waiting)
 
 
 def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str]) -> str:

@@ -182,12 +182,12 @@ class Authenticator:
     def _check_token(self, request: HttpRequest, token: str, port: int) -> Refusal | Redirect | None:
         # All cookies are compared, so that the time does not depend on their values.
         matches = [_equal(value, self.cookie_value) for value in _cookies(request, _cookie_name(port))]
-        given = _values(request.query, "token")
-        if given and _equal(given[0], token):
+        tokens = _values(request.query, "token")
+        if tokens and _equal(tokens[0], token):
             return None if request.upgrade else Redirect(_without_token(request.path), sign_in=True)
         if any(matches):
-            return Redirect(_without_token(request.path), sign_in=False) if given and not request.upgrade else None
-        if given:
+            return Redirect(_without_token(request.path), sign_in=False) if tokens and not request.upgrade else None
+        if tokens:
             return Refusal(403, "Wrong token", _HOW_TO_SIGN_IN, wrong_token=True, ask_token=True)
         if _is_cross_site_link(request):
             return Redirect(_without_token(request.path), sign_in=False)
@@ -290,7 +290,7 @@ def _cookies(request: HttpRequest, name: str) -> list[str]:
     return [value for key, _, value in pairs if key == name][:20]
 
 
-def _equal(given: str, expected: str) -> bool:
+def _equal(value: str, expected: str) -> bool:
     """Compare digests in constant time, which hides the length, too."""
-    digests = (hashlib.sha256(text.encode("utf-8", "surrogatepass")).digest() for text in (given, expected))
+    digests = (hashlib.sha256(text.encode("utf-8", "surrogatepass")).digest() for text in (value, expected))
     return hmac.compare_digest(*digests)

@@ -54,7 +54,7 @@ class Cards:
         self._workspace, self._on_select, self._model = workspace, on_select, model
         self._layout = layout = workspace.layout
         self._gap = (layout.step[0] - layout.card[0]) / layout.card[0]
-        self._shown: StateAnalysis | None = None
+        self._analysis: StateAnalysis | None = None
         self._label_size = 0
         width, height, above = layout.card
         across = (layout.columns - 1) * layout.step[0] + width
@@ -98,7 +98,7 @@ class Cards:
     def show(self, analysis: StateAnalysis, lettering: Lettering) -> None:
         """Draw the matches of an analysis."""
         with self._lock:
-            self._shown, self._label_size = analysis, lettering.label
+            self._analysis, self._label_size = analysis, lettering.label
             self._draw(analysis)
         if self._model is not None and analysis.state.rings and self._unknown(analysis):
             self._worker.wake()
@@ -144,17 +144,17 @@ class Cards:
         ]
 
     def _find_areas(self) -> None:
-        analysis = self._shown
+        analysis = self._analysis
         if analysis is None:
             return
         for row in range(len(self._rows)):
             for match in self._row(analysis, row):
-                if self._shown is not analysis:  # `show` has asked for a newer one
+                if self._analysis is not analysis:  # `show` has asked for a newer one
                     return
                 with suppress(LPNError):  # a damaged picture
                     self._workspace.find_tile_areas(analysis.task, match.index, self._model)
             with self._lock:
-                if self._shown is analysis and self._row(analysis, row):
+                if self._analysis is analysis and self._row(analysis, row):
                     self._draw_photos(analysis, row)
 
     def _mark(self, analysis: StateAnalysis) -> None:
@@ -175,7 +175,7 @@ class Cards:
 
     def _clicked(self, slot: int) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
-            analysis = self._shown
+            analysis = self._analysis
             if analysis is not None and slot < len(analysis.matches):
                 self._on_select(analysis.state, analysis.matches[slot].index)
 

@@ -34,7 +34,7 @@ class Plane:
         encoding: Literal["jpeg", "png"] = "jpeg",
     ) -> None:
         blank = np.full((2, 2, 3), theme.BACKGROUND, np.uint8)
-        self._shown: UInt8Array = blank
+        self._picture: UInt8Array = blank
         self.handle = scene.add_image(
             name,
             blank,
@@ -50,8 +50,8 @@ class Plane:
 
     def show(self, picture: UInt8Array) -> None:
         """Put a picture on the plane."""
-        if self._shown.shape != picture.shape or not np.array_equal(self._shown, picture):
-            self._shown = picture
+        if self._picture.shape != picture.shape or not np.array_equal(self._picture, picture):
+            self._picture = picture
             self.handle.image = picture
 
 

@@ -65,6 +65,6 @@ def label_width(layout: Layout) -> int:
     return round(LABEL_HEIGHT * layout.card[0] / layout.card[2])
 
 
-def legible(size: int, pixels: float, shown: float) -> int:
-    """Return a text's size, at least `size`, in a picture that is `pixels` wide, and `shown` CSS pixels on the screen."""
-    return max(size, math.ceil(LEAST * pixels / shown))
+def legible(size: int, pixels: float, css_pixels: float) -> int:
+    """Return a text's size, at least `size`, in a picture that is `pixels` wide, and `css_pixels` CSS pixels on the screen."""
+    return max(size, math.ceil(LEAST * pixels / css_pixels))

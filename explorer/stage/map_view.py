@@ -39,7 +39,7 @@ class GalleryMap:
     """One browser's map.
 
     Args:
-        shown: number of ranked tiles.
+        slots: number of ranked tiles.
         on_select: called with the shown state and the gallery position of a clicked tile.
     """
 
@@ -47,7 +47,7 @@ class GalleryMap:
         self,
         client: viser.ClientHandle,
         workspace: Workspace,
-        shown: int,
+        slots: int,
         on_select: Callable[[SessionState, int], None],
     ) -> None:
         self._workspace = workspace
@@ -67,7 +67,7 @@ class GalleryMap:
             thickness=3.0,
             thickness_units="screen",
         )
-        self._tiles = [Plane(scene, f"/map/tile{slot}", 0.3, 0.3, _point(0, 0, 0), "png") for slot in range(shown)]
+        self._tiles = [Plane(scene, f"/map/tile{slot}", 0.3, 0.3, _point(0, 0, 0), "png") for slot in range(slots)]
         for slot, tile in enumerate(self._tiles):
             tile.handle.on_click(self._clicked(slot, on_select))
         self._camera: viser.CameraFrustumHandle = scene.add_camera_frustum(
@@ -128,19 +128,19 @@ class GalleryMap:
     def _show_city(self, analysis: StateAnalysis, places: GalleryGeometry) -> bool:
         """Show the city, if it is chosen and available, or the mosaic of tiles; return True for the city."""
         model = self._workspace.city
-        shown = analysis.state.city and model is not None
-        self._ground.handle.visible = not shown
-        if not shown:
+        has_city = analysis.state.city and model is not None
+        self._ground.handle.visible = not has_city
+        if not has_city:
             self._ground.show(self._workspace.mosaic(analysis.task))
-        if shown and model is not None:
+        if has_city and model is not None:
             self._city = self._city or self._scene.add_glb(
                 "/map/city", model.data, wxyz=_Z_UP, cast_shadow=False, receive_shadow=False
             )
             self._city.scale = self._scale
             self._city.position = self._to_stage(geo.on_plane([model.origin], places.origin)[0], 0.0)
         if self._city is not None:
-            self._city.visible = shown
-        return shown
+            self._city.visible = has_city
+        return has_city
 
     def _map_viewpoint(self, places: GalleryGeometry) -> Viewpoint:
         _, south, _, north = places.bounds()

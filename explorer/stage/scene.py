@@ -84,8 +84,8 @@ class StagePicture:
         if not exploded:
             self._flat.show(picture)
         for part, layer in enumerate(self._layers):
-            shown = self._layer_pictures[part]
-            if exploded and (shown is None or not np.array_equal(shown, picture)):
+            layer_picture = self._layer_pictures[part]
+            if exploded and (layer_picture is None or not np.array_equal(layer_picture, picture)):
                 inside = np.ones(picture.shape[:2], bool) if areas is None else areas.mask(part, picture.shape[:2])
                 layer.image = overlays.part_layer(picture, inside)
                 layer.position = (0.0, 0.0, self.depth(part, exploded))

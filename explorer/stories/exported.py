@@ -69,7 +69,7 @@ class Slide:
 def export(
     sources: WindowSources,
     url_state: UrlState,
-    told: Story,
+    whole: Story,
     dark: bool,
     progress: Callable[[int, int], None] | None = None,
     model: QueuedModel | None = None,
@@ -90,20 +90,20 @@ def export(
     workspace = sources.workspace
     analyser = StateAnalyser(workspace, model, cancellable=False)
     slides = []
-    for number, step in enumerate(told.steps, 1):
+    for number, step in enumerate(whole.steps, 1):
         state = SessionState(next(iter(workspace.tasks)), workspace.contract.n_parts, query=workspace.first_query)
         state, problems = url_state.read(step.shows, state)
         if problems:
-            raise InputError(f"Step {number} of {told.name!r} cannot be shown: {' '.join(problems)}")
+            raise InputError(f"Step {number} of {whole.name!r} cannot be shown: {' '.join(problems)}")
         analysis = analyser.analyse(workspace.supported_state(state), SHOWN)
         slides.append(
-            _slide(sources, step, analysis, partial(progress, number - 1, len(told.steps)) if progress else _go_on)
+            _slide(sources, step, analysis, partial(progress, number - 1, len(whole.steps)) if progress else _go_on)
         )
         if progress is not None:
-            progress(number, len(told.steps))
+            progress(number, len(whole.steps))
     page = render(
         "stories/exported",
-        story=told,
+        story=whole,
         slides=slides,
         part_names=workspace.part_names,
         stacked=workspace.layout.stacked,
@@ -115,7 +115,7 @@ def export(
         ),
         script=Markup(_read("js/exported_story.js")),
     )
-    return f"{safe_file_name(told.name)}.html", page.encode("utf-8", "replace")
+    return f"{safe_file_name(whole.name)}.html", page.encode("utf-8", "replace")
 
 
 def _go_on() -> None:

@@ -30,8 +30,8 @@ def draw(workspace: Workspace, analysis: StateAnalysis) -> UInt8Array | None:
     drawn = MapPicture(points, _BORDER, _LEAST)
     drawn.lay(workspace.mosaic(analysis.task), places.bounds())
     pen = drawn.pen
-    shown = {match.index: match for match in (*analysis.matches, *frames)}
-    for match in sorted(shown.values(), key=lambda match: -match.rank):
+    by_index = {match.index: match for match in (*analysis.matches, *frames)}
+    for match in sorted(by_index.values(), key=lambda match: -match.rank):
         if not np.isfinite(places.ground[match.index]).all():
             continue
         half, (x, y) = _side(places, match.index) / 2 / drawn.unit, drawn.pixels(places.ground[match.index])

@@ -93,7 +93,7 @@ class StoryWindow:
 
     def commands(self) -> list[tuple[str, str | None, Callable[[], None]]]:
         """Return the commands for the palette: label, hotkey, and function."""
-        told = [
+        tell_commands = [
             (f"Tell the story: {name}", None, partial(self._apply, messages.PlayStory(name)))
             for name in self._stories.by_name
         ]
@@ -102,7 +102,7 @@ class StoryWindow:
             ("Stories: order, edit, save", None, partial(self._apply, messages.ShowWindow())),
             ("Tell the story that is edited", None, partial(self._apply, messages.Tell())),
             ("Export the story as one HTML file", None, partial(self._apply, messages.ExportStory())),
-            *told,
+            *tell_commands,
         ]
 
     @property
@@ -195,9 +195,9 @@ class StoryWindow:
 
     def _keep(self) -> None:
         """Let the browser keep the draft, so that loading the page again does not lose it, unless it is too long."""
-        told, opened, kept = self._draft.story, self._draft.opened, None
+        draft, opened, kept = self._draft.story, self._draft.opened, None
         if self._draft.changed:
-            kept = [msgspec.to_builtins(told), opened and [opened.name, story.checksum(opened)]]
+            kept = [msgspec.to_builtins(draft), opened and [opened.name, story.checksum(opened)]]
         letters, self._unkept = len(json.dumps(kept, ensure_ascii=False)), ""
         if letters > LONGEST_DRAFT:
             kept = None
@@ -243,13 +243,13 @@ class StoryWindow:
         else:
             self._edit(StoryDraft(chosen, chosen))
 
-    def _tell(self, told: Story) -> None:
-        if not told.steps:
+    def _tell(self, chosen: Story) -> None:
+        if not chosen.steps:
             self._call("say", "The story has no step yet: S keeps what is shown.")
             return
         self._set_open(False)
         self._client.gui.main_panel.expand()  # its content, by which the page sends messages, is removed while it is folded
-        self._call("tell", msgspec.to_builtins(told))
+        self._call("tell", msgspec.to_builtins(chosen))
 
     def _show_step(self, index: int, shows: str) -> None:
         if problems := self._go(shows):
@@ -270,13 +270,13 @@ class StoryWindow:
             self._edit(saved, f"Saved in {library.place(self._workspace.root)}.")
 
     def _export(self) -> None:
-        told = self._draft.story
-        if not told.steps:
+        draft = self._draft.story
+        if not draft.steps:
             self._call("say", "The story has no step yet: S keeps what is shown.")
             return
         dark = self._analysis is None or self._analysis.state.dark
         self._reporter.make(
-            lambda progress, model: exported.export(self._sources, self._url_state, told, dark, progress, model),
+            lambda progress, model: exported.export(self._sources, self._url_state, draft, dark, progress, model),
             "story",
             "Export as one HTML file",
         )
@@ -302,19 +302,19 @@ class StoryWindow:
         self._show_row()
         if not text and self._stories.errors:
             text, good = " ".join(self._stories.errors), False
-        told = self._draft.story
+        draft = self._draft.story
         opened = None if self._draft.opened is None else self._draft.opened.name
         self._head.show(
-            render("stories/head", story=told, opened=opened, names=list(self._stories.by_name), limits=story)
+            render("stories/head", story=draft, opened=opened, names=list(self._stories.by_name), limits=story)
         )
         self._steps.show(
             render(
                 "stories/steps",
-                story=told,
+                story=draft,
                 revision=self._revision,
                 limits=story,
                 places=tour.PLACES,
-                summaries=[self._url_state.summary(step.shows) for step in told.steps],
+                summaries=[self._url_state.summary(step.shows) for step in draft.steps],
             )
         )
         self._message.show(render("stories/message", text=text, good=good, changed=self._draft.changed))

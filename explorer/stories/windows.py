@@ -69,25 +69,25 @@ class WindowSources:
             _finish(self.lab.build(task, self), wait)
             findings = self.lab.findings(task)
             assert findings is not None
-            shown = state.with_choices(findings, LabState(task), analysis.state.laboratory)
-            rows = state.sorted_rows(findings, shown)
+            lab = state.with_choices(findings, LabState(task), analysis.state.laboratory)
+            rows = state.sorted_rows(findings, lab)
             query = None if analysis.state.upload else analysis.state.query
-            match shown.tab:
+            match lab.tab:
                 case "table":
-                    contents = self._table(findings, shown, rows, query)
+                    contents = self._table(findings, lab, rows, query)
                 case "breakdown":
-                    cards = breakdown_page.cards(findings, shown, self.workspace)
+                    cards = breakdown_page.cards(findings, lab, self.workspace)
                     contents = Markup(render("stories/lab_breakdown", cards=cards))
                 case "maps":
-                    contents = self._map(findings, shown, rows, query, wait)
+                    contents = self._map(findings, lab, rows, query, wait)
             return Markup(
                 render(
                     "stories/laboratory",
-                    selection=state.describe(findings, shown),
+                    selection=state.describe(findings, lab),
                     selected=len(rows),
                     queries=len(findings.table),
                     failed=int(findings.outcomes.failed[rows].sum()),
-                    error=shown.filter_error,
+                    error=lab.filter_error,
                     names=None if findings.second is None else findings.second.names,
                     contents=contents,
                 )
@@ -96,7 +96,7 @@ class WindowSources:
             self.lab.leave(self)
 
     def _table(self, findings: Findings, lab: LabState, rows: Int64Array, query: int | None) -> Markup:
-        columns = table.shown_columns(findings, lab)
+        columns = table.visible_columns(findings, lab)
         lines = table.lines(findings, columns, _Inside(self.workspace), rows[:ROWS], loaded=True)
         return Markup(render("stories/lab_table", lab=lab, columns=columns, lines=lines, query=query, total=len(rows)))
 
@@ -115,9 +115,9 @@ class WindowSources:
             return Markup(render("stories/lab_map", lost=lost))
         points = _finish(self.lab.points(lab.map, task.name, self), wait)
         assert points is not None
-        shown = map_data.colours(findings, lab.colour if lab.colour in findings.table.columns else map_data.OUTCOME)
-        picture = draw_queries(findings, points, shown, rows, query)
-        legend = map_data.legend(shown, rows)
+        colours = map_data.colours(findings, lab.colour if lab.colour in findings.table.columns else map_data.OUTCOME)
+        picture = draw_queries(findings, points, colours, rows, query)
+        legend = map_data.legend(colours, rows)
         return Markup(
             render(
                 "stories/lab_map",
@@ -125,7 +125,7 @@ class WindowSources:
                 picture=overlays.data_uri(picture, 88),
                 axes=points.axes,
                 colour=lab.colour or "outcome",
-                palette=shown.palette,
+                palette=colours.palette,
                 unknown=legend["counts"][-1],
                 **legend,
             )
@@ -171,7 +171,7 @@ def _finish(job: BackgroundJob[Any], wait: Callable[[], None]) -> Any:
 
 
 def draw_queries(
-    findings: Findings, points: MapPoints, shown: map_data.Colours, rows: Int64Array, query: int | None
+    findings: Findings, points: MapPoints, colours: map_data.Colours, rows: Int64Array, query: int | None
 ) -> UInt8Array:
     """Draw the laboratory's map, (H, W, 3) uint8: selected queries in colours, the others small and grey."""
     places = np.concatenate([points.queries, points.tiles])
@@ -183,11 +183,11 @@ def draw_queries(
         for row, tile in map_data.lines(findings, points, rows):
             if np.isfinite(points.queries[row]).all():
                 drawn.line((points.queries[row], points.tiles[tile]), theme.FALSE_COLOUR, 2)
-    inks = [ImageColor.getrgb(colour)[:3] for colour in shown.palette]
+    inks = [ImageColor.getrgb(colour)[:3] for colour in colours.palette]
     others = np.setdiff1d(np.arange(len(points.queries)), rows)
     for queries, radius in ((others, 3.0), (rows, 6.0)):
         for row in queries[np.isfinite(points.queries[queries]).all(axis=1)].tolist():
-            code = int(shown.codes[row])
+            code = int(colours.codes[row])
             known = radius > 3 and code < len(inks)
             drawn.dot(points.queries[row], inks[code] if known else theme.UNKNOWN_COLOUR, radius)
     if query is not None and np.isfinite(points.queries[query]).all():
@@ -242,8 +242,8 @@ def draw_flight(view: FlightView, data: dict[str, Any], frame: int | None) -> UI
 
 def _ground(view: FlightView, drawn: MapPicture) -> tuple[UInt8Array, Bounds]:
     """Join the tiles of the map's pyramid that a picture needs, and return them with their borders."""
-    town = view.flight.town
-    pyramid = pictures.Pyramid.of(town)
+    basemap = view.flight.town
+    pyramid = pictures.Pyramid.of(basemap)
     level = min(max(math.ceil(math.log2(pyramid.side / (pictures.TILE * drawn.unit))), 0), pyramid.levels)
     size = pyramid.side / (1 << level)
     west, south, east, north = drawn.bounds
@@ -253,7 +253,7 @@ def _ground(view: FlightView, drawn: MapPicture) -> tuple[UInt8Array, Bounds]:
     for down, row in enumerate(rows):
         for right, column in enumerate(columns):
             if pyramid.window(level, column, row) is not None:
-                picture, valid = pictures.tile(town, level, column, row)
+                picture, valid = pictures.tile(basemap, level, column, row)
                 joined[down, :, right] = np.where(valid[..., None], picture, EMPTY)
     left, top = pyramid.west + columns.start * size, pyramid.north - rows.start * size
     bounds = left, top - len(rows) * size, left + len(columns) * size, top

@@ -178,7 +178,7 @@ def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace, monkeypat
     assert findings.outcomes.depth == DEPTH
     lab = LabState(TASK)
     rows = lab_state.sorted_rows(findings, lab)
-    columns = lab_table.shown_columns(findings, lab)
+    columns = lab_table.visible_columns(findings, lab)
     html = str(lab_table.lines(findings, columns, Feeds(workspace), rows))
     far = np.flatnonzero(findings.outcomes.rank == DEPTH)
     assert 0 < len(far) < len(task.queries)

@@ -17,7 +17,7 @@ from lpn.tasks import notes
 
 def test_names_and_metadata_never_become_html(workspace: Workspace, findings: Findings, lab: LabState) -> None:
     chosen = replace(lab, columns=("weather",))
-    columns, rows = table.shown_columns(findings, chosen), findings.table.rows()
+    columns, rows = table.visible_columns(findings, chosen), findings.table.rows()
     html = "".join(cells for _, cells in table.lines(findings, columns, Feeds(workspace), rows))
     html += table.table(findings, chosen, 13, 1, 300)
     html += breakdown_page.page(findings, chosen, workspace) + table.column_choice(findings, chosen)
@@ -51,7 +51,7 @@ def test_rows_are_fetched_in_the_tables_order_and_an_empty_table_says_what_to_do
     assert piece is not None
     fetched = json.loads(piece().data)
     assert [row for row, _ in fetched] == rows.tolist()
-    columns = [column.name for column in table.shown_columns(findings, lab)]
+    columns = [column.name for column in table.visible_columns(findings, lab)]
     for row, html in fetched:
         cells = re.findall(r"<td[^>]*>(.*?)</td>", html, re.DOTALL)
         assert len(cells) == 1 + len(columns)

@@ -48,7 +48,7 @@ def test_rows_are_chosen_between_two_queries_in_the_tables_order(findings: Findi
     def chosen(lab: LabState) -> list[int]:
         return state.chosen_rows(lab, order).tolist()
 
-    assert state.chosen_or_shown(lab, order).tolist() == order.tolist()
+    assert state.chosen_or_all(lab, order).tolist() == order.tolist()
     added = messages.apply(ChooseRows(int(order[4]), int(order[2]), "add"), lab, findings)
     assert chosen(added) == order[2:5].tolist()
     toggled = messages.apply(ChooseRows(int(order[3]), int(order[3]), "toggle"), added, findings)
