@@ -53,7 +53,7 @@ class WorldCommand:
     """Metres a pixel of the map of --flight."""
 
     def run(self) -> None:
-        self._check_given()
+        self._check_options()
         if self.flight:
             self._render_flight()
             return
@@ -74,7 +74,7 @@ class WorldCommand:
         tally = build_world(settings, self.out, RenderShare.parse(self.part), self.threads)
         print(f"{tally.describe()} The world is in {self.out}.")
 
-    def _check_given(self) -> None:
+    def _check_options(self) -> None:
         """Raise InputError for an option that the chosen kind of pictures has no use for."""
         what, others = ("A flight", _OF_PLACES) if self.flight else ("A world without --flight", _OF_FLIGHTS)
         names = [name for name in others if getattr(self, name) != getattr(type(self), name)]

@@ -38,7 +38,7 @@ class Package:
     Attributes:
         name: its name in the package index.
         wanted: the required versions, such as ">=1.26"; "" for any.
-        found: the installed version; None if it is not installed.
+        installed: the installed version; None if it is not installed.
         fits: whether `installed` satisfies `wanted`.
     """
 

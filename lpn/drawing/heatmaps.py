@@ -35,7 +35,7 @@ class PictureActivation:
     Attributes:
         name: "query" or "tile".
         maps: the activation of each part, (n, h, w), see `lpn.explain.part_activation`.
-        shown: the picture with its parts, (H, W, 3) uint8.
+        pixels: the picture with its parts, (H, W, 3) uint8.
     """
 
     name: str

@@ -88,10 +88,10 @@ def ground_of(
     """Return where tiles lie, and why that is not known, as a sentence.
 
     Args:
-        found: some tiles of the index; those without a position count for nothing.
+        probes: some tiles of the index; those without a position count for nothing.
         extent: see `Index.extent`.
         places: what queries show; without a map, the borders hold them, too.
-        town: the map; its borders are the ground's.
+        basemap: the map; its borders are the ground's.
 
     Raises:
         InputError: if no tile lies on the map.

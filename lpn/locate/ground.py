@@ -29,7 +29,7 @@ class MapFeatures:
     """Features of the blocks of a map, kept for the frames to come (LRU).
 
     Args:
-        town: the map.
+        basemap: the map.
         matcher: describes it.
     """
 

@@ -43,7 +43,7 @@ def flight_queries(
     known.
 
     Args:
-        town: map of the windows.
+        basemap: map of the windows.
         root: folder of the flight, where a person's notes are kept.
         on_progress: called with the numbers of described and of all pictures.
 

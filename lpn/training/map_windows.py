@@ -57,7 +57,7 @@ class MapWindows:
     """Windows of a map to train on, each a place of its own; every epoch draws others.
 
     Args:
-        town: the map.
+        basemap: the map.
         recipe: its `windows` are the places of an epoch; its other settings change the views.
         sizes: smallest and largest side of a window in metres; by default half to twice what the network's input shows at the
             map's resolution, as far as they fit.
