@@ -8,7 +8,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Layout:
+class ScreenLayout:
     """Positions and sizes in stage units: x from -4.15 to 4.15, y from -3.69 to 4.41, below the heatmaps' legend.
 
     Attributes:
@@ -49,7 +49,7 @@ class Layout:
 # Width and height of a caption.
 CAPTION: Point = (3.3, 0.36)
 
-_SQUARE = Layout(
+_SQUARE = ScreenLayout(
     stacked=False,
     picture=(3.3, 3.3),
     pixels=(384, 384),
@@ -66,7 +66,7 @@ _SQUARE = Layout(
 )
 
 
-def layout_for(input_size: tuple[int, int]) -> Layout:
+def layout_for(input_size: tuple[int, int]) -> ScreenLayout:
     """Return the layout for a network's input of (height, width) pixels."""
     height, width = input_size
     aspect = width / height
@@ -75,7 +75,7 @@ def layout_for(input_size: tuple[int, int]) -> Layout:
     across, down = min(8.1, 1.47 * aspect), min(8.1 / aspect, 1.47)
     left = -across / 2 + CAPTION[0] / 2
     card = min(2.62, 0.5 * aspect)
-    return Layout(
+    return ScreenLayout(
         stacked=True,
         picture=(across, down),
         pixels=(round(960 / aspect), 960),

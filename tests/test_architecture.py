@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -18,9 +19,9 @@ FLOORS = {"lpn": LPN, "explorer": EXPLORER}
 def test_imports_run_one_way(package: str) -> None:
     floor = {name: number for number, names in enumerate(FLOORS[package]) for name in names}
     wrong = [
-        f"{found.file}:{found.line}: {found.importer} imports {found.imported}"
-        for found in imports(ROOT, package)
-        if (above := room(found.importer)) != (below := room(found.imported))
+        f"{one.file}:{one.line}: {one.importer} imports {one.imported}"
+        for one in imports(ROOT, package)
+        if (above := room(one.importer)) != (below := room(one.imported))
         and above in floor  # the package's own __init__ and __main__ may name any room
         and floor[above] <= floor.get(below, -1)
     ]
@@ -35,18 +36,18 @@ def test_every_room_has_a_floor(package: str) -> None:
 
 def test_no_room_of_lpn_imports_the_explorer() -> None:
     wrong = [
-        f"{found.file}:{found.line}: {found.importer} imports {found.imported}"
-        for found in imports(ROOT, "lpn", "explorer")
-        if found.importer.split(".")[0] == "lpn" and found.imported.split(".")[0] == "explorer"
+        f"{one.file}:{one.line}: {one.importer} imports {one.imported}"
+        for one in imports(ROOT, "lpn", "explorer")
+        if one.importer.split(".")[0] == "lpn" and one.imported.split(".")[0] == "explorer"
     ]
     assert not wrong, "\n".join(wrong)
 
 
 def test_tools_and_tests_import_each_other_through_fixtures_only() -> None:
     wrong = [
-        f"{found.file}:{found.line}: {found.importer} imports {found.imported}"
-        for found in imports(ROOT, "tests", "tools")
-        if found.importer.split(".")[0] != found.imported.split(".")[0] and room(found.imported) not in ("", "fixtures")
+        f"{one.file}:{one.line}: {one.importer} imports {one.imported}"
+        for one in imports(ROOT, "tests", "tools")
+        if one.importer.split(".")[0] != one.imported.split(".")[0] and room(one.imported) not in ("", "fixtures")
     ]
     assert not wrong, "\n".join(wrong)
 
@@ -82,13 +83,53 @@ def _own(value: ast.expr) -> bool:
 
 
 def test_no_two_classes_have_one_name() -> None:
-    found = defaultdict(list)
+    places = defaultdict(list)
     for package in ("lpn", "explorer", "tools"):
         for name, path in modules(ROOT, package).items():
             for node in ast.walk(ast.parse(path.read_text("utf-8"))):
                 if isinstance(node, ast.ClassDef) and not _private(node.name):
-                    found[node.name].append(name)
-    assert not {name: places for name, places in found.items() if len(places) > 1}
+                    places[node.name].append(name)
+    assert not {name: where for name, where in places.items() if len(where) > 1}
+
+
+# Defined alike in two rooms until one of them imports it.
+_TWICE = {"Progress"}
+
+
+def test_no_public_type_has_two_meanings() -> None:
+    places = defaultdict(list)
+    for package in ("lpn", "explorer"):
+        for module, path in modules(ROOT, package).items():
+            for name in _types(ast.parse(path.read_text("utf-8")).body):
+                places[name].append(module)
+    assert {name for name, where in places.items() if len(where) > 1} <= _TWICE
+
+
+def test_a_type_is_a_class_an_alias_or_a_type_variable() -> None:
+    lines = (
+        "class One: ...",
+        "Two = Literal[1]",
+        "Three: TypeAlias = int",
+        "Four = TypeVar('Four')",
+        "LIMIT = 3",
+        "_Own = int",
+    )
+    assert list(_types(ast.parse("\n".join(lines)).body)) == ["One", "Two", "Three", "Four"]
+
+
+def _types(body: Sequence[ast.stmt]) -> Iterator[str]:
+    """Yield the public names of the classes, type aliases, and type variables of a module, which are in CamelCase."""
+    for node in body:
+        match node:
+            case ast.If() | ast.Try():
+                yield from _types([*node.body, *node.orelse])
+            case (
+                ast.ClassDef(name=name)
+                | ast.Assign(targets=[ast.Name(id=name)])
+                | ast.AnnAssign(target=ast.Name(id=name))
+            ):
+                if name[0].isupper() and not name.isupper():
+                    yield name
 
 
 @pytest.mark.parametrize("package", FLOORS)

@@ -10,7 +10,7 @@ from explorer.web.render import render, send
 from explorer.workspace import StateAnalysis
 from lpn.drawing import charts, verdicts
 from lpn.drawing.verdicts import ordinal
-from lpn.explain.sweeps import UNITS, Point, SweepResult, SweptProperty, signed_value
+from lpn.explain.sweeps import UNITS, SweepPoint, SweepResult, SweptProperty, signed_value
 
 CHOICES: dict[SweptProperty, str] = {
     "rotation": "Turn",
@@ -55,7 +55,7 @@ def page(
     )
 
 
-def _attributes(point: Point) -> Markup:
+def _attributes(point: SweepPoint) -> Markup:
     """Make a point's circle apply its change to the query when it is clicked."""
     change = point.change
     return send("take", [change.rotate, change.shift, change.down, change.scale])
@@ -89,11 +89,11 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
     return sentences
 
 
-def _place(over: SweptProperty, point: Point) -> str:
+def _place(over: SweptProperty, point: SweepPoint) -> str:
     return f"{signed_value(over, point.change):.3g}{UNITS[over]}"
 
 
-def _before(profile: SweepResult, point: Point) -> str:
+def _before(profile: SweepResult, point: SweepPoint) -> str:
     """Compare a point with the query as it is."""
     before = profile.unchanged
     if before is None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import sweeps
-from lpn.explain.sweeps import CHANGE_FIELD, Point, SweepResult, SweptProperty
+from lpn.explain.sweeps import CHANGE_FIELD, SweepPoint, SweepResult, SweptProperty
 from lpn.models.base import Model
 
 
@@ -78,7 +78,7 @@ class SweepProgress:
     """
 
     request: SweepRequest
-    points: tuple[Point, ...] = ()
+    points: tuple[SweepPoint, ...] = ()
     total: int = 0
     ended: bool = False
 

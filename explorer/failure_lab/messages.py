@@ -17,7 +17,7 @@ from explorer.failure_lab.state import Drawer, LabState, RowChange
 from explorer.session_state import MapKind, OutcomeFilter, Tab
 from explorer.web import messages
 
-Index = Annotated[int, Meta(ge=0)]
+QueryIndex = Annotated[int, Meta(ge=0)]
 # A place on a map, in units of half its longer side from its middle.
 Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 MAX_CORNERS = 300
@@ -64,7 +64,7 @@ class ClearSelections(LabMessage): ...
 
 
 class SelectPart(LabMessage):
-    part: Index
+    part: QueryIndex
 
 
 class SelectPair(LabMessage):
@@ -75,8 +75,8 @@ class SelectPair(LabMessage):
 class ChooseRows(LabMessage):
     """Choose all rows of the table from one query's to another's, or toggle or drop them."""
 
-    first: Index
-    last: Index
+    first: QueryIndex
+    last: QueryIndex
     how: RowChange
 
 
@@ -91,7 +91,7 @@ class ShowChosenRows(LabMessage): ...
 
 class SelectBin(LabMessage):
     column: str
-    index: Index
+    index: QueryIndex
     name: str
 
 
@@ -112,12 +112,12 @@ class SelectLasso(LabMessage):
 
 class OpenPoint(LabMessage):
     map: MapKind
-    row: Index
+    row: QueryIndex
 
 
 class ShowTip(LabMessage):
     map: MapKind
-    row: Index
+    row: QueryIndex
 
 
 class ToggleFullHeight(LabMessage): ...
@@ -132,7 +132,7 @@ class ResumeWork(LabMessage):
 
 
 class OpenQuery(LabMessage):
-    row: Index
+    row: QueryIndex
 
 
 class SaveNote(LabMessage):
@@ -143,7 +143,7 @@ class SaveNote(LabMessage):
     """
 
     task: str
-    row: Index
+    row: QueryIndex
     tags: str
     note: str
     before: tuple[str, str] | None = None

@@ -9,7 +9,7 @@ from msgspec import Meta
 
 from explorer.web import messages
 
-Index = Annotated[int, Meta(ge=0, le=10**7)]
+FrameIndex = Annotated[int, Meta(ge=0, le=10**7)]
 Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Spot = tuple[Metres, Metres]
 
@@ -19,13 +19,13 @@ class FlightMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True)
 
 
 class ChooseFrame(FlightMessage):
-    frame: Index
+    frame: FrameIndex
 
 
 class PaintScores(FlightMessage):
     """Paint the scores of all parts, of one part, or none."""
 
-    part: Index | Literal["all", "off"]
+    part: FrameIndex | Literal["all", "off"]
 
 
 class ShowSpot(FlightMessage):
@@ -37,12 +37,12 @@ class ShowSpot(FlightMessage):
 class CorrectFrame(FlightMessage):
     """Keep the corners of a frame's picture, in metres of the map's frame, as a person has placed them."""
 
-    frame: Index
+    frame: FrameIndex
     corners: tuple[Spot, Spot, Spot, Spot]
 
 
 class ForgetCorrection(FlightMessage):
-    frame: Index
+    frame: FrameIndex
 
 
 class ToggleHeight(FlightMessage): ...

@@ -40,35 +40,35 @@ Number = (
     | Annotated[float, Meta(ge=-float(_MAX_NUMBER), le=float(_MAX_NUMBER))]
 )
 ShortText = Annotated[str, Meta(max_length=_MAX_SHORT_TEXT)]
-Count = Annotated[int, Meta(ge=0, le=1 << 40)]
-Triple = tuple[Number, Number, Number]
+_Count = Annotated[int, Meta(ge=0, le=1 << 40)]
+_NumberTriple = tuple[Number, Number, Number]
 
 
 class RejectedMessageError(Exception):
     """The browser does not follow viser's protocol; its connection must be closed."""
 
 
-class Message(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
+class ViserMessage(msgspec.Struct, tag_field="type", forbid_unknown_fields=True):
     """A message of viser's protocol; its tag is the name of viser's class."""
 
 
-class _Camera(Message, tag="ViewerCameraMessage"):
+class _Camera(ViserMessage, tag="ViewerCameraMessage"):
     wxyz: tuple[Number, Number, Number, Number]
-    position: Triple
+    position: _NumberTriple
     fov: Number
     near: Number
     far: Number
     image_height: Number
     image_width: Number
-    look_at: Triple
-    up_direction: Triple
+    look_at: _NumberTriple
+    up_direction: _NumberTriple
 
 
-class _SceneClick(Message, tag="SceneNodeClickMessage"):
+class _SceneClick(ViserMessage, tag="SceneNodeClickMessage"):
     name: ShortText
-    instance_index: Count | None
-    ray_origin: Triple
-    ray_direction: Triple
+    instance_index: _Count | None
+    ray_origin: _NumberTriple
+    ray_direction: _NumberTriple
     screen_pos: tuple[Number, Number]
     modifier: ShortText | None
     owner: ShortText
@@ -78,28 +78,28 @@ class _Value(msgspec.Struct, forbid_unknown_fields=True):  # viser would set any
     value: bool | Number | Annotated[str, Meta(max_length=MAX_TEXT)]
 
 
-class _ControlUpdate(Message, tag="GuiUpdateMessage"):
+class _ControlUpdate(ViserMessage, tag="GuiUpdateMessage"):
     uuid: ShortText
     updates: _Value
 
 
-class _Command(Message, tag="CommandTriggerMessage"):
+class _Command(ViserMessage, tag="CommandTriggerMessage"):
     uuid: ShortText
 
 
-class _UploadStart(Message, tag="FileTransferStartUpload"):
+class _UploadStart(ViserMessage, tag="FileTransferStartUpload"):
     source_component_uuid: ShortText
     transfer_uuid: ShortText
     filename: str
     mime_type: ShortText
-    part_count: Count
-    size_bytes: Count
+    part_count: _Count
+    size_bytes: _Count
 
 
-class _UploadPart(Message, tag="FileTransferPart"):
+class _UploadPart(ViserMessage, tag="FileTransferPart"):
     source_component_uuid: ShortText
     transfer_uuid: ShortText
-    part_index: Count
+    part_index: _Count
     content: bytes
 
 
@@ -198,12 +198,12 @@ class MessageFilter:
         return True
 
 
-def _decode(raw: bytes | str) -> Message | _Other:
+def _decode(raw: bytes | str) -> ViserMessage | _Other:
     """Return an accepted message, or only the type of any other message."""
     if not isinstance(raw, bytes):
         raise RejectedMessageError("a text frame; expected a binary one")
     try:
-        message: Message = _MESSAGE.decode(raw)
+        message: ViserMessage = _MESSAGE.decode(raw)
         return message
     except (ValueError, RecursionError):
         pass

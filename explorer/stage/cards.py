@@ -15,7 +15,7 @@ import viser
 
 from explorer.compute.request_context import QueuedModel
 from explorer.compute.worker import Worker
-from explorer.layout import Layout
+from explorer.layout import ScreenLayout
 from explorer.session_state import SessionState
 from explorer.stage.image_planes import UPRIGHT, Plane
 from explorer.stage.lettering import LABEL_HEIGHT, Lettering, label_width
@@ -205,7 +205,7 @@ def _frame(width: float, height: float) -> Float32Array:
     return np.array([[(*point, 0.0) for point in line] for line in lines], np.float32)
 
 
-def _card_label(layout: Layout, match: Match, full: float, palette: Palette, size: int) -> UInt8Array:
+def _card_label(layout: ScreenLayout, match: Match, full: float, palette: Palette, size: int) -> UInt8Array:
     width, font = label_width(layout), captions.font(size)
     image, draw = captions.caption(width, LABEL_HEIGHT, palette)
     edge, sign = size / 8, 0.66 * size

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from explorer.layout import CAPTION, Layout
+from explorer.layout import CAPTION, ScreenLayout
 from explorer.stage.camera import FOV, HEIGHT, SIGN_CAPTION, WIDTH, Viewpoint
 from explorer.stage.image_planes import CAPTION_PIXELS
 from explorer.stage.viewport import Viewport
@@ -40,7 +40,7 @@ class Lettering:
     ground: float = field(compare=False)
 
     @classmethod
-    def of(cls, layout: Layout, parts: int, viewport: Viewport) -> Lettering:
+    def of(cls, layout: ScreenLayout, parts: int, viewport: Viewport) -> Lettering:
         """Return the sizes for a stage of the size that the page reports."""
         width, height = max(viewport.width, _LEAST_SIDE), max(viewport.height, _LEAST_SIDE)
         unit = min(width / WIDTH, height / HEIGHT)
@@ -60,7 +60,7 @@ class Lettering:
         )
 
 
-def label_width(layout: Layout) -> int:
+def label_width(layout: ScreenLayout) -> int:
     """Return the width of a ranked tile's label in pixels."""
     return round(LABEL_HEIGHT * layout.card[0] / layout.card[2])
 

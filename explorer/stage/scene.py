@@ -11,7 +11,7 @@ import viser
 from PIL.ImageDraw import ImageDraw
 
 from explorer.compute.request_context import QueuedModel
-from explorer.layout import CAPTION, Layout, Point
+from explorer.layout import CAPTION, Point, ScreenLayout
 from explorer.session_state import SessionState
 from explorer.stage import pair_picture
 from explorer.stage.camera import FOV, HEIGHT, WIDTH, Viewpoint
@@ -359,7 +359,7 @@ class Stage:
         return points
 
 
-def _row_heights(layout: Layout, n: int) -> list[float]:
+def _row_heights(layout: ScreenLayout, n: int) -> list[float]:
     """Return the height of each part's bar relative to the pictures' centre, from the top."""
     return [(0.5 - (part + 0.5) / n) * layout.picture[1] for part in range(n)]
 

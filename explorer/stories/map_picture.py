@@ -22,7 +22,7 @@ _BAR = 220
 # Size of texts in pixels: 12 on a phone that shows the picture 360 pixels wide.
 TEXT = 34
 
-Bounds = tuple[float, float, float, float]
+PlaneBounds = tuple[float, float, float, float]
 
 
 class MapPicture:
@@ -51,13 +51,13 @@ class MapPicture:
         return SIZE[0] / 2 + x, SIZE[1] / 2 - y
 
     @property
-    def bounds(self) -> Bounds:
+    def bounds(self) -> PlaneBounds:
         """West, south, east, and north border in units of the plane."""
         half = np.array(SIZE) * self.unit / 2
         (west, south), (east, north) = (self.middle - half).tolist(), (self.middle + half).tolist()
         return west, south, east, north
 
-    def lay(self, picture: UInt8Array, bounds: Bounds) -> None:
+    def lay(self, picture: UInt8Array, bounds: PlaneBounds) -> None:
         """Lay a picture, (H, W, 3), within its west, south, east, and north border; what was drawn before is lost."""
         canvas = np.full((SIZE[1], SIZE[0], 3), EMPTY, np.uint8)
         (rows, columns), (west, south, east, north) = picture.shape[:2], bounds

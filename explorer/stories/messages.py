@@ -7,9 +7,9 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from explorer.stories.story import MOST_STEPS, Caption, Name, Notes, Place, Shows, Story
+from explorer.stories.story import MOST_STEPS, Caption, Focus, Name, Notes, Shows, Story
 
-Index = Annotated[int, Meta(ge=0, lt=MOST_STEPS)]
+StepIndex = Annotated[int, Meta(ge=0, lt=MOST_STEPS)]
 
 
 class StoryMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
@@ -51,41 +51,41 @@ class Rename(StoryMessage):
 class EditCaption(StoryMessage):
     """Replace a step's caption."""
 
-    index: Index
+    index: StepIndex
     caption: Caption
 
 
 class EditNotes(StoryMessage):
     """Replace a step's notes."""
 
-    index: Index
+    index: StepIndex
     notes: Notes
 
 
 class PointAt(StoryMessage):
     """Let a step point at a place of the page."""
 
-    index: Index
-    place: Place
+    index: StepIndex
+    place: Focus
 
 
 class MoveStep(StoryMessage):
     """Move a step up or down."""
 
-    index: Index
+    index: StepIndex
     by: Annotated[int, Meta(ge=-1, le=1)]
 
 
 class RemoveStep(StoryMessage):
     """Delete a step."""
 
-    index: Index
+    index: StepIndex
 
 
 class ShowStep(StoryMessage):
     """Show what a step of the edited story shows."""
 
-    index: Index
+    index: StepIndex
 
 
 class PlayStory(StoryMessage):
@@ -101,7 +101,7 @@ class Tell(StoryMessage):
 class ToldStep(StoryMessage):
     """Show what a step of the story that is told shows; the page has the story, as it outlives a lost connection."""
 
-    index: Index
+    index: StepIndex
     shows: Shows
 
 

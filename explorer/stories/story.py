@@ -27,7 +27,7 @@ Shows = Annotated[str, Meta(max_length=20_000)]
 Name = Annotated[str, Meta(min_length=1, max_length=LONGEST_NAME)]
 Caption = Annotated[str, Meta(max_length=LONGEST_CAPTION)]
 Notes = Annotated[str, Meta(max_length=LONGEST_NOTES)]
-Place = Literal["", "query", "tile", "parts", "ranking", "verdict", "controls", "window"]
+Focus = Literal["", "query", "tile", "parts", "ranking", "verdict", "controls", "window"]
 
 
 class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -43,7 +43,7 @@ class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     shows: Shows
     caption: Caption = ""
     notes: Notes = ""
-    points_at: Place = ""
+    points_at: Focus = ""
 
 
 class Story(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -126,7 +126,7 @@ def edit(story: Story, index: int, caption: str | None = None, notes: str | None
     return replace(story, steps=(*story.steps[:index], step, *story.steps[index + 1 :]))
 
 
-def point(story: Story, index: int, place: Place) -> Story:
+def point(story: Story, index: int, place: Focus) -> Story:
     """Let a step point at a place of the page."""
     return replace(
         story, steps=tuple(replace(step, points_at=place) if i == index else step for i, step in enumerate(story.steps))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from explorer.layout import Layout, Point
-from explorer.stories.story import Place, Step, Story
+from explorer.layout import Point, ScreenLayout
+from explorer.stories.story import Focus, Step, Story
 from explorer.workspace import Workspace
 
 NAME = "Tour"
 # The places on the page in words.
-PLACES: dict[Place, str] = {
+PLACES: dict[Focus, str] = {
     "query": "the query",
     "tile": "the compared tile",
     "parts": "the bars of the parts",
@@ -19,7 +19,7 @@ PLACES: dict[Place, str] = {
     "controls": "the links at the top",
     "window": "the open window",
 }
-assert set(PLACES) | {""} == set(get_args(Place))
+assert set(PLACES) | {""} == set(get_args(Focus))
 
 
 def story(workspace: Workspace) -> Story:
@@ -32,7 +32,7 @@ def story(workspace: Workspace) -> Story:
         " Why this tile?, further down, shows the evidence cell by cell; it adds up to the score. Its tab Heatmaps shows the "
         "activation of each part."
     )
-    cards: dict[Place, tuple[str, str, str]] = {
+    cards: dict[Focus, tuple[str, str, str]] = {
         "query": (
             "A picture goes in",
             f"This picture is the query: where was it taken? The panel Query has all {task.query_view} pictures"
@@ -68,11 +68,11 @@ def story(workspace: Workspace) -> Story:
     return Story(NAME, tuple(_step(place, *texts) for place, texts in cards.items()))
 
 
-def _step(place: Place, title: str, text: str, keys: str) -> Step:
+def _step(place: Focus, title: str, text: str, keys: str) -> Step:
     return Step("", "\n".join([title, text, *([f"Keys: {keys}."] if keys else [])]), points_at=place)
 
 
-def places(layout: Layout) -> dict[Place, dict[str, Any]]:
+def places(layout: ScreenLayout) -> dict[Focus, dict[str, Any]]:
     """Return where the page finds each place.
 
     That is `selectors`, of which the first visible one counts, else `box`, the left, lower, right, and upper border on the stage
@@ -98,6 +98,6 @@ def _box(centre: Point, size: Point) -> tuple[float, float, float, float]:
     return centre[0] - size[0] / 2, centre[1] - size[1] / 2, centre[0] + size[0] / 2, centre[1] + size[1] / 2
 
 
-def _cards(layout: Layout) -> tuple[float, float, float, float]:
+def _cards(layout: ScreenLayout) -> tuple[float, float, float, float]:
     half = layout.columns * layout.step[0] / 2
     return -half, layout.cards_top - layout.step[1], half, layout.cards_top

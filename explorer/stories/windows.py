@@ -19,7 +19,7 @@ from explorer.failure_lab.state import LabState
 from explorer.flight_window import page as flight_page
 from explorer.flight_window import pictures
 from explorer.flight_window.service import FlightService, FlightView
-from explorer.stories.map_picture import EMPTY, WHITE, Bounds, MapPicture
+from explorer.stories.map_picture import EMPTY, WHITE, MapPicture, PlaneBounds
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Int64Array, UInt8Array
@@ -240,7 +240,7 @@ def draw_flight(view: FlightView, data: dict[str, Any], frame: int | None) -> UI
     return drawn.picture()
 
 
-def _ground(view: FlightView, drawn: MapPicture) -> tuple[UInt8Array, Bounds]:
+def _ground(view: FlightView, drawn: MapPicture) -> tuple[UInt8Array, PlaneBounds]:
     """Join the tiles of the map's pyramid that a picture needs, and return them with their borders."""
     basemap = view.flight.town
     pyramid = pictures.Pyramid.of(basemap)

@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 import msgspec
 
-Message = TypeVar("Message", bound=msgspec.Struct)
+_Message = TypeVar("_Message", bound=msgspec.Struct)
 
 
-def decode(types: Mapping[str, type[Message]], kind: str, value: Any) -> Message | None:
+def decode(types: Mapping[str, type[_Message]], kind: str, value: Any) -> _Message | None:
     """Return the message that a JSON value holds, None if it holds none of this kind.
 
     The value of a message of several fields is a list of them, that of a message of one field is the field itself.

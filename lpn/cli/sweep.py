@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.core.views import View
-    from lpn.explain.sweeps import Point, SweepResult
+    from lpn.explain.sweeps import SweepPoint, SweepResult
     from lpn.models.base import Model
     from lpn.tasks.task import Task
 
@@ -184,7 +184,7 @@ def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
     return lines
 
 
-def _sentence(begin: str, profile: SweepResult, point: Point) -> str:
+def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
     gain, changed = profile.gain(point), point.change.describe()
     when = f"when {changed}" if changed else "with the query as it is"
     subject = "the true match has" if point.true else "the top match has"

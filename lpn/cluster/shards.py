@@ -38,9 +38,7 @@ from lpn.models.contract import Role
 FORMAT = "lpn-shards/2"
 PLAN = "plan.json"
 BROKEN = "broken.csv"
-Precision = Literal["float32", "float16"]
-# Latitude and longitude in degrees.
-Position = tuple[float, float] | None
+ShardPrecision = Literal["float32", "float16"]
 
 # Columns of a shard other than the descriptor.
 ITEM = ("file", "size", "time_ns", "box", "latitude", "longitude")
@@ -67,7 +65,7 @@ class ShardItem(NamedTuple):
     """A picture to be described, and its position."""
 
     row: Row
-    position: Position = None
+    position: tuple[float, float] | None = None
 
 
 class FailedPicture(NamedTuple):
@@ -107,7 +105,7 @@ class Plan:
     view: str
     n_parts: _Positive
     embedding: _Positive
-    precision: Precision
+    precision: ShardPrecision
     partitions: _Positive
     format: str = FORMAT
     finished: bool = field(default=False, compare=False)

@@ -23,14 +23,14 @@ from lpn.core.files import printable
 # The environment variable and the flag that set the level.
 VARIABLE: Final = "LPN_LOG"
 FLAG: Final = "--log-level"
-Level = Literal["debug", "info", "warning", "error"]
-LEVELS: tuple[Level, ...] = get_args(Level)
+LogLevel = Literal["debug", "info", "warning", "error"]
+LEVELS: tuple[LogLevel, ...] = get_args(LogLevel)
 OUR_LOGGERS = ("lpn", "explorer")
 _TOKEN = re.compile(r"(token=)[^&\s\"'<>]+", re.IGNORECASE)
 _MAX_LENGTH = 1000
 
 
-def parse_level(arguments: list[str], environ: Mapping[str, str] | None = None) -> tuple[Level, list[str]]:
+def parse_level(arguments: list[str], environ: Mapping[str, str] | None = None) -> tuple[LogLevel, list[str]]:
     """Return the level that the command line or else the environment sets, and the remaining arguments.
 
     Raises:
@@ -52,7 +52,7 @@ def parse_level(arguments: list[str], environ: Mapping[str, str] | None = None) 
 
 
 @contextmanager
-def log_to_stderr(level: Level) -> Iterator[None]:
+def log_to_stderr(level: LogLevel) -> Iterator[None]:
     """Log to stderr inside the context: our own loggers from `level` on, those of libraries from warnings on."""
     handler, root = StderrHandler(whole_tracebacks=level == "debug"), logging.getLogger()
     levels = dict.fromkeys(OUR_LOGGERS, level.upper())

@@ -14,11 +14,11 @@ from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import check_writable, exclusive_lock, printable, write_atomic
 from lpn.core.shutdown import uninterrupted
 
-Contents = TypeVar("Contents")
+_Contents = TypeVar("_Contents")
 
 
 @dataclass(frozen=True)
-class OwnFileFormat(Generic[Contents]):
+class OwnFileFormat(Generic[_Contents]):
     """How such a file is read and changed.
 
     Attributes:
@@ -31,13 +31,13 @@ class OwnFileFormat(Generic[Contents]):
     """
 
     holds: str
-    decode: Callable[[bytes, Path], Contents]
-    encode: Callable[[Contents], bytes]
-    empty: Callable[[], Contents]
+    decode: Callable[[bytes, Path], _Contents]
+    encode: Callable[[_Contents], bytes]
+    empty: Callable[[], _Contents]
     smaller: str
     max_bytes: int = 50_000_000
 
-    def read(self, file: Path) -> Contents:
+    def read(self, file: Path) -> _Contents:
         """Return the file's contents.
 
         Raises:
@@ -53,7 +53,7 @@ class OwnFileFormat(Generic[Contents]):
             raise DataError(f"{file} cannot be read ({error.strerror or error}); check that it is readable.") from error
         return self.decode(content, file)
 
-    def change(self, file: Path, change: Callable[[Contents], Contents]) -> Contents:
+    def change(self, file: Path, change: Callable[[_Contents], _Contents]) -> _Contents:
         """Replace the contents by a function's result, and return them; what it raises changes nothing.
 
         Raises:

@@ -41,7 +41,7 @@ _OPERATOR = re.compile(r"<=|>=|!=|!~|=|<|>|~")
 # Names, and values outside of quotes, contain none of these.
 _OPERATOR_CHARACTERS = frozenset('<>=!~"')
 _MAX_LENGTH = 1000
-Kind = Literal["number", "text"]
+ColumnType = Literal["number", "text"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Column:
     """
 
     name: str
-    kind: Kind
+    kind: ColumnType
     values: AnyArray
     unit: str = ""
     limit: float | None = None

@@ -17,7 +17,7 @@ from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, read_rows, 
 from lpn.datasets.listed_paths import FilesBelow, listed_path
 from lpn.datasets.rendered import is_rendered
 
-Split = Literal["train", "val"]
+CvusaSplit = Literal["train", "val"]
 
 FULL = {
     "train/satellite": Size(35_532, 35_532),
@@ -28,7 +28,7 @@ FULL = {
 _NUMBER = re.compile(r"\d{1,15}$")
 
 
-def split_file(root: Path, split: Split) -> Path:
+def split_file(root: Path, split: CvusaSplit) -> Path:
     """Return the file that lists the pairs of a split."""
     return root / "splits" / f"{split}-19zl.csv"
 
@@ -46,13 +46,13 @@ class CVUSA(ListedDataset):
     def __init__(self, root: Path) -> None:
         # A rendered world stores its panoramas in this layout, in any number.
         rendered = is_rendered(root.parent)
-        listed: dict[Split, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
+        listed: dict[CvusaSplit, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
         labels = _labels(listed["train"] + listed["val"])
         left_out: list[LeftOut] = []
         files = FilesBelow(root).resolve(
             (file for pairs in listed.values() for pair in pairs for file in pair), "splits"
         )
-        pictures: dict[Split, dict[str, list[Picture]]] = {}
+        pictures: dict[CvusaSplit, dict[str, list[Picture]]] = {}
         for split, pairs in listed.items():
             of_split: dict[str, list[Picture]] = {"satellite": [], "street": []}
             for pair in pairs:
@@ -78,7 +78,7 @@ class CVUSA(ListedDataset):
         warn_left_out(self.root.name, self.left_out, "files named in splits cannot be used", "their pairs are left out")
 
 
-def _read(root: Path, split: Split) -> list[tuple[str, str]]:
+def _read(root: Path, split: CvusaSplit) -> list[tuple[str, str]]:
     file = split_file(root, split)
     if not file.is_file():
         return []

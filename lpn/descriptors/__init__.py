@@ -16,13 +16,13 @@ from lpn.descriptors.cache import (
     shipped_or_cached,
     temporary_descriptors,
 )
-from lpn.descriptors.store import FORMAT, Box, Manifest, Precision, Row, Store, open_store
+from lpn.descriptors.store import FORMAT, CropBox, Manifest, Precision, Row, Store, open_store
 from lpn.descriptors.writer import describe, pictures_below
 
 __all__ = [
     "FORMAT",
     "STORES",
-    "Box",
+    "CropBox",
     "Manifest",
     "Precision",
     "Reader",

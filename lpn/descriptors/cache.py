@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,16 +19,16 @@ from lpn.core.files import cache_folder, linked_folder, printable
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.partial_store import complete_store
-from lpn.descriptors.store import Box, Manifest, open_store, row_of
+from lpn.descriptors.store import CropBox, Manifest, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.descriptors.writer import describe
 from lpn.models.base import Model
+from lpn.models.contract import Role
 
 # The folder of a data set that may hold stores of its test split: `query_drone`, `gallery_satellite`, ...; those of further
 # models are in folders of their own, such as `baseline/query_drone`.
 STORES = "descriptors"
 
-Role = Literal["query", "gallery"]
 # A source of descriptors (N, n, D) of transformed pictures, such as `cached_descriptors`.
 Reader = Callable[[Model, Sequence[Picture], View, Change], Float32Array]
 
@@ -164,7 +164,7 @@ def temporary_descriptors(
 
 
 def _from_complete_store(
-    model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[Box | None]
+    model: Model, files: Sequence[Path], view: View, folder: Path, change: Change, boxes: Sequence[CropBox | None]
 ) -> StoredDescriptors | None:
     """Read descriptors from a complete store that has all of these files; None without such a store.
 

@@ -32,8 +32,8 @@ from lpn.models.contract import Role
 
 FORMAT = "lpn-descriptors/2"
 Precision = Literal["float32", "float16", "int8"]
-Box = tuple[float, float, float, float]
-Count = Annotated[int, Meta(gt=0, lt=2**31)]
+CropBox = tuple[float, float, float, float]
+_Count = Annotated[int, Meta(gt=0, lt=2**31)]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Row:
     file: str
     size: int
     time_ns: int
-    box: Box | None = None
+    box: CropBox | None = None
 
 
 @dataclass(frozen=True)
@@ -75,8 +75,8 @@ class Manifest:
     fingerprint: str
     view: str
     rotate: float
-    n_parts: Count
-    embedding: Count
+    n_parts: _Count
+    embedding: _Count
     rows: tuple[Row, ...]
     precision: Precision = "float32"
     shift: int = 0
@@ -268,7 +268,7 @@ def encode(descriptors: Float32Array, precision: Precision) -> AnyArray:
     return descriptors.astype(precision, copy=False)
 
 
-def row_of(file: Path, root: Path | None, box: Box | None) -> Row:
+def row_of(file: Path, root: Path | None, box: CropBox | None) -> Row:
     """Return the row of a picture file.
 
     Raises:
@@ -281,7 +281,7 @@ def row_of(file: Path, root: Path | None, box: Box | None) -> Row:
     return Row(str(file.relative_to(root) if root else file), stat.st_size, stat.st_mtime_ns, float_box(box))
 
 
-def float_box(values: Any) -> Box | None:
+def float_box(values: Any) -> CropBox | None:
     """Convert a box to four floats, as JSON returns them."""
     if values is None:
         return None

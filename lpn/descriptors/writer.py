@@ -17,7 +17,7 @@ from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.descriptors.partial_store import PartialStore, lacks_manifest_only, reusable_store
-from lpn.descriptors.store import Box, Manifest, Precision, Row, Store, open_store, row_of
+from lpn.descriptors.store import CropBox, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 
@@ -29,7 +29,7 @@ def describe(
     out: str | Path,
     root: Path | None = None,
     change: Change = UNCHANGED,
-    boxes: Sequence[Box | None] | None = None,
+    boxes: Sequence[CropBox | None] | None = None,
     title: str = "Describing",
     precision: Precision = "float32",
 ) -> Store:

@@ -18,7 +18,7 @@ from lpn.core.demo import DEMO_BASELINE
 from lpn.core.errors import LPNError, OutputError
 from lpn.core.files import cache_folder, check_writable, printable
 
-Level = Literal["OK", "note", "problem"]
+Severity = Literal["OK", "note", "problem"]
 # The explorer's default address.
 HOST, PORT = "127.0.0.1", 8080
 _USES = {
@@ -52,7 +52,7 @@ class Finding:
     """
 
     name: str
-    level: Level
+    level: Severity
     message: str
     remedy: str = ""
 
@@ -240,7 +240,7 @@ def _cache() -> Iterator[Finding]:
         return
     free = shutil.disk_usage(folder).free
     message = f"{folder} can be written; {free / 1e9:.1f} GB are free there"
-    level: Level = "problem" if free < _MIN_DISK else "note" if free < _LITTLE_DISK else "OK"
+    level: Severity = "problem" if free < _MIN_DISK else "note" if free < _LITTLE_DISK else "OK"
     yield Finding(
         "cache", level, message, "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere"
     )

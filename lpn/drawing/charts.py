@@ -22,7 +22,7 @@ from lpn.core.numbers import rounded_to_sum, signed
 from lpn.core.templates import environment
 from lpn.drawing import theme
 from lpn.explain import Evidence
-from lpn.explain.sweeps import UNITS, Point, SweepResult, signed_value
+from lpn.explain.sweeps import UNITS, SweepPoint, SweepResult, signed_value
 
 STYLE = (Path(__file__).parent / "css" / "charts.css").read_text("utf-8")
 EVIDENCE_COLOURS = {
@@ -161,7 +161,7 @@ def profile_charts(
     names: Sequence[str],
     width: int,
     current: float | None = None,
-    attributes: Callable[[Point], Markup] | None = None,
+    attributes: Callable[[SweepPoint], Markup] | None = None,
 ) -> Markup:
     """Draw rank, score, and part cosines of the followed tile over a turn, shift, or zoom.
 
@@ -213,7 +213,7 @@ def profile_charts(
     return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, line, attributes)
 
 
-def _panels(points: Sequence[Point], names: Sequence[str]) -> list[_Panel]:
+def _panels(points: Sequence[SweepPoint], names: Sequence[str]) -> list[_Panel]:
     worst = max(*(point.rank for point in points), 2)
     ranks = _Series([math.log(point.rank) for point in points])
     score = _Series([point.score for point in points])

@@ -11,10 +11,10 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array
 from lpn.core.views import View
 from lpn.models.contract import Contract
-from lpn.models.partition import Box, Partition
+from lpn.models.partition import PartBox, Partition
 from lpn.models.trace import Trace
 
-_WHOLE: Box = (0.0, 0.0, 1.0, 1.0)
+_WHOLE: PartBox = (0.0, 0.0, 1.0, 1.0)
 # Weights of a cell that differ by less than this share are alike.
 _ALIKE = 1e-5
 
@@ -34,7 +34,7 @@ class PartAreas:
 
     inside: BoolArray
     labels: Int64Array
-    boxes: list[Box]
+    boxes: list[PartBox]
     straight: bool = False
     outside_in: bool = False
 
@@ -78,7 +78,7 @@ class PartAreas:
         return cast(BoolArray, images.enlarge(self.inside[part], *size))
 
 
-def _box(area: BoolArray) -> Box:
+def _box(area: BoolArray) -> PartBox:
     if not area.any():
         return _WHOLE
     rows, columns = (np.flatnonzero(area.any(axis=axis)) for axis in (1, 0))

@@ -37,7 +37,7 @@ MAX_POINTS = 3600
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class SweepPoint:
     """One query under one change.
 
     Attributes:
@@ -71,7 +71,7 @@ def run_sweep(
     label: int | None = None,
     truth: Truth | None = None,
     follow: int | None = None,
-) -> Iterator[Point]:
+) -> Iterator[SweepPoint]:
     """Yield a point for each change: describe the changed query and rank the gallery.
 
     Args:
@@ -100,7 +100,7 @@ def sweep_points(
     changes: Iterable[Change],
     rank: Callable[[Float32Array], Ranking],
     follow: int | None = None,
-) -> Iterator[Point]:
+) -> Iterator[SweepPoint]:
     """Yield a point for each change, as `run_sweep` does, of a gallery that a function ranks.
 
     Args:
@@ -117,7 +117,7 @@ def sweep_points(
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
         tile = (ranking.positive() or top) if follow is None else ranking.find(follow)
-        yield Point(change, tile.index, tile.true, tile.score, tile.rank, tile.cosines, top.index, top.score)
+        yield SweepPoint(change, tile.index, tile.true, tile.score, tile.rank, tile.cosines, top.index, top.score)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +131,7 @@ class SweepResult:
     """
 
     over: SweptProperty
-    points: tuple[Point, ...]
+    points: tuple[SweepPoint, ...]
     base: Change = UNCHANGED
 
     def __post_init__(self) -> None:
@@ -143,27 +143,27 @@ class SweepResult:
         object.__setattr__(self, "points", tuple(ordered))
 
     @property
-    def best(self) -> Point:
+    def best(self) -> SweepPoint:
         """The point where the followed tile has its highest score; the smallest change wins ties."""
         return self._highest([point.score for point in self.points])
 
     @property
-    def best_top_match(self) -> Point:
+    def best_top_match(self) -> SweepPoint:
         """The point where the top match has its highest score; needs no ground truth. The smallest change wins ties."""
         return self._highest([point.top_score for point in self.points])
 
     @property
-    def best_rank(self) -> Point:
+    def best_rank(self) -> SweepPoint:
         """The point where the followed tile ranks best; the highest score wins ties."""
         # Scores differ by at most 2, so the rank dominates.
         return self._highest([4.0 * -point.rank + point.score for point in self.points])
 
     @property
-    def unchanged(self) -> Point | None:
+    def unchanged(self) -> SweepPoint | None:
         """The point of the base change; None until it is computed."""
         return next((point for point in self.points if point.change == self.base), None)
 
-    def gain(self, point: Point) -> tuple[int, float] | None:
+    def gain(self, point: SweepPoint) -> tuple[int, float] | None:
         """Return how many ranks and how much score the followed tile gains over the base change.
 
         None until the base change is computed.
@@ -202,7 +202,7 @@ class SweepResult:
         rows = self.rows()
         return csv_bytes([list(rows[0]), *(row.values() for row in rows)])
 
-    def _highest(self, scores: Sequence[float]) -> Point:
+    def _highest(self, scores: Sequence[float]) -> SweepPoint:
         places = sorted(range(len(scores)), key=lambda i: (-scores[i], _magnitude(self.over, self.points[i].change)))
         return self.points[places[0]]
 

@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from lpn.core.errors import InputError, StoreError
-from lpn.index.base import Box, Index, Kind, SearchResult, check_count
+from lpn.descriptors.store import Precision
+from lpn.index.base import DegreeBox, DescriptorKind, Index, SearchResult, check_count
 from lpn.index.exact import ExactIndex
 from lpn.index.faiss import Codes, FaissIndex
 from lpn.index.folder import IndexManifest
 from lpn.index.milvus import SCHEME, MilvusIndex, Structure
-from lpn.index.scan import Precision
 
-Engine = Literal["exact", "faiss", "milvus"]
+IndexEngine = Literal["exact", "faiss", "milvus"]
 _SCHEME = f"{SCHEME}:"
 
 
@@ -60,8 +60,8 @@ def check_effort(effort: int | None, depth: int | None) -> dict[str, int]:
 
 def create_index(
     where: str | Path,
-    kind: Kind,
-    engine: Engine | None = None,
+    kind: DescriptorKind,
+    engine: IndexEngine | None = None,
     precision: Precision = "float32",
     codes: Codes | None = None,
     structure: Structure | None = None,
@@ -81,8 +81,8 @@ def create_index(
     """
     is_url = str(where).startswith(_SCHEME)
     engine = engine or ("milvus" if is_url else "exact")
-    if engine not in get_args(Engine):
-        raise InputError(f"There is no engine {engine!r}; expected one of {', '.join(get_args(Engine))}.")
+    if engine not in get_args(IndexEngine):
+        raise InputError(f"There is no engine {engine!r}; expected one of {', '.join(get_args(IndexEngine))}.")
     if is_url != (engine == "milvus"):
         raise InputError(
             f"The engine {engine} does not go with this place; milvus takes milvus://host:port/collection, others a folder."
@@ -133,13 +133,13 @@ def _refuse(options: dict[str, int], names: tuple[str, ...], why: str) -> None:
 
 
 __all__ = [
-    "Box",
     "Codes",
-    "Engine",
+    "DegreeBox",
+    "DescriptorKind",
     "ExactIndex",
     "FaissIndex",
     "Index",
-    "Kind",
+    "IndexEngine",
     "MilvusIndex",
     "Precision",
     "SearchResult",

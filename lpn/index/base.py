@@ -26,7 +26,7 @@ from lpn.core.files import printable
 from lpn.retrieval import scoring
 
 # South, west, north, east in degrees; a box with west > east crosses the antimeridian.
-Box = tuple[float, float, float, float]
+DegreeBox = tuple[float, float, float, float]
 
 # Maximum length of a tile's name in characters.
 ID_LENGTH = 512
@@ -36,7 +36,7 @@ _ROWS = 256
 
 
 @dataclass(frozen=True)
-class Kind:
+class DescriptorKind:
     """The kind of descriptors that an index holds.
 
     Attributes:
@@ -119,7 +119,7 @@ class Index(ABC):
     """
 
     engine: str
-    kind: Kind
+    kind: DescriptorKind
     most: int | None = None
 
     @abstractmethod
@@ -143,7 +143,7 @@ class Index(ABC):
 
     @abstractmethod
     def search(
-        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
     ) -> SearchResult:
         """Return the k tiles with the highest scores, or all if there are fewer.
 
@@ -162,7 +162,7 @@ class Index(ABC):
         """Return True if a search compares every tile, so that no nearer tile is missed."""
         return False
 
-    def extent(self) -> Box | None:
+    def extent(self) -> DegreeBox | None:
         """Return a box that holds the positions of all tiles, NaN if none has one; None if only a search of all would tell.
 
         Raises:
@@ -277,7 +277,7 @@ def check_count(k: int, what: str = "number of tiles asked for") -> int:
     return int(k)
 
 
-def check_box(box: Sequence[float] | None) -> Box | None:
+def check_box(box: Sequence[float] | None) -> DegreeBox | None:
     """Check a box; InputError unless it is south, west, north, east in degrees with south <= north."""
     if box is None:
         return None
@@ -293,21 +293,21 @@ def check_box(box: Sequence[float] | None) -> Box | None:
     return values[0], values[1], values[2], values[3]
 
 
-def overlaps(extent: Box, box: Box) -> bool:
+def overlaps(extent: DegreeBox, box: DegreeBox) -> bool:
     """Return whether an extent of positions, which never crosses the antimeridian, meets a box; False if it is NaN."""
     south, west, north, east = box
     both = [extent[3] >= west, extent[1] <= east]
     return extent[2] >= south and extent[0] <= north and (all(both) if west <= east else any(both))
 
 
-def covers(box: Box, extent: Box) -> bool:
+def covers(box: DegreeBox, extent: DegreeBox) -> bool:
     """Return whether a box contains an extent of positions, as for `overlaps`."""
     south, west, north, east = box
     both = [west <= extent[1], extent[3] <= east]
     return south <= extent[0] and extent[2] <= north and (all(both) if west <= east else any(both))
 
 
-def within(positions: Float64Array, box: Box) -> BoolArray:
+def within(positions: Float64Array, box: DegreeBox) -> BoolArray:
     """Return which positions (N, 2) are in a box, (N,); NaN is in no box."""
     south, west, north, east = box
     latitude, longitude = positions[:, 0], positions[:, 1]

@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from lpn.core.arrays import Float64Array, Int64Array
-from lpn.index.base import Box, Kind, SearchResult, check_box, check_count
+from lpn.descriptors.store import Precision
+from lpn.index.base import DegreeBox, DescriptorKind, SearchResult, check_box, check_count
 from lpn.index.folder import Candidates, FolderIndex, IndexManifest, create
-from lpn.index.scan import Precision, Scan
+from lpn.index.scan import Scan
 from lpn.index.segments import Segment
 
 # A scan reads only the searched rows if they are at most 1 / _FEW of a segment, else all rows.
@@ -39,7 +40,7 @@ class ExactIndex(FolderIndex):
         self._scan = Scan(self.kind, self.precision, threads)
 
     @classmethod
-    def create(cls, folder: str | Path, kind: Kind, precision: Precision = "float32") -> ExactIndex:
+    def create(cls, folder: str | Path, kind: DescriptorKind, precision: Precision = "float32") -> ExactIndex:
         """Make an empty index, or open an existing one of the same kind.
 
         Args:
@@ -57,7 +58,7 @@ class ExactIndex(FolderIndex):
         return True
 
     def search(
-        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
     ) -> SearchResult:
         """See `Index.search`; ties keep the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
@@ -90,7 +91,7 @@ class ExactIndex(FolderIndex):
         pass
 
     def _bounds(
-        self, segments: list[Segment], wanted: Float64Array, box: Box | None
+        self, segments: list[Segment], wanted: Float64Array, box: DegreeBox | None
     ) -> tuple[Int64Array, Float64Array]:
         """Return the places of the searched tiles, and an upper bound on the score of each."""
         places: list[Int64Array] = []

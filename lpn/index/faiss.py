@@ -24,7 +24,7 @@ import numpy.typing as npt
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import unreadable_error
-from lpn.index.base import Box, Kind, SearchResult, check_box, check_count
+from lpn.index.base import DegreeBox, DescriptorKind, SearchResult, check_box, check_count
 from lpn.index.folder import Candidates, FolderIndex, IndexManifest, IndexSnapshot, create
 from lpn.index.segments import Segment
 
@@ -71,7 +71,7 @@ class FaissIndex(FolderIndex):
 
     @classmethod
     def create(
-        cls, folder: str | Path, kind: Kind, codes: Codes | None = None, nprobe: int = 64, depth: int = 16
+        cls, folder: str | Path, kind: DescriptorKind, codes: Codes | None = None, nprobe: int = 64, depth: int = 16
     ) -> FaissIndex:
         """Make an empty index, or open an existing one of the same kind.
 
@@ -99,7 +99,7 @@ class FaissIndex(FolderIndex):
         return self.codes == "flat"
 
     def search(
-        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
     ) -> SearchResult:
         """See `Index.search`; ties among the candidates keep the order of insertion."""
         wanted = self.kind.rescaled(query, weights)
@@ -121,7 +121,7 @@ class FaissIndex(FolderIndex):
     def _lists(self) -> bool:
         return self.codes != "flat"
 
-    def _places(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: Box | None) -> Int64Array:
+    def _places(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: DegreeBox | None) -> Int64Array:
         """Return the places of the candidates among the rows of all segments."""
         proposed: list[Int64Array] = [np.zeros(0, np.int64)]
         start = 0
@@ -230,7 +230,7 @@ class _ReplacedError(Exception):
     """Another process has merged a segment into a new one since the manifest was read."""
 
 
-def _factory(codes: Codes, rows: int, kind: Kind) -> str:
+def _factory(codes: Codes, rows: int, kind: DescriptorKind) -> str:
     """Return the faiss factory string: about sqrt(N) inverted lists, or none."""
     if codes == "flat":
         return "Flat"

@@ -43,10 +43,11 @@ from lpn.core.files import (
     write_atomic,
 )
 from lpn.core.formats import decode_json
+from lpn.descriptors.store import Precision
 from lpn.index.base import (
-    Box,
+    DegreeBox,
+    DescriptorKind,
     Index,
-    Kind,
     SearchResult,
     best,
     check_names,
@@ -54,7 +55,6 @@ from lpn.index.base import (
     no_such_tile,
     scores_of,
 )
-from lpn.index.scan import Precision
 from lpn.index.segment_checksums import NAME, changed_files, write_checksums
 from lpn.index.segments import DEAD, FILES, Segment, TileBatch, identity_of, keys_of, write_segment
 
@@ -90,7 +90,7 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         engine: "exact" or "faiss".
-        fingerprint, n_parts, embedding: the descriptors, see `Kind`.
+        fingerprint, n_parts, embedding: the descriptors, see `DescriptorKind`.
         precision: precision of the scanned copy of the vectors.
         settings: settings of the engine.
         next: number of the next folder or file to be written.
@@ -110,9 +110,9 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     checksum: int | None = None
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> DescriptorKind:
         """The kind of descriptors."""
-        return Kind(self.fingerprint, self.n_parts, self.embedding)
+        return DescriptorKind(self.fingerprint, self.n_parts, self.embedding)
 
     def to_json(self) -> bytes:
         """Encode the manifest with its checksum."""
@@ -279,7 +279,7 @@ class FolderIndex(Index):
         except (OSError, OutputError) as error:
             raise _unwritable(self.folder, error) from error
 
-    def extent(self) -> Box | None:
+    def extent(self) -> DegreeBox | None:
         """See `Index.extent`."""
         boxes = np.array([segment.extent[0] for segment in self._current().segments]).reshape(-1, 4)
         if not len(boxes):

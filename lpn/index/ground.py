@@ -14,7 +14,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
-from lpn.index.base import Box, SearchResult
+from lpn.index.base import DegreeBox, SearchResult
 from lpn.index.gallery import IndexGallery
 from lpn.index.shared import SharedIndex
 from lpn.maps import Map, NamedWindow
@@ -83,7 +83,7 @@ class TilePositions(Sequence[Position]):
 
 
 def ground_of(
-    probes: Sequence[SearchResult], extent: Box | None, places: Sequence[Position | None], basemap: Map | None
+    probes: Sequence[SearchResult], extent: DegreeBox | None, places: Sequence[Position | None], basemap: Map | None
 ) -> tuple[IndexGround | None, str]:
     """Return where tiles lie, and why that is not known, as a sentence.
 

@@ -39,9 +39,9 @@ from lpn.core.files import printable
 from lpn.core.formats import is_newer, newer_version
 from lpn.index.base import (
     ID_LENGTH,
-    Box,
+    DegreeBox,
+    DescriptorKind,
     Index,
-    Kind,
     SearchResult,
     best,
     check_box,
@@ -122,7 +122,7 @@ class MilvusIndex(Index):
 
     @classmethod
     def create(
-        cls, url: str, kind: Kind, structure: Structure = "flat", patience: float = 60.0, effort: int = 128
+        cls, url: str, kind: DescriptorKind, structure: Structure = "flat", patience: float = 60.0, effort: int = 128
     ) -> MilvusIndex:
         """Make an empty collection, or open an existing one of the same kind.
 
@@ -175,7 +175,7 @@ class MilvusIndex(Index):
             self._call(partial(self._upsert, rows))
 
     def search(
-        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: Box | None = None
+        self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
     ) -> SearchResult:
         """See `Index.search`; at most 16,384 tiles; ties are sorted by name."""
         wanted = self.kind.rescaled(query, weights)
@@ -257,7 +257,7 @@ class MilvusIndex(Index):
 
         return self._call(described)
 
-    def _make(self, kind: Kind, structure: Structure) -> None:
+    def _make(self, kind: DescriptorKind, structure: Structure) -> None:
         """Create the collection, with the description that identifies it, and then its index if it is missing."""
 
         def make(client: Any) -> None:
@@ -294,7 +294,7 @@ class MilvusIndex(Index):
         rows = client.query(self._name, filter=within, output_fields=["count(*)"], **_now(level))
         return int(rows[0]["count(*)"])
 
-    def _candidates(self, wanted: Float64Array, k: int, box: Box | None, client: Any) -> list[dict[str, Any]]:
+    def _candidates(self, wanted: Float64Array, k: int, box: DegreeBox | None, client: Any) -> list[dict[str, Any]]:
         """Return the fields of k tiles or more, fewer only if there are fewer."""
         level: _Level = "Strong" if time.monotonic() - self._written < _RECENT else "Bounded"
         within = "" if box is None else expression(box)
@@ -437,7 +437,7 @@ def key_of(name: str) -> str:
     return hashlib.blake2b(name.encode(), digest_size=16).hexdigest()
 
 
-def expression(box: Box) -> str:
+def expression(box: DegreeBox) -> str:
     """Format a box as a filter expression."""
     south, west, north, east = box
     both = "and" if west <= east else "or"
@@ -448,21 +448,23 @@ def expression(box: Box) -> str:
     )
 
 
-def _read(description: str, address: str) -> tuple[Kind, Structure]:
+def _read(description: str, address: str) -> tuple[DescriptorKind, Structure]:
     try:
         values: Any = json.loads(description)
         if is_newer(values["format"], FORMAT):
             raise StoreError(newer_version(address, values["format"], FORMAT))
         if values["format"] != FORMAT or values["structure"] not in get_args(Structure):
             raise ValueError("another format")
-        return Kind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values["structure"]
+        return DescriptorKind(str(values["fingerprint"]), int(values["n_parts"]), int(values["embedding"])), values[
+            "structure"
+        ]
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
             f"{address} is a collection that lpn index did not make ({FORMAT}); choose another name."
         ) from error
 
 
-def _describe(kind: Kind) -> str:
+def _describe(kind: DescriptorKind) -> str:
     return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}"
 
 

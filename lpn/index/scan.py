@@ -22,15 +22,14 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib import import_module
 from types import ModuleType
-from typing import Literal
 
 import numpy as np
 
 from lpn.core.arrays import AnyArray, Float32Array, Float64Array
 from lpn.core.resources import usable_cores
-from lpn.index.base import LONGEST, Kind
+from lpn.descriptors.store import Precision
+from lpn.index.base import LONGEST, DescriptorKind
 
-Precision = Literal["float32", "float16", "int8"]
 PRECISIONS: tuple[Precision, ...] = ("float32", "float16", "int8")
 
 _STEPS = 127
@@ -44,7 +43,9 @@ _BLOCK = 1 << 22
 _NUMPY_BLOCK = 1 << 20
 
 
-def small_copy(vectors: Float32Array, kind: Kind, precision: Precision) -> tuple[AnyArray, Float32Array, Float32Array]:
+def small_copy(
+    vectors: Float32Array, kind: DescriptorKind, precision: Precision
+) -> tuple[AnyArray, Float32Array, Float32Array]:
     """Make compact copies of vectors (B, n D).
 
     Returns:
@@ -69,7 +70,7 @@ class Scan:
         threads: number of threads, by default one for each usable core, 8 at most; without numkong, NumPy chooses.
     """
 
-    def __init__(self, kind: Kind, precision: Precision, threads: int | None = None) -> None:
+    def __init__(self, kind: DescriptorKind, precision: Precision, threads: int | None = None) -> None:
         self._kind, self._precision = kind, precision
         self._threads = threads or min(8, usable_cores())
         self._pool: ThreadPoolExecutor | None = None

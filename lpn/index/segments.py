@@ -26,8 +26,9 @@ import numpy.typing as npt
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt64Array
 from lpn.core.errors import StoreError
 from lpn.core.files import open_memmap, unreadable_error
-from lpn.index.base import Box, Kind, covers, overlaps, within
-from lpn.index.scan import Precision, small_copy
+from lpn.descriptors.store import Precision
+from lpn.index.base import DegreeBox, DescriptorKind, covers, overlaps, within
+from lpn.index.scan import small_copy
 
 DEAD = re.compile(r"dead-\d{7,}\.npy")
 # The files of a segment.
@@ -62,7 +63,7 @@ class Segment:
         FileNotFoundError: when a file is missing, for example because another process replaced the segment.
     """
 
-    def __init__(self, folder: Path, kind: Kind, precision: Precision, rows: int, dead: str | None) -> None:
+    def __init__(self, folder: Path, kind: DescriptorKind, precision: Precision, rows: int, dead: str | None) -> None:
         self.folder, self.rows, self.dead = folder, rows, dead
         self.identity = identity_of(folder)
         self.vectors: Float32Array = self._mapped("vectors", (rows, kind.numbers), np.float32)
@@ -92,7 +93,7 @@ class Segment:
             self.alive = ~self._mapped(dead.removesuffix(".npy"), (rows,), np.bool_)
         self.size = rows if self.alive is None else int(self.alive.sum())
 
-    def chosen(self, box: Box | None) -> Int64Array | None:
+    def chosen(self, box: DegreeBox | None) -> Int64Array | None:
         """Return the rows to be searched, ascending; None for all."""
         if box is not None and not overlaps(self.extent[0], box):
             return np.zeros(0, np.int64)
@@ -138,7 +139,7 @@ class Segment:
                 yield TileBatch(self.names(rows), self.vectors[rows], self.positions[rows])
 
     @cached_property
-    def extent(self) -> tuple[Box, bool]:
+    def extent(self) -> tuple[DegreeBox, bool]:
         """Bounding box of all positions, NaN if there are none, and whether every tile has one."""
         (south, west), (north, east) = (how.reduce(self.positions, axis=0).tolist() for how in (np.fmin, np.fmax))
         return (south, west, north, east), not np.isnan(self.positions).any()
@@ -176,7 +177,9 @@ def identity_of(folder: Path) -> tuple[int, int]:
     return stat.st_ino, stat.st_mtime_ns
 
 
-def write_segment(folder: Path, kind: Kind, precision: Precision, batches: Iterable[TileBatch], rows: int) -> None:
+def write_segment(
+    folder: Path, kind: DescriptorKind, precision: Precision, batches: Iterable[TileBatch], rows: int
+) -> None:
     """Write tiles into a new folder, which no manifest names yet.
 
     Args:

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array
-from lpn.index.base import Box, Index, SearchResult
+from lpn.index.base import DegreeBox, Index, SearchResult
 
 T = TypeVar("T")
 
@@ -34,7 +34,7 @@ class SharedIndex:
         most = self.index.most
         return self._run(lambda: self.index.search(query, weights, k if most is None else min(k, most)), not background)
 
-    def extent(self) -> Box | None:
+    def extent(self) -> DegreeBox | None:
         """See `Index.extent`."""
         return self._run(self.index.extent)
 

@@ -13,7 +13,7 @@ from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import geo, open_dataset
-from lpn.index.base import Kind, check_names
+from lpn.index.base import DescriptorKind, check_names
 from lpn.maps.named_window import NamedWindow
 from lpn.models.contract import Role
 
@@ -49,7 +49,7 @@ class TileSource:
         broken: number of pictures that could not be described and are left out.
     """
 
-    kind: Kind
+    kind: DescriptorKind
     count: int
     chunks: Iterator[TileChunk]
     broken: int = 0
@@ -81,7 +81,7 @@ def _of_store(folder: Path, data: Path | None) -> TileSource:
     _check_role(manifest.role, str(folder))
     names = [Path(row.file).as_posix() for row in manifest.rows]
     check_names(names, len(names))
-    kind = Kind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
+    kind = DescriptorKind(manifest.fingerprint, manifest.n_parts, manifest.embedding)
     positions = _window_positions(names) if data is None else _positions(data, names)
     step = _step(kind)
 
@@ -106,7 +106,7 @@ def _of_shards(where: str, data: Path | None) -> TileSource:
 
     shards = open_shards(where)
     _check_role(shards.plan.role, shards.storage.where)
-    kind = Kind(shards.plan.fingerprint, shards.plan.n_parts, shards.plan.embedding)
+    kind = DescriptorKind(shards.plan.fingerprint, shards.plan.n_parts, shards.plan.embedding)
 
     def checked(partition: int) -> list[str]:
         # A name determines its partition, so no tile is in two of them.
@@ -159,7 +159,7 @@ def _identity(names: list[str]) -> tuple[int, int]:
     return len(names), hash(tuple(names))
 
 
-def _step(kind: Kind) -> int:
+def _step(kind: DescriptorKind) -> int:
     return max(1, _CHUNK_BYTES // (4 * kind.numbers))
 
 

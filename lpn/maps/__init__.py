@@ -1,8 +1,8 @@
 """Maps: georeferenced rasters of any size, read by windows in true metres.
 
-    town = open_map("ortho.tif")                        # or a folder of lpn map, a tile folder, an .mbtiles, several sheets
-    picture, valid = town.read(Window(120.0, -35.0, 100.0), 224)
-    windows = town.pyramid([70.0, 100.0, 140.0], overlap=0.5)
+    basemap = open_map("ortho.tif")                        # or a folder of lpn map, a tile folder, an .mbtiles, several sheets
+    picture, valid = basemap.read(Window(120.0, -35.0, 100.0), 224)
+    windows = basemap.pyramid([70.0, 100.0, 140.0], overlap=0.5)
 
 It imports `core` only, and needs the extra `maps`; `training`, `locate`, and the packages above them import it.
 """

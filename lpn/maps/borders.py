@@ -10,7 +10,7 @@ import numpy as np
 
 from lpn.core.arrays import AnyArray, BoolArray
 
-Box = tuple[int, int, int, int]
+PixelBox = tuple[int, int, int, int]
 BorderColour = Literal["white", "black"]
 
 # JPEG changes black and white by up to so much, but most pixels of a border by no more than the second number.
@@ -64,7 +64,7 @@ class Borders:
         }
         self._size, self._deep = size, deep
 
-    def within(self, values: AnyArray, box: Box, size: tuple[int, int]) -> BoolArray:
+    def within(self, values: AnyArray, box: PixelBox, size: tuple[int, int]) -> BoolArray:
         """Return which pixels of a rectangle belong to a border, or touch it: (height, width).
 
         Args:

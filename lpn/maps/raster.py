@@ -17,7 +17,7 @@ from lpn.core.arrays import AnyArray, BoolArray, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.maps import _gdal
-from lpn.maps.borders import BorderColour, Borders, Box, border_note, find_borders, overview_size
+from lpn.maps.borders import BorderColour, Borders, PixelBox, border_note, find_borders, overview_size
 
 # Percentiles of a band that become 0 and 255.
 _PERCENTILES = (2.0, 98.0)
@@ -55,7 +55,7 @@ class Raster(Protocol):
         """Return the files that the pixels are read from."""
         ...
 
-    def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+    def read(self, box: PixelBox, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """Read a rectangle, reduced by area averages.
 
         Args:
@@ -154,7 +154,7 @@ class GdalRaster:
         if treatment is None:
             self.treatment = self._decided(self.treatment, keep_borders)
 
-    def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+    def read(self, box: PixelBox, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """See `Raster.read`."""
         values, valid = self._values(box, size)
         if self.treatment.border:
@@ -271,7 +271,7 @@ class GdalRaster:
     def _overview(self) -> tuple[AnyArray, BoolArray]:
         return self._values((0, 0, self.width, self.height), overview_size(self.width, self.height))
 
-    def _values(self, box: Box, size: tuple[int, int]) -> tuple[AnyArray, BoolArray]:
+    def _values(self, box: PixelBox, size: tuple[int, int]) -> tuple[AnyArray, BoolArray]:
         """Read the chosen bands, (n, height, width), and which pixels the file itself says are valid, (height, width)."""
         library = _gdal.rasterio()
         methods = library.enums.Resampling

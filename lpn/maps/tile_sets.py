@@ -26,7 +26,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 
 # The two numbers of a tile as they are stored, before it is known in which direction they count.
-Place = tuple[int, int]
+TileAddress = tuple[int, int]
 # West, south, east, north in degrees.
 Degrees = tuple[float, float, float, float]
 
@@ -72,8 +72,8 @@ _BIG_PLANET = "17 - z"
 class Extent:
     """The tiles of a zoom: smallest and largest of both numbers, and how many there are."""
 
-    low: Place
-    high: Place
+    low: TileAddress
+    high: TileAddress
     count: int
 
 
@@ -114,11 +114,11 @@ class TileSet(Protocol):
     @property
     def named(self) -> bool: ...
 
-    def places(self, zoom: int) -> list[Place]:
+    def places(self, zoom: int) -> list[TileAddress]:
         """Return the places of the tiles of a zoom, of 100,000 at most."""
         ...
 
-    def read(self, zoom: int, place: Place) -> bytes | None:
+    def read(self, zoom: int, place: TileAddress) -> bytes | None:
         """Return an encoded tile; None where there is none, or an empty one.
 
         Raises:
@@ -126,7 +126,7 @@ class TileSet(Protocol):
         """
         ...
 
-    def name(self, zoom: int, place: Place) -> str:
+    def name(self, zoom: int, place: TileAddress) -> str:
         """Return the name of a tile, for messages."""
         ...
 
@@ -169,7 +169,7 @@ class FolderTiles:
     def __init__(self, path: Path) -> None:
         self.path = path
         layout = _layout_of(path)
-        self._files: dict[int, dict[Place, Path]] = {}
+        self._files: dict[int, dict[TileAddress, Path]] = {}
         for relative, file in _files_of(path):
             if layout and (match := layout.fullmatch(relative)) and (address := _address(match)):
                 zoom, place = address
@@ -186,11 +186,11 @@ class FolderTiles:
         self.declared = self._read_declared()
         self.from_south = bool(self.declared.from_south)
 
-    def places(self, zoom: int) -> list[Place]:
+    def places(self, zoom: int) -> list[TileAddress]:
         """See `TileSet.places`."""
         return sorted(self._files[zoom])[:_MAX_PLACES]
 
-    def read(self, zoom: int, place: Place) -> bytes | None:
+    def read(self, zoom: int, place: TileAddress) -> bytes | None:
         """See `TileSet.read`."""
         file = self._files.get(zoom, {}).get(place)
         if file is None:
@@ -202,7 +202,7 @@ class FolderTiles:
                 f"The tile {printable(str(file))} cannot be read ({error.strerror or error}); check its permissions."
             ) from error
 
-    def name(self, zoom: int, place: Place) -> str:
+    def name(self, zoom: int, place: TileAddress) -> str:
         """See `TileSet.name`."""
         return printable(str(self._files[zoom][place]))
 
@@ -290,12 +290,12 @@ class DatabaseTiles:
         if not self.zooms:
             raise DataError(f"{file_name} holds no tiles; make it again.")
 
-    def places(self, zoom: int) -> list[Place]:
+    def places(self, zoom: int) -> list[TileAddress]:
         """See `TileSet.places`."""
         question = f"SELECT {self._x}, {self._y} FROM {self._table} WHERE {self._z} = ? LIMIT {_MAX_PLACES}"
         return sorted((x, y) for x, y in self._rows(question, zoom) if isinstance(x, int) and isinstance(y, int))
 
-    def read(self, zoom: int, place: Place) -> bytes | None:
+    def read(self, zoom: int, place: TileAddress) -> bytes | None:
         """See `TileSet.read`."""
         condition = f"{self._z} = ? AND {self._x} = ? AND {self._y} = ?"
         rows = self._rows(f"SELECT {self._data} FROM {self._table} WHERE {condition} LIMIT 1", zoom, *place)
@@ -307,7 +307,7 @@ class DatabaseTiles:
                 data = zlib.decompressobj(31).decompress(data, _MAX_TILE)
         return data or None
 
-    def name(self, zoom: int, place: Place) -> str:
+    def name(self, zoom: int, place: TileAddress) -> str:
         """See `TileSet.name`."""
         return f"{zoom}, {place[0]}, {place[1]} of {printable(str(self.path))}"
 
@@ -400,7 +400,7 @@ def _is_picture(name: str) -> bool:
     return match is not None and match["suffix"] is not None
 
 
-def _address(match: re.Match[str]) -> tuple[int, Place] | None:
+def _address(match: re.Match[str]) -> tuple[int, TileAddress] | None:
     """Return zoom and place of a tile by its name; None if there are no such numbers."""
     groups = match.groupdict()
     if digits := groups.get("quadkey"):
@@ -426,7 +426,7 @@ def _files_of(folder: Path) -> Iterator[tuple[str, Path]]:
             yield (name if prefix == "." else f"{prefix}/{name}"), inside / name
 
 
-def _extent(places: Sequence[Place]) -> Extent:
+def _extent(places: Sequence[TileAddress]) -> Extent:
     xs, ys = zip(*places, strict=True)
     return Extent((min(xs), min(ys)), (max(xs), max(ys)), len(places))
 

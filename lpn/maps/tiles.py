@@ -17,9 +17,9 @@ from lpn.core.arrays import AnyArray, BoolArray, Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.maps import _gdal
-from lpn.maps.borders import Borders, Box, border_note, find_borders, overview_size
+from lpn.maps.borders import Borders, PixelBox, border_note, find_borders, overview_size
 from lpn.maps.raster import Treatment
-from lpn.maps.tile_sets import Extent, Place, open_tiles
+from lpn.maps.tile_sets import Extent, TileAddress, open_tiles
 
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres; World Mercator uses it, too.
 _HALF = math.pi * 6_378_137.0
@@ -36,7 +36,7 @@ _WHITE, _BLACK, _FLAT = 240, 16, 2.0
 _FITS = 0.6
 
 # A picture, (side, side, 3), and which of its pixels are valid, (side, side).
-Tile = tuple[UInt8Array, BoolArray]
+TilePicture = tuple[UInt8Array, BoolArray]
 
 # How stored numbers count: column and row from the north, column and row from the south, row from the north and column.
 _XYZ, _TMS, _YX = "XYZ", "TMS", "YX"
@@ -81,14 +81,14 @@ class TileRaster:
             tiles.close()
             raise
 
-    def read(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+    def read(self, box: PixelBox, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """See `Raster.read`."""
         picture, valid = self._cut(box, size)
         if self.treatment is not None and self.treatment.border:
             valid &= ~self._borders.within(np.moveaxis(picture, 2, 0), box, size)
         return picture, valid
 
-    def _cut(self, box: Box, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
+    def _cut(self, box: PixelBox, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """Read a rectangle, borders included."""
         reduction = min(box[2] / size[0], box[3] / size[1])
         level = min(int(math.log2(max(1.0, reduction))), self.zoom)
@@ -260,7 +260,7 @@ class TileRaster:
             return misfits[0][1]
         return None
 
-    def _neighbours(self) -> Iterator[tuple[Tile, Tile]]:
+    def _neighbours(self) -> Iterator[tuple[TilePicture, TilePicture]]:
         """Yield pairs of tiles whose second numbers follow, from all over the deepest zoom."""
         places = self._tiles.places(self.zoom)
         known = set(places)
@@ -282,13 +282,13 @@ class TileRaster:
         fitting = [order for order, (first, last) in rows.items() if first <= middle <= last]
         return fitting[0] if len(fitting) == 1 else None
 
-    def _turned(self, zoom: int, place: Place) -> Place:
+    def _turned(self, zoom: int, place: TileAddress) -> TileAddress:
         """Return column and row from the north of stored numbers, or the stored numbers of column and row."""
         if self._order == _YX:
             return place[1], place[0]
         return (place[0], (1 << zoom) - 1 - place[1]) if self._order == _TMS else place
 
-    def _tile(self, zoom: int, column: int, row: int) -> Tile | None:
+    def _tile(self, zoom: int, column: int, row: int) -> TilePicture | None:
         """Return a tile and its mask: its own picture, else made of the four of the next zoom; None if it shows nothing."""
         place = self._turned(zoom, (column, row))
         tile = self._decoded(zoom, place) if zoom in self._tiles.zooms else None
@@ -316,13 +316,13 @@ class TileRaster:
                     valid[at] = tile[1][::2, ::2]
         return (picture, valid) if valid.any() else None
 
-    def _reaches(self, zoom: int, column: int, row: int, low: Place, high: Place) -> bool:
+    def _reaches(self, zoom: int, column: int, row: int, low: TileAddress, high: TileAddress) -> bool:
         """Return whether a tile lies over the rectangle of the deepest zoom."""
         finer = self.zoom - zoom
         corners = np.array([self._turned(self.zoom, place) for place in (low, high)]) >> finer
         return bool(((corners.min(0) <= (column, row)) & (corners.max(0) >= (column, row))).all())
 
-    def _decoded(self, zoom: int, place: Place) -> Tile | None:
+    def _decoded(self, zoom: int, place: TileAddress) -> TilePicture | None:
         """Return a stored tile and its mask; None if there is none, or an empty one."""
         data = self._tiles.read(zoom, place)
         if data is None:
@@ -343,14 +343,14 @@ class TileRaster:
             ) from error
         return np.ascontiguousarray(pixels[:, :, :3]), pixels[:, :, 3] > 0
 
-    def _size_error(self, zoom: int, place: Place, picture: UInt8Array, side: int) -> DataError:
+    def _size_error(self, zoom: int, place: TileAddress, picture: UInt8Array, side: int) -> DataError:
         return DataError(
             f"The tile {self._tiles.name(zoom, place)} has {picture.shape[1]} x {picture.shape[0]} pixels; expected {side} x "
             f"{side}, as other tiles have."
         )
 
 
-def _differences(one: Tile, other: Tile, first: Any, second: Any) -> tuple[float, float]:
+def _differences(one: TilePicture, other: TilePicture, first: Any, second: Any) -> tuple[float, float]:
     """Return by how much an edge of one tile differs from that of another, and from the same edge shifted by half a side.
 
     Where the edges touch, the first number is far below the second one. Both are 0 where the edges tell nothing: white and black

@@ -28,10 +28,10 @@ from lpn.models.efficientnet_lite import STAGES
 from lpn.models.file_contents import check_contents, contents_of
 from lpn.models.network import LPN, map_size
 from lpn.models.pickled_states import find_state, unpickle
-from lpn.models.published_checkpoints import State, infer_backbone, infer_spec, read_options
+from lpn.models.published_checkpoints import StateDict, infer_backbone, infer_spec, read_options
 from lpn.models.spec import ModelSpec, is_timm
 from lpn.models.timm_networks import TimmMap
-from lpn.models.weight_storage import Storage, to_eight_bits
+from lpn.models.weight_storage import WeightType, to_eight_bits
 
 log = logging.getLogger(__name__)
 
@@ -147,13 +147,13 @@ def load_torch(path: str | Path, device: torch.device | str = "cpu", compiled: b
 
 
 def from_state(
-    state: State, options: dict[str, Any], path: Path, device: torch.device | str = "cpu", compiled: bool = False
+    state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu", compiled: bool = False
 ) -> TorchModel:
     """Return the LPN of a published state dict and the options beside it, see `load_torch`."""
     return _model(infer_spec(state, options, path.name), state, path, device, compiled)
 
 
-def _model(spec: ModelSpec, state: State, path: Path, device: torch.device | str, compiled: bool) -> TorchModel:
+def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str, compiled: bool) -> TorchModel:
     # Check on the meta device first: a file may claim a network far larger than its contents.
     with torch.device("meta"):
         _check_fits(LPN(spec), state, path.name)
@@ -203,7 +203,7 @@ def device_of(provider: ProviderName, name: str) -> torch.device:
     return best_device() if provider == "auto" else torch.device(provider)
 
 
-def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, storage: Storage = "float32") -> None:
+def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, storage: WeightType = "float32") -> None:
     """Write a network and its description atomically as `.safetensors`.
 
     Weights that branches share are stored once.
@@ -226,7 +226,7 @@ def save(network: LPN, path: str | Path, extra: dict[str, str] | None = None, st
     write_atomic(Path(path), with_seal(_with_sorted_header(save_tensors(tensors, metadata))))
 
 
-def _narrow(key: str, tensor: Tensor, storage: Storage) -> list[tuple[str, Tensor]]:
+def _narrow(key: str, tensor: Tensor, storage: WeightType) -> list[tuple[str, Tensor]]:
     """Return the tensors that store one of a network in fewer bits, by name."""
     if tensor.ndim < 2:  # the statistics of BatchNorm are few and span more than the range of float16
         return [(key, tensor)]
@@ -271,12 +271,12 @@ def backbone_in(path: Path) -> str:
     return _backbone_of(_read_weights(path), path)
 
 
-def _backbone_of(state: State, path: Path) -> str:
+def _backbone_of(state: StateDict, path: Path) -> str:
     prefix = "model_1.model." if any(key.startswith("model_1.model.") for key in state) else ""
     return infer_backbone({key.removeprefix(prefix): value for key, value in state.items()}, path.name)[0]
 
 
-def _read_weights(path: Path) -> State:
+def _read_weights(path: Path) -> StateDict:
     if not path.is_file():
         raise ModelFileError(f"There is no file of weights at {path}; check the path given to --init.")
     if path.suffix == ".onnx":
@@ -334,7 +334,7 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
     return filled, total, list(missing)
 
 
-def _of_timm(network: LPN, state: State) -> State:
+def _of_timm(network: LPN, state: StateDict) -> StateDict:
     """Return the weights of one network of timm under the names of a branch; those of a whole model as they are."""
     if any(key.startswith("model_1.model.") for key in state):
         return state
@@ -372,7 +372,7 @@ def _own_keys(network: LPN) -> set[str]:
     return {key for key in network.state_dict() if not key.startswith(aliases or ("\0",))}
 
 
-def _entries(network: LPN, state: State) -> tuple[State, State]:
+def _entries(network: LPN, state: StateDict) -> tuple[StateDict, StateDict]:
     """Return a network's own tensors, and those of a file under the network's names."""
     own = _own_keys(network)
     target = {k: v for k, v in network.state_dict().items() if k in own}
@@ -381,7 +381,7 @@ def _entries(network: LPN, state: State) -> tuple[State, State]:
     return target, state
 
 
-def _check_fits(network: LPN, state: State, name: str) -> None:
+def _check_fits(network: LPN, state: StateDict, name: str) -> None:
     """Refuse a file that lacks entries of the network or has entries of another shape."""
     target, state = _entries(network, state)
     needed = [k for k in target if not k.endswith("num_batches_tracked") and ".classifier." not in k]
@@ -400,7 +400,7 @@ def _check_fits(network: LPN, state: State, name: str) -> None:
         )
 
 
-def _fill(network: LPN, state: State, name: str) -> None:
+def _fill(network: LPN, state: StateDict, name: str) -> None:
     target, state = _entries(network, state)
     for key, tensor in target.items():
         if key in state:
@@ -434,7 +434,7 @@ def is_own(path: Path) -> bool:
         return True
 
 
-def read_state(path: Path) -> State:
+def read_state(path: Path) -> StateDict:
     """Read the state dict of a PyTorch or `.safetensors` file without the prefix `module.`; only tensors are unpickled.
 
     A checkpoint of a training may hold it as `state_dict`, `model_state_dict`, `model`, or another of the usual names beside
@@ -459,7 +459,7 @@ def read_state(path: Path) -> State:
     return {key.removeprefix("module."): value for key, value in items.items()}
 
 
-def _check_real(state: State, name: str) -> None:
+def _check_real(state: StateDict, name: str) -> None:
     for key, tensor in state.items():
         if tensor.is_complex():
             raise ModelFileError(
@@ -467,7 +467,7 @@ def _check_real(state: State, name: str) -> None:
             )
 
 
-def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
+def _read_tensors(path: Path) -> tuple[StateDict, dict[str, str]]:
     sealed_file = check_seal(path, _AGAIN)
     try:
         with safe_open(str(path), framework="pt") as file:
@@ -481,7 +481,7 @@ def _read_tensors(path: Path) -> tuple[State, dict[str, str]]:
     return state, metadata
 
 
-def _widened(state: State, name: str) -> State:
+def _widened(state: StateDict, name: str) -> StateDict:
     """Return a file's tensors with kernels of 8 bits as float32, see `save`."""
     widened = {key: tensor for key, tensor in state.items() if not key.endswith(_SCALE)}
     for key in state.keys() - widened.keys():
@@ -492,7 +492,7 @@ def _widened(state: State, name: str) -> State:
     return widened
 
 
-def _read_safetensors(path: Path) -> tuple[ModelSpec, State]:
+def _read_safetensors(path: Path) -> tuple[ModelSpec, StateDict]:
     state, metadata = _read_tensors(path)
     if is_newer(stated := metadata.get("format"), FORMAT):
         raise ModelFileError(newer_version(path.name, str(stated), FORMAT))

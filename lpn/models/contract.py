@@ -23,7 +23,7 @@ from lpn.core.images import MEAN, STD, Triple
 from lpn.core.views import VIEWS, View
 from lpn.models.partition import Partition
 
-Level = Literal["exact", "exact, with held", "parts only", "one vector"]
+AccountLevel = Literal["exact", "exact, with held", "parts only", "one vector"]
 Resize = Literal["bicubic", "linear"]
 Mirror = Literal["sum", "none"]
 # Pixels of a side, and parts, numbers of a part, height, and width, far beyond any sensible network; a file that claims more
@@ -69,7 +69,7 @@ class Contract:
     input_size: tuple[int, int]
     n_parts: int
     embedding: int
-    level: Level
+    level: AccountLevel
     held: str = ""
     groups: tuple[tuple[View, ...], ...] = ()
     roles: Literal["view", "role"] = "view"
@@ -90,7 +90,7 @@ class Contract:
         object.__setattr__(self, "groups", self.groups or by_default)
         if sorted(view for group in self.groups for view in group) != sorted(self.views):
             raise InputError(f"The groups {self.groups} do not hold each of the views {', '.join(self.views)} once.")
-        choices = {"level": Level, "roles": Literal["view", "role"], "resize": Resize, "mirror": Mirror}
+        choices = {"level": AccountLevel, "roles": Literal["view", "role"], "resize": Resize, "mirror": Mirror}
         choices["normalisation"] = Literal["parts"]
         for name, allowed in choices.items():
             if getattr(self, name) not in get_args(allowed):

@@ -31,7 +31,7 @@ from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
 from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
-from lpn.models.weight_storage import Storage, to_eight_bits
+from lpn.models.weight_storage import WeightType, to_eight_bits
 
 
 class _SafaGraph(nn.Module):
@@ -86,7 +86,7 @@ class _Graph(nn.Module):
         return parts, features, self.weight, self.bias, self.partition
 
 
-def export(model: str | Path, out: str | Path, storage: Storage = "float32", kind: Kind | None = None) -> list[Path]:
+def export(model: str | Path, out: str | Path, storage: WeightType = "float32", kind: Kind | None = None) -> list[Path]:
     """Export a `.pth` or `.safetensors` model for ONNX Runtime.
 
     The first group of views is written to `out`; further groups, such as the street view, to files beside it (`out` with the
@@ -150,7 +150,7 @@ def _network(model: Model, view: View) -> tuple[nn.Module, list[str]]:
     return (_SafaGraph if model.spec.pooling == "safa" else _Graph)(model, view), names
 
 
-def _graph(model: Model, view: View, metadata: dict[str, str], storage: Storage) -> bytes:
+def _graph(model: Model, view: View, metadata: dict[str, str], storage: WeightType) -> bytes:
     """Trace one view with a dynamic batch and return the serialised graph."""
     height, width = model.input_size
     network, names = _network(model, view)
@@ -185,7 +185,7 @@ def _remove_origin(proto: onnx.ModelProto) -> None:
         part.doc_string = ""
 
 
-def _shrink(proto: onnx.ModelProto, storage: Storage) -> None:
+def _shrink(proto: onnx.ModelProto, storage: WeightType) -> None:
     """Store weights in fewer bits, behind nodes that convert them to the float32 of the graph."""
     graph = proto.graph
     widening: list[onnx.NodeProto] = []

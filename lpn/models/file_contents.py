@@ -20,8 +20,8 @@ from lpn.core.files import first_few, printable
 # Endings of the files that can hold a model.
 ENDINGS = (".pth", ".pth.tar", ".pt", ".ckpt", ".bin", ".safetensors", ".onnx")
 
-Contents = Literal["pytorch", "safetensors", "onnx"]
-_TITLES: dict[Contents, tuple[str, str]] = {
+FileFormat = Literal["pytorch", "safetensors", "onnx"]
+_TITLES: dict[FileFormat, tuple[str, str]] = {
     "pytorch": ("a PyTorch file", ".pth"),
     "safetensors": ("a .safetensors file", ".safetensors"),
     "onnx": ("an ONNX graph", ".onnx"),
@@ -152,7 +152,7 @@ _HARMLESS = re.compile(
 )
 
 
-def check_contents(path: Path, expected: Contents) -> None:
+def check_contents(path: Path, expected: FileFormat) -> None:
     """Check that a file begins as one of a kind does; its end may still be missing.
 
     Raises:
@@ -172,7 +172,7 @@ def check_contents(path: Path, expected: Contents) -> None:
     )
 
 
-def contents_of(path: Path) -> Contents | None:
+def contents_of(path: Path) -> FileFormat | None:
     """Return the kind of model that a file holds by its first bytes; None if it is of no known kind.
 
     Raises:

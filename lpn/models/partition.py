@@ -14,11 +14,11 @@ import numpy as np
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 
-Kind = Literal["rings", "rows", "columns", "windows", "whole"]
+PartShape = Literal["rings", "rows", "columns", "windows", "whole"]
 Weighting = Literal["published", "area"]
-Box = tuple[float, float, float, float]
+PartBox = tuple[float, float, float, float]
 
-KINDS: tuple[Kind, ...] = ("rings", "rows", "columns", "windows", "whole")
+KINDS: tuple[PartShape, ...] = ("rings", "rows", "columns", "windows", "whole")
 WEIGHTINGS: tuple[Weighting, ...] = ("published", "area")
 _ENDS = {"rows": ("top", "bottom"), "columns": ("left", "right"), "windows": ("left", "right")}
 
@@ -40,7 +40,7 @@ class Partition:
             false for CVUSA/CVACT).
     """
 
-    kind: Kind = "rings"
+    kind: PartShape = "rings"
     n: int = 4
     weighting: Weighting = "published"
     outside_in: bool = False
@@ -114,13 +114,13 @@ class Partition:
             weights = np.einsum("nij,ih,jw->nhw", weights, to_rows, to_columns)
         return weights.astype(np.float32)
 
-    def boxes(self, height: int, width: int) -> list[Box]:
+    def boxes(self, height: int, width: int) -> list[PartBox]:
         """Return the outer border of each part as (left, top, right, bottom) in fractions of the picture, 0 .. 1.
 
         A ring is its box without the next inner ring's box; a strip is its box.
         """
         rows, columns = self.grid(height, width)
-        boxes: list[Box] = []
+        boxes: list[PartBox] = []
         for part in range(self.n):
             if self.kind == "rows":
                 boxes.append((0.0, part / self.n, 1.0, (part + 1) / self.n))

@@ -20,7 +20,7 @@ from lpn.models.spec import BACKBONES, ModelSpec, is_timm
 
 log = logging.getLogger(__name__)
 
-State = dict[str, Tensor]
+StateDict = dict[str, Tensor]
 
 # The largest opts.yaml in bytes (usual ones have some forty lines), and characters of a value that are kept.
 _OPTIONS_BYTES, _SHOWN = 100_000, 1000
@@ -42,7 +42,7 @@ _PROJECTION = re.compile(r"_blocks\.(\d{1,3})\._project_conv\.weight")
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
 
 
-def infer_spec(state: State, options: dict[str, Any], name: str = "the file") -> ModelSpec:
+def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file") -> ModelSpec:
     """Infer the architecture of a published state dict from its keys and the options of its `opts.yaml`.
 
     Three branches are University-1652's. Two branches, model_1 and model_2, are satellite and street with the layout "cvusa"
@@ -154,7 +154,7 @@ def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], 
         )
 
 
-def _branches_equal(state: State, views: tuple[View, ...]) -> bool:
+def _branches_equal(state: StateDict, views: tuple[View, ...]) -> bool:
     second = "drone" if "drone" in views else views[-1]
     if second == "satellite" or "satellite" not in views:
         return False

@@ -8,7 +8,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Int8Array
 
-Storage = Literal["float32", "float16", "int8"]
+WeightType = Literal["float32", "float16", "int8"]
 
 
 def to_eight_bits(kernels: Float32Array) -> tuple[Int8Array, Float32Array]:

@@ -62,7 +62,7 @@ TABLE6: dict[str, Values] = {
 # Figure 5 prints a curve; its ends n = 1 and n = 4 are rows of Table I.
 FIGURE5: dict[int, Values] = {1: TABLE1["Instance loss (baseline)"], 4: TABLE1["LPN"]}
 
-Comparison = tuple[str, str]
+RowPair = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -78,16 +78,16 @@ class Claim:
     """
 
     text: str
-    pairs: tuple[Comparison, ...]
+    pairs: tuple[RowPair, ...]
     columns: tuple[int, ...] | None = None
     tolerance: tuple[float, ...] | None = None
 
 
-def _ahead(row: str, *others: str) -> tuple[Comparison, ...]:
+def _ahead(row: str, *others: str) -> tuple[RowPair, ...]:
     return tuple((row, other) for other in others)
 
 
-def _rising(*rows: str) -> tuple[Comparison, ...]:
+def _rising(*rows: str) -> tuple[RowPair, ...]:
     return tuple((better, worse) for worse, better in pairwise(rows))
 
 

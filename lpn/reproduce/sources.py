@@ -17,7 +17,7 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.datasets.rendered import is_rendered
 from lpn.reproduce import world
-from lpn.reproduce.tables import Measure, Role
+from lpn.reproduce.tables import DataRole, Measure
 from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.training.training_set import TrainingSet
 
@@ -112,7 +112,7 @@ class Source:
 class Sources:
     """The given data sets by role."""
 
-    roles: dict[Role, Source] = field(default_factory=dict)
+    roles: dict[DataRole, Source] = field(default_factory=dict)
     landmarks: list[Source] = field(default_factory=list)
 
     def of(self, measure: Measure) -> list[Source]:
@@ -130,7 +130,7 @@ class Sources:
             return sorted(self.landmarks, key=lambda source: source.dataset.kind)
         return [self.role("panoramas" if measure == "ground" else "places")]
 
-    def role(self, role: Role) -> Source:
+    def role(self, role: DataRole) -> Source:
         """Return the data set of a role.
 
         Raises:
@@ -145,7 +145,7 @@ class Sources:
             )
         return self.roles[role]
 
-    def add(self, role: Role, source: Source) -> None:
+    def add(self, role: DataRole, source: Source) -> None:
         """Set the data set of a role.
 
         Raises:

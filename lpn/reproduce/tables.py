@@ -12,7 +12,7 @@ from lpn.reproduce import paper_values
 from lpn.training import recipes
 from lpn.training.recipes import RECIPES, Recipe, RecipeName
 
-Role = Literal["places", "panoramas"]
+DataRole = Literal["places", "panoramas"]
 Measure = Literal["both ways", "ground", "landmarks", "centre"]
 
 
@@ -29,7 +29,7 @@ class Training:
 
     name: str
     method: str
-    role: Role = "places"
+    role: DataRole = "places"
     changes: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -44,7 +44,7 @@ _SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class ZoomLevel:
     """One zoom that a drone picture may have.
 
     Attributes:
@@ -75,7 +75,7 @@ class Calibration:
     zooms: Mapping[View, Mapping[Path, float]]
     tried: Mapping[float, float]
     ratio: float
-    levels: Sequence[Level]
+    levels: Sequence[ZoomLevel]
     tiles: Float32Array
 
     def pictures(self, view: View, pictures: Sequence[Picture]) -> list[Picture]:
@@ -205,12 +205,12 @@ def calibrate(
     tiles = sides["satellite"].read(max(-of_all, 0))
     means["satellite"] = tiles.mean(axis=0)
     tiles = normalise(tiles - means["satellite"])
-    levels: list[Level] = []
+    levels: list[ZoomLevel] = []
     best: Float64Array = np.full(len(sides["drone"].pictures), -np.inf)
     chosen, taken = np.zeros(len(best), np.int64), np.zeros((0, model.n_parts, model.embedding), np.float32)
     for step in range(max(-_OWN_STEPS, -max(of_all, 0)), _OWN_STEPS + 1):
         described = sides["drone"].read(max(of_all, 0) + step)
-        level = Level(STEP ** (max(of_all, 0) + step), PRIOR * step**2, described.mean(axis=0))
+        level = ZoomLevel(STEP ** (max(of_all, 0) + step), PRIOR * step**2, described.mean(axis=0))
         value = _nearest(normalise(described - level.mean), tiles) - level.cost
         better = value > best
         taken = np.where(better[:, None, None], described, taken) if levels else described

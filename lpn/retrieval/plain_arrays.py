@@ -40,12 +40,12 @@ from lpn.datasets import Picture, Truth, matlab
 from lpn.datasets.base import read_rows
 from lpn.datasets.geo import Position
 from lpn.datasets.listed_paths import FilesBelow, listed_path
+from lpn.models.contract import Role
 from lpn.retrieval.published_results import PublishedResult
 from lpn.retrieval.ranks import JUNK
 
 log = logging.getLogger(__name__)
 
-Side = Literal["query", "gallery"]
 # The axis of the parts: (N, n, D) or (N, D, n).
 Order = Literal["parts-first", "parts-last"]
 _COLUMNS = ("file", "side", "label", "latitude", "longitude")
@@ -135,7 +135,7 @@ def load_arrays(
         DataError: if a file is missing, damaged, or does not fit the others.
         InputError: if an array does not consist of that many parts, or seems to be in the other order.
     """
-    sides: dict[Side, Path] = {"query": Path(query), "gallery": Path(gallery)}
+    sides: dict[Role, Path] = {"query": Path(query), "gallery": Path(gallery)}
     arrays = {side: _descriptors(_read(file, side), file, n_parts, order) for side, file in sides.items()}
     if arrays["query"].shape[1:] != arrays["gallery"].shape[1:]:
         raise DataError(
@@ -191,7 +191,7 @@ def _shape(array: AnyArray) -> str:
     return " x ".join(map(str, array.shape[1:]))
 
 
-def _read(file: Path, side: Side) -> AnyArray:
+def _read(file: Path, side: Role) -> AnyArray:
     """Return the array of a side as it is in its file."""
     if not file.is_file():
         raise DataError(f"There is no file of {side} descriptors at {printable(str(file))}; check the path.")
@@ -202,7 +202,7 @@ def _read(file: Path, side: Side) -> AnyArray:
     return reader(file, side)
 
 
-def _read_npy(file: Path, side: Side) -> AnyArray:
+def _read_npy(file: Path, side: Role) -> AnyArray:
     del side
     try:
         array = np.load(file, mmap_mode="r", allow_pickle=False)
@@ -213,7 +213,7 @@ def _read_npy(file: Path, side: Side) -> AnyArray:
     return array
 
 
-def _read_npz(file: Path, side: Side) -> AnyArray:
+def _read_npz(file: Path, side: Role) -> AnyArray:
     try:
         with np.load(file, allow_pickle=False) as archive:
             names = list(archive.files)
@@ -229,7 +229,7 @@ def _read_npz(file: Path, side: Side) -> AnyArray:
         raise DataError(f"{_name(file)} is no archive that NumPy saved, or damaged; save it again.") from error
 
 
-def _read_mat(file: Path, side: Side) -> AnyArray:
+def _read_mat(file: Path, side: Role) -> AnyArray:
     keys = _KEYS[side]
     variables = matlab.load(file, (), f"a MATLAB 5 file with {' or '.join(keys)}", keys, simplify=False)
     chosen = next((key for key in keys if key in variables), None)
@@ -240,7 +240,7 @@ def _read_mat(file: Path, side: Side) -> AnyArray:
     return np.asarray(variables[chosen])
 
 
-def _read_parquet(file: Path, side: Side) -> AnyArray:
+def _read_parquet(file: Path, side: Role) -> AnyArray:
     del side
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -335,14 +335,14 @@ def _scaled(parts: AnyArray, name: str) -> Float32Array:
     return scaled
 
 
-def _numbered(arrays: Mapping[Side, Float32Array]) -> dict[Side, list[_Line]]:
+def _numbered(arrays: Mapping[Role, Float32Array]) -> dict[Role, list[_Line]]:
     return {
         side: [_Line(f"{side}/{row:0{len(str(len(array)))}d}", "", None) for row in range(1, len(array) + 1)]
         for side, array in arrays.items()
     }
 
 
-def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[_Line]]:
+def _listed(file: Path, arrays: Mapping[Role, Float32Array]) -> dict[Role, list[_Line]]:
     """Read the list of pictures."""
     name = _name(file)
     rows = read_rows(file, name)
@@ -354,7 +354,7 @@ def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[
             f"The first line of {name} is {printable(','.join(header)) or 'empty'}; expected file,side and, if known, "
             "label,latitude,longitude."
         )
-    lines_of: dict[Side, list[_Line]] = {"query": [], "gallery": []}
+    lines_of: dict[Role, list[_Line]] = {"query": [], "gallery": []}
     for number, values in rows:
         where = f"Line {number} of {name}"
         if len(values) != len(header):
@@ -372,7 +372,7 @@ def _listed(file: Path, arrays: Mapping[Side, Float32Array]) -> dict[Side, list[
     return lines_of
 
 
-def _here(folder: Path, lines: dict[Side, list[_Line]], name: str) -> dict[Side, list[_Line]]:
+def _here(folder: Path, lines: dict[Role, list[_Line]], name: str) -> dict[Role, list[_Line]]:
     """Return lines with the files that their paths name below the folder; other paths stay, but none is absolute."""
     there = FilesBelow(folder).resolve((line.file for of in lines.values() for line in of), name)
     return {

@@ -14,10 +14,10 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 
-Colour = tuple[float, float, float]
+Reflectance = tuple[float, float, float]
 Corner = tuple[float, float]
 RoofShape = Literal["flat", "gable", "hip", "sawtooth", "barrel", "dome", "cone", "open"]
-Kind = Literal[
+BuildingShape = Literal[
     "slab", "lshape", "ushape", "tshape", "courtyard", "tower", "hall", "round", "terrace", "dormitory", "house",
     "townhouse", "church", "shop", "shed", "tank", "stand", "pavilion", "container", "barn",
 ]  # fmt: skip
@@ -43,9 +43,9 @@ class Volume:
     roof: RoofShape
     rise: float
     wall: str
-    wall_tint: Colour
+    wall_tint: Reflectance
     cover: str
-    cover_tint: Colour
+    cover_tint: Reflectance
     bay: float = 3.2
     storey: float = 3.3
 
@@ -62,7 +62,7 @@ class RoofItem:
     width: float
     height: float
     angle: float
-    tint: Colour
+    tint: Reflectance
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Architecture:
         outline: the footprint's outer ring, counter-clockwise.
     """
 
-    kind: Kind
+    kind: BuildingShape
     outline: tuple[Corner, ...]
     parts: tuple[Volume, ...]
     items: tuple[RoofItem, ...]
@@ -114,14 +114,14 @@ CLASSIC = (("sash", BRICK), ("sash", BUFF), ("sash", RENDER), ("sash", STONE))
 SHEDS = (("cladding", STEEL), ("cladding", WHITE), ("cladding", BLUE), ("cladding", GREEN), ("cladding", BUFF))
 
 
-def near(rng: np.random.Generator, colour: Colour, spread: float = 0.12) -> Colour:
+def near(rng: np.random.Generator, colour: Reflectance, spread: float = 0.12) -> Reflectance:
     """Vary a colour a little in brightness and hue."""
     value = np.array(colour) * rng.normal(1, spread) * rng.normal(1, spread / 4, 3)
     red, green, blue = np.clip(value, 0.02, 0.8)
     return round(float(red), 4), round(float(green), 4), round(float(blue), 4)
 
 
-def mixed(colour: Colour, other: Colour, share: float) -> Colour:
+def mixed(colour: Reflectance, other: Reflectance, share: float) -> Reflectance:
     """Mix a colour with that share, 0 to 1, of another one."""
     red, green, blue = (own + share * (new - own) for own, new in zip(colour, other, strict=True))
     return red, green, blue
@@ -138,9 +138,9 @@ class Dress:
     """Materials shared by the volumes of one building."""
 
     wall: str
-    wall_tint: Colour
+    wall_tint: Reflectance
     cover: str
-    cover_tint: Colour
+    cover_tint: Reflectance
     bay: float
     storey: float
 
@@ -165,8 +165,8 @@ class Dress:
 
 def _dress(
     rng: np.random.Generator,
-    walls: tuple[tuple[str, Colour], ...],
-    covers: tuple[tuple[str, Colour], ...],
+    walls: tuple[tuple[str, Reflectance], ...],
+    covers: tuple[tuple[str, Reflectance], ...],
     weights: Float64Array | None = None,
 ) -> Dress:
     wall, wall_tint = walls[rng.integers(len(walls))]
@@ -217,7 +217,7 @@ def plant(rng: np.random.Generator, outline: tuple[Corner, ...], z: float, amoun
         items.append(RoofItem("box", float(left + right) / 2, float(low + high) / 2, z, float(right - left), float(high - low),
                           0.04 + 0.01 * len(items), 0.0, tint))  # fmt: skip
 
-    def put(shape: ItemShape, x: float, y: float, size: tuple[float, float], height: float, tint: Colour) -> bool:
+    def put(shape: ItemShape, x: float, y: float, size: tuple[float, float], height: float, tint: Reflectance) -> bool:
         length, width = size
         inside = x - length / 2 >= x0 and x + length / 2 <= x1 and y - width / 2 >= y0 and y + width / 2 <= y1
         clear = all(abs(x - a) > (length + b) / 2 + 0.3 or abs(y - c) > (width + e) / 2 + 0.3 for a, c, b, e in taken)

@@ -58,7 +58,7 @@ class Settings:
     vary: tuple[Factor, ...] = ()
 
 
-View = Literal["satellite", "drone", "street", "panorama"]
+RenderedView = Literal["satellite", "drone", "street", "panorama"]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class PlannedPicture:
 
     paths: tuple[str, ...]
     target: int
-    view: View
+    view: RenderedView
     camera: Pose | Tile | Panorama
 
 

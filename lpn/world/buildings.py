@@ -23,9 +23,9 @@ from lpn.world.architecture import (
     STEEL,
     WHITE,
     Architecture,
+    BuildingShape,
     Corner,
     Dress,
-    Kind,
     RoofItem,
     RoofShape,
     Volume,
@@ -40,7 +40,9 @@ from lpn.world.architecture import (
 from lpn.world.geometry import ellipse
 
 
-def _joined(kind: Kind, outline: tuple[Corner, ...], parts: list[Volume], items: list[RoofItem]) -> Architecture:
+def _joined(
+    kind: BuildingShape, outline: tuple[Corner, ...], parts: list[Volume], items: list[RoofItem]
+) -> Architecture:
     """Make an architecture, moved so that its footprint's middle is the origin."""
     ring = np.array(outline)
     dx, dy = (-(ring.max(axis=0) + ring.min(axis=0)) / 2).tolist()
@@ -82,7 +84,7 @@ def _storey(
     return clear + plant(rng, upper, eaves + dress.storey)
 
 
-def _wings(rng: np.random.Generator, kind: Kind, wings: list[tuple[Corner, ...]], outline: tuple[Corner, ...],
+def _wings(rng: np.random.Generator, kind: BuildingShape, wings: list[tuple[Corner, ...]], outline: tuple[Corner, ...],
            pitched: bool, storeys: int) -> Architecture:  # fmt: skip
     """Make a building of straight wings: flat with different heights, or pitched with roofs that meet."""
     dress = classic(rng) if pitched else modern(rng)
@@ -108,7 +110,7 @@ def _wings(rng: np.random.Generator, kind: Kind, wings: list[tuple[Corner, ...]]
     return _joined(kind, outline, parts, items)
 
 
-def slab(rng: np.random.Generator, kind: Kind = "slab", storeys: tuple[int, int] = (3, 7)) -> Architecture:
+def slab(rng: np.random.Generator, kind: BuildingShape = "slab", storeys: tuple[int, int] = (3, 7)) -> Architecture:
     """A straight block with a flat roof and perhaps a low annexe."""
     dress = modern(rng)
     length, width = rng.uniform(36, 70), rng.uniform(13, 21)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lpn.core.arrays import Float32Array, Float64Array
-from lpn.world.architecture import Colour
+from lpn.world.architecture import Reflectance
 
 _PERIOD = 1024
 
@@ -64,7 +64,7 @@ class Canvas:
             return None
         return slice(int(y0), int(y1)), slice(int(x0), int(x1)), (at - (x0, y0)) * 16
 
-    def fill(self, polygon: Float64Array, colour: Colour, grain: float = 0.1, blotch: float = 0.1, strength: float = 1.0,
+    def fill(self, polygon: Float64Array, colour: Reflectance, grain: float = 0.1, blotch: float = 0.1, strength: float = 1.0,
              water: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
         """Fill a polygon with a colour that varies finely (`grain`) and in large blotches; `soft` metres blur its edge."""
         crop = self.masked(polygon, soft / self.scale * 2)
@@ -75,7 +75,7 @@ class Canvas:
         cv2.fillPoly(mask, [at.astype(np.int32)], 255, cv2.LINE_AA, 4)
         self._blend(rows, columns, mask, colour, grain, blotch, strength, water, soft)
 
-    def line(self, line: Float64Array, width: float, colour: Colour, grain: float = 0.05, strength: float = 1.0,
+    def line(self, line: Float64Array, width: float, colour: Reflectance, grain: float = 0.05, strength: float = 1.0,
              blotch: float = 0.0, soft: float = 0.0) -> None:  # fmt: skip
         """Draw a line `width` metres wide."""
         crop = self.masked(line, width / self.scale)
@@ -88,7 +88,7 @@ class Canvas:
         cv2.polylines(mask, [at.astype(np.int32)], False, 255, thick, cv2.LINE_AA, 4)
         self._blend(rows, columns, mask, colour, grain, blotch, strength, 0.0, soft)
 
-    def _blend(self, rows: slice, columns: slice, mask: NDArray[np.uint8], colour: Colour, grain: float, blotch: float,
+    def _blend(self, rows: slice, columns: slice, mask: NDArray[np.uint8], colour: Reflectance, grain: float, blotch: float,
                strength: float, water: float, soft: float) -> None:  # fmt: skip
         weight = mask.astype(np.float32) * np.float32(strength / 255)
         if soft:

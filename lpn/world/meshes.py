@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lpn.core.arrays import Float64Array
-from lpn.world.architecture import Architecture, Colour, RoofItem, Volume, mixed
+from lpn.world.architecture import Architecture, Reflectance, RoofItem, Volume, mixed
 from lpn.world.geometry import area, rectangle
 
 BAYS, STOREYS = 16, 8  # of a wall's texture
@@ -38,9 +38,9 @@ class Mesh:
     uv: list[Float64Array] = field(default_factory=list)
     sizes: list[int] = field(default_factory=list)
     materials: list[str] = field(default_factory=list)
-    tints: list[Colour] = field(default_factory=list)
+    tints: list[Reflectance] = field(default_factory=list)
 
-    def add(self, corners: Float64Array, material: str, tint: Colour, uv: Float64Array | None = None) -> None:
+    def add(self, corners: Float64Array, material: str, tint: Reflectance, uv: Float64Array | None = None) -> None:
         """Add a polygon (k, 3)."""
         self.vertices.append(corners)
         self.uv.append(corners[:, :2] / COVER if uv is None else uv)
@@ -66,11 +66,11 @@ class Mesh:
         self.add(corners, f"wall {part.wall}", part.wall_tint, uv / (BAYS, STOREYS))
 
     def box(self, x: float, y: float, z: float, length: float, width: float, height: float, angle: float,
-            material: str, tint: Colour) -> None:  # fmt: skip
+            material: str, tint: Reflectance) -> None:  # fmt: skip
         """A box without its underside."""
         self.prism(rectangle(x, y, length, width, angle), z, z + height, material, tint)
 
-    def prism(self, ring: Float64Array, low: float, high: float, material: str, tint: Colour) -> None:
+    def prism(self, ring: Float64Array, low: float, high: float, material: str, tint: Reflectance) -> None:
         """An upright prism without its underside."""
         for a, b in zip(ring, np.roll(ring, -1, axis=0), strict=True):
             self.add(np.array([[*a, low], [*b, low], [*b, high], [*a, high]]), material, tint)
@@ -92,7 +92,7 @@ def building(look: Architecture) -> Mesh:
     return mesh
 
 
-def whiten(mesh: Mesh, cover: float, colour: Colour) -> None:
+def whiten(mesh: Mesh, cover: float, colour: Reflectance) -> None:
     """Cover all polygons that face up, but glass, with that fraction of a colour."""
     corners, _, sizes, _ = mesh.arrays()
     first = np.cumsum(sizes) - sizes
@@ -128,7 +128,7 @@ def _flat(mesh: Mesh, part: Volume, ring: Float64Array, rim: float, cover: str) 
     mesh.add(np.column_stack([inner, np.full(len(inner), part.eaves)]), cover, part.cover_tint)
     if rim:
         top = part.eaves + rim
-        light: Colour = tuple(min(0.7, 0.5 * v + 0.15) for v in part.wall_tint)  # type: ignore[assignment]
+        light: Reflectance = tuple(min(0.7, 0.5 * v + 0.15) for v in part.wall_tint)  # type: ignore[assignment]
         following = np.roll(ring, -1, axis=0), np.roll(inner, -1, axis=0)
         for a, b, c, d in zip(ring, following[0], following[1], inner, strict=True):
             mesh.add(np.array([[*a, top], [*b, top], [*c, top], [*d, top]]), "plain", light)

@@ -25,7 +25,7 @@ from lpn.world.meshes import BAYS, STOREYS
 from lpn.world.solids import PLAIN, TREE_BYTES, Solid, Solids
 
 # West, south, east, and north border in metres of the plan.
-Window = tuple[float, float, float, float]
+PlanBounds = tuple[float, float, float, float]
 
 _MARGIN = 120.0  # metres around the tiles
 _PIECE = 512.0  # metres of ground painted at once
@@ -68,7 +68,7 @@ DETAILS = (
 )
 
 
-def test_window(atlas: Atlas) -> Window:
+def test_window(atlas: Atlas) -> PlanBounds:
     """Return the ground that the tiles of the test split show, with a margin; the explorer's map covers it."""
     tiles = [
         shot.camera
@@ -82,7 +82,7 @@ def test_window(atlas: Atlas) -> Window:
     return west, south, east, north
 
 
-def city_model(city: City, site: Site, window: Window, largest: int = MAX_BYTES) -> bytes:
+def city_model(city: City, site: Site, window: PlanBounds, largest: int = MAX_BYTES) -> bytes:
     """Encode the part of a city within a window as GLB, with as much detail as fits.
 
     Args:
@@ -123,7 +123,7 @@ def _bytes(primitives: list[Primitive]) -> int:
     return arrays + sum(len(picture) for picture in pictures)
 
 
-def _built(city: City, window: Window, detail: Detail) -> Solids:
+def _built(city: City, window: PlanBounds, detail: Detail) -> Solids:
     """Return everything in the window except ground and trees."""
     sizes = np.array([np.prod(city.architectures[b.architecture].size) for b in city.buildings])
     x, y = (np.array([getattr(b, key) for b in city.buildings]) for key in ("x", "y"))
@@ -135,7 +135,7 @@ def _built(city: City, window: Window, detail: Detail) -> Solids:
     return built
 
 
-def _within(window: Window, x: Float64Array, y: Float64Array) -> NDArray[np.int_]:
+def _within(window: PlanBounds, x: Float64Array, y: Float64Array) -> NDArray[np.int_]:
     west, south, east, north = window
     return np.flatnonzero((x > west) & (x < east) & (y > south) & (y < north))
 
@@ -162,7 +162,7 @@ def _windows(style: str) -> bytes:
     return cv2.imencode(".png", np.rint(encoded[..., ::-1] * 255).astype(np.uint8))[1].tobytes()
 
 
-def _ground(city: City, window: Window, detail: Detail) -> Primitive:
+def _ground(city: City, window: PlanBounds, detail: Detail) -> Primitive:
     west, south, east, north = window
     columns, rows = (max(2, round(length / detail.grid) + 1) for length in (east - west, north - south))
     places = np.stack(np.meshgrid(np.linspace(west, east, columns), np.linspace(south, north, rows)), axis=-1)
@@ -175,7 +175,7 @@ def _ground(city: City, window: Window, detail: Detail) -> Primitive:
     return Primitive("ground", vertices, faces, uv=uv, picture=picture)
 
 
-def _painted(city: City, window: Window, pixel: float) -> NDArray[np.uint8]:
+def _painted(city: City, window: PlanBounds, pixel: float) -> NDArray[np.uint8]:
     """Paint the lit ground (h, w, 3) in sRGB, north up, at twice the resolution, and shrink it."""
     west, south, east, north = window
     width, height = round((east - west) / pixel), round((north - south) / pixel)
@@ -197,7 +197,7 @@ def _halved(layer: Float32Array, side: int) -> Float32Array:
     return np.asarray(cv2.resize(layer, (side, side), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _edge(city: City, window: Window, grid: float) -> Solid:
+def _edge(city: City, window: PlanBounds, grid: float) -> Solid:
     """Make the cut through the soil along the border."""
     west, south, east, north = window
     corners = np.array([(west, south), (east, south), (east, north), (west, north), (west, south)])

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
-from lpn.world.architecture import Colour, mixed
+from lpn.world.architecture import Reflectance, mixed
 from lpn.world.canvas import Canvas
 from lpn.world.city import City, Patch, Street
 from lpn.world.geometry import turned, within
@@ -28,19 +28,19 @@ class Season:
         snow: how much of the ground has snow, 0 to 1; streets are cleared.
     """
 
-    grass: Colour
-    dry: Colour
+    grass: Reflectance
+    dry: Reflectance
     dryness: float
-    leaves: tuple[Colour, ...]
-    pavement: Colour = (1.0, 1.0, 1.0)
+    leaves: tuple[Reflectance, ...]
+    pavement: Reflectance = (1.0, 1.0, 1.0)
     snow: float = 0.0
 
 
-SNOW: Colour = (0.76, 0.78, 0.82)
-ASPHALT: Colour = (0.125, 0.125, 0.13)
-PAVING: Colour = (0.33, 0.315, 0.285)
-LINE: Colour = (0.62, 0.62, 0.60)
-_GROUND: dict[str, tuple[Colour, float, float]] = {  # colour, grain, blotch
+SNOW: Reflectance = (0.76, 0.78, 0.82)
+ASPHALT: Reflectance = (0.125, 0.125, 0.13)
+PAVING: Reflectance = (0.33, 0.315, 0.285)
+LINE: Reflectance = (0.62, 0.62, 0.60)
+_GROUND: dict[str, tuple[Reflectance, float, float]] = {  # colour, grain, blotch
     "paved": ((0.29, 0.275, 0.25), 0.06, 0.14),
     "asphalt": ((0.15, 0.148, 0.145), 0.06, 0.2),
     "gravel": ((0.34, 0.29, 0.22), 0.12, 0.12),
@@ -53,7 +53,7 @@ _GROUND: dict[str, tuple[Colour, float, float]] = {  # colour, grain, blotch
     "water": ((0.045, 0.065, 0.05), 0.0, 0.1),
     "pool": ((0.12, 0.42, 0.52), 0.0, 0.05),
 }
-_FIELDS: tuple[Colour, ...] = (
+_FIELDS: tuple[Reflectance, ...] = (
     (0.24, 0.2, 0.09),
     (0.09, 0.14, 0.04),
     (0.2, 0.15, 0.1),
@@ -95,7 +95,7 @@ def ground(
     return np.clip(canvas.colour, 0.005, 0.85), np.clip(canvas.water, 0, 1)
 
 
-def _hard(colour: Colour, season: Season, factor: float = 1.0) -> Colour:
+def _hard(colour: Reflectance, season: Season, factor: float = 1.0) -> Reflectance:
     red, green, blue = (factor * value * gain for value, gain in zip(colour, season.pavement, strict=True))
     return red, green, blue
 
@@ -220,7 +220,12 @@ def _patch(canvas: Canvas, patch: Patch, season: Season) -> None:
     elif patch.surface == "track":
         _track(canvas, patch, season)
     elif patch.surface == "court":
-        colours: tuple[Colour, ...] = ((0.10, 0.2, 0.12), (0.3, 0.12, 0.07), (0.09, 0.16, 0.27), (0.13, 0.13, 0.13))
+        colours: tuple[Reflectance, ...] = (
+            (0.10, 0.2, 0.12),
+            (0.3, 0.12, 0.07),
+            (0.09, 0.16, 0.27),
+            (0.13, 0.13, 0.13),
+        )
         canvas.fill(patch.polygon, (0.12, 0.2, 0.13) if patch.shade < 0.5 else (0.25, 0.11, 0.07), 0.03, 0.06)
         field = local([(-12, -5.5), (12, -5.5), (12, 5.5), (-12, 5.5)])
         canvas.fill(field, colours[int(patch.shade * 3.99)], 0.03, 0.06)
@@ -287,7 +292,7 @@ def _track(canvas: Canvas, patch: Patch, season: Season) -> None:
         return ring
 
     straight = patch.length - patch.width
-    red: Colour = (0.33, 0.12, 0.08) if patch.shade < 0.75 else (0.12, 0.18, 0.3)
+    red: Reflectance = (0.33, 0.12, 0.08) if patch.shade < 0.75 else (0.12, 0.18, 0.3)
     canvas.fill(oval(patch.width / 2, straight), red, 0.04, 0.06)
     for lane in range(7):
         shape = oval(patch.width / 2 - 1.2 * lane - 0.3, straight)

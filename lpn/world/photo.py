@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lpn.core.arrays import Float32Array, Float64Array
-from lpn.world.architecture import Colour
+from lpn.world.architecture import Reflectance
 from lpn.world.cameras import Pose
 from lpn.world.factors import Factor
 from lpn.world.paint import Season
@@ -41,11 +41,11 @@ class Look:
     season: Season
     sun: tuple[float, float]
     exposure: float
-    balance: Colour
+    balance: Reflectance
     contrast: float
     saturation: float
     haze: float
-    veil: Colour
+    veil: Reflectance
     blur: float
     noise: float
     traffic: int
@@ -179,7 +179,7 @@ def _any_day(rng: np.random.Generator) -> tuple[Season, tuple[float, float]]:
     return season, (float(rng.uniform(24, 66)), float(rng.uniform(95, 265)))
 
 
-def _colour(values: Float64Array) -> Colour:
+def _colour(values: Float64Array) -> Reflectance:
     red, green, blue = values.tolist()
     return red, green, blue
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.world.architecture import FLAT, Architecture, Colour, Volume
+from lpn.world.architecture import FLAT, Architecture, Reflectance, Volume
 from lpn.world.city import City
 
 _FLAT_COVERS = sorted({style for style, _ in FLAT})
@@ -26,10 +26,10 @@ class Materials:
 
     seed: int
     district: int
-    flat: tuple[Colour, ...]
-    tiles: tuple[Colour, ...]
-    wall: Colour
-    pavement: Colour
+    flat: tuple[Reflectance, ...]
+    tiles: tuple[Reflectance, ...]
+    wall: Reflectance
+    pavement: Reflectance
 
     @classmethod
     def draw(cls, seed: int, district: int) -> Materials:
@@ -64,10 +64,10 @@ def unbuilt(city: City, share: float) -> set[int]:
     return {int(i) for i in np.flatnonzero(draw < share)} - photographed
 
 
-def _factor(rng: np.random.Generator, spread: float) -> Colour:
+def _factor(rng: np.random.Generator, spread: float) -> Reflectance:
     return _colour(np.exp(rng.normal(0, spread)) * rng.normal(1, spread / 5, 3), 3.0)
 
 
-def _colour(values: Float64Array, most: float = 0.8) -> Colour:
+def _colour(values: Float64Array, most: float = 0.8) -> Reflectance:
     red, green, blue = np.clip(values, 0.02, most).tolist()
     return red, green, blue

@@ -23,7 +23,7 @@ from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Work
 from lpn.core.errors import StoreError
 from lpn.explain import sweeps
 from lpn.index import create_index
-from lpn.index.base import Kind
+from lpn.index.base import DescriptorKind
 from lpn.report import Options, build
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel
@@ -110,7 +110,7 @@ def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, m
     model, name = GateModel(replace(GATES, roles="role", groups=())), "satellite-to-drone"
     monkeypatch.setattr(lpn, "load", lambda *_, **__: model)
     whole = analysed(open_model(data, model), name)
-    kind = Kind(model.for_task("satellite", "drone").fingerprint, model.n_parts, model.embedding)
+    kind = DescriptorKind(model.for_task("satellite", "drone").fingerprint, model.n_parts, model.embedding)
     index = create_index(tmp_path / "index", kind)
     gallery = whole.task.gallery
     index.add(

@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lpn.core.arrays import Float32Array
-from lpn.index import Box
+from lpn.index import DegreeBox
 from lpn.index.milvus import MilvusIndex, Structure
 from tools.bench.figures import machine
 from tools.bench.search import KIND, drawn, medians, nearest, queries, resident
@@ -41,7 +41,7 @@ K = 10
 SETTLED = 12
 WRITES = 5
 # With one of a hundred tiles that lie on the whole equator.
-BOX: Box = (-1.0, -1.8, 1.0, 1.8)
+BOX: DegreeBox = (-1.0, -1.8, 1.0, 1.8)
 EFFORTS: dict[Structure, tuple[int, ...]] = {
     "flat": (1,),
     "ivf": (8, 32, 128),
@@ -120,7 +120,7 @@ def measure(structure: Structure, count: int, place: Path, rounds: int) -> tuple
 
 
 def searched(
-    index: MilvusIndex, effort: int, asked: Float32Array, truths: dict[Box | None, list[set[str]]], rounds: int
+    index: MilvusIndex, effort: int, asked: Float32Array, truths: dict[DegreeBox | None, list[set[str]]], rounds: int
 ) -> list[str]:
     """Effort, then recall and median milliseconds for all tiles and within the box."""
     index._effort = effort

@@ -36,14 +36,14 @@ from rich.table import Table
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.resources import usable_cores
-from lpn.index import Box, ExactIndex, Kind, base
+from lpn.index import DegreeBox, DescriptorKind, ExactIndex, base
 from lpn.index.scan import PRECISIONS
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
 from tools.bench.figures import Figure, below, machine, show, within
 
-KIND = Kind("bench", 4, 512)
+KIND = DescriptorKind("bench", 4, 512)
 TILES = (951, 51_355)
 # Tiles up to which a search is to take a millisecond at most.
 SMALL = 1000
@@ -51,7 +51,7 @@ OTHER = (0.5, 0.3, 0.2, 0.0)
 # South-west and north-east of the rectangle over which tiles lie.
 CORNERS = (46.0, 6.0), (47.0, 8.0)
 # Has a hundredth of its area.
-BOX: Box = (46.4, 6.6, 46.5, 6.8)
+BOX: DegreeBox = (46.4, 6.6, 46.5, 6.8)
 TOP = 100
 THREADS = min(8, usable_cores())
 BLOCK = 4096
@@ -160,7 +160,7 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     indexes = {name: filled(ExactIndex.create(folder / f"{count}-{name}", KIND, name), count) for name in PRECISIONS}
     tasks = readers(gallery) | peers(gallery, asked, equal)
 
-    def search(index: ExactIndex, weights: Float32Array, box: base.Box | None, number: int) -> object:
+    def search(index: ExactIndex, weights: Float32Array, box: base.DegreeBox | None, number: int) -> object:
         return index.search(asked[number], weights, TOP, box)
 
     for name, index in indexes.items():

@@ -500,7 +500,7 @@ def indexes(folder: Path) -> list[FuzzCase]:
     from lpn.models.base import normalise
 
     rng = np.random.default_rng(0)
-    made = index.create_index(folder / "index", index.Kind("0" * 16, 2, 8))
+    made = index.create_index(folder / "index", index.DescriptorKind("0" * 16, 2, 8))
     raw = normalise(rng.standard_normal((6, 2, 8)).astype(np.float32))
     made.add([f"{i}.png" for i in range(6)], raw)
     files = sorted(file for file in (folder / "index").rglob("*") if file.is_file())

@@ -38,7 +38,7 @@ from lpn.models.adapters.published import (
 )
 from lpn.models.adapters.recognise import Kind
 from lpn.models.adapters.sues import build_sues
-from lpn.models.contract import Level
+from lpn.models.contract import AccountLevel
 
 log = logging.getLogger(__name__)
 
@@ -173,7 +173,7 @@ class _Network(NamedTuple):
     size: tuple[int, int]
     mean: Triple = MEAN
     std: Triple = STD
-    level: Level = "exact, with held"
+    level: AccountLevel = "exact, with held"
     held: str = NORM_HELD
     tells_normalisation: bool = True
 

@@ -14,7 +14,7 @@ from lpn.models.adapters.model import PublishedModel
 from lpn.models.adapters.recognise import Kind, check_kind, title_of_other, unwrapped, unwrapped_as
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
-from lpn.models.published_checkpoints import State, read_options
+from lpn.models.published_checkpoints import StateDict, read_options
 
 
 def load_file(
@@ -69,7 +69,9 @@ def load_published(
         ) from error
 
 
-def _built(kind: Kind, state: State, path: Path, device: torch.device | str, compiled: bool, recognised: bool) -> Model:
+def _built(
+    kind: Kind, state: StateDict, path: Path, device: torch.device | str, compiled: bool, recognised: bool
+) -> Model:
     options = read_options(path.with_name("opts.yaml"))
     if kind == "lpn" and recognised and "dense_LPN" in options:
         # SDPL's code trains baselines whose entries are those of an LPN of two branches, and only this option tells them.

@@ -13,7 +13,7 @@ from lpn.core.errors import ModelFileError
 from lpn.core.views import View
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import PartBranch
-from lpn.models.contract import Contract, Level, Role
+from lpn.models.contract import AccountLevel, Contract, Role
 
 PAIR: tuple[View, ...] = ("satellite", "drone")
 _TRIPLE: tuple[View, ...] = ("satellite", "street", "drone")
@@ -44,7 +44,7 @@ def published(
     method: str,
     backbone: str,
     size: tuple[int, int],
-    level: Level,
+    level: AccountLevel,
     held: str = "",
     parts: Sequence[str] = (),
     embedding: int = 0,
@@ -85,7 +85,7 @@ def by_view(
     backbone: str,
     size: tuple[int, int],
     names: list[str],
-    level: Level,
+    level: AccountLevel,
     held: str = "",
 ) -> PublishedParts:
     """Build a model whose satellite and drone share `model_1`; `model_2`, where there is one, describes the street."""

@@ -26,7 +26,7 @@ from lpn.core.formats import is_newer
 from lpn.datasets import metadata
 from lpn.descriptors import open_store
 from lpn.doctor.verify import verify
-from lpn.index import ExactIndex, Kind, open_index
+from lpn.index import DescriptorKind, ExactIndex, open_index
 from lpn.models.checkpoints import load_torch
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
@@ -136,7 +136,7 @@ def test_a_state_of_another_version_says_which_way(tmp_path: Path) -> None:
 
 @pytest.fixture
 def index(tmp_path: Path) -> Path:
-    kind = Kind("0123456789abcdef", 2, 8)
+    kind = DescriptorKind("0123456789abcdef", 2, 8)
     vectors = np.full((20, 2, 8), 0.25, np.float32)
     with ExactIndex.create(tmp_path / "index", kind, "int8") as made:
         made.add([f"tile {i}" for i in range(20)], vectors)
@@ -149,7 +149,7 @@ def test_a_later_index_is_neither_read_nor_added_to(index: Path) -> None:
     with pytest.raises(StoreError, match=r"index\.json in .* was written " + LATER):
         open_index(index)
     with pytest.raises(StoreError, match=LATER):
-        ExactIndex.create(index, Kind("0123456789abcdef", 2, 8), "int8")
+        ExactIndex.create(index, DescriptorKind("0123456789abcdef", 2, 8), "int8")
 
 
 def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path: Path) -> None:

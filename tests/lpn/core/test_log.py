@@ -29,7 +29,7 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 @pytest.mark.parametrize(("level", "count"), [("debug", 4), ("info", 3), ("warning", 2), ("error", 1)])
 def test_what_is_asked_for_is_shown_and_no_more(
-    level: log.Level, count: int, logger: logging.Logger, capsys: pytest.CaptureFixture[str]
+    level: log.LogLevel, count: int, logger: logging.Logger, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with log.log_to_stderr(level):
         for number in (logging.ERROR, logging.WARNING, logging.INFO, logging.DEBUG):

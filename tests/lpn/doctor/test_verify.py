@@ -13,9 +13,9 @@ import pytest
 from lpn.cli import main
 from lpn.core.errors import StoreError
 from lpn.doctor.verify import verify
-from lpn.index import ExactIndex, Kind, segments
+from lpn.index import DescriptorKind, ExactIndex, segments
 
-KIND = Kind("0123456789abcdef", 2, 8)
+KIND = DescriptorKind("0123456789abcdef", 2, 8)
 VECTORS = np.full((20, 2, 8), 0.25, np.float32)
 NAMES = [f"tile {i}" for i in range(20)]
 

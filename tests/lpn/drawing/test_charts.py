@@ -12,7 +12,7 @@ from markupsafe import Markup
 
 from lpn.descriptors.transforms import Change
 from lpn.drawing import charts
-from lpn.explain.sweeps import Point, SweepResult
+from lpn.explain.sweeps import SweepPoint, SweepResult
 
 
 def rectangles(svg: str) -> list[tuple[float, float]]:
@@ -20,10 +20,10 @@ def rectangles(svg: str) -> list[tuple[float, float]]:
     return [(float(x), float(w)) for x, w in re.findall(r'<rect x="([\d.]+)%"[^>]*? width="([\d.]+)%"', svg)]
 
 
-def points(*ranks: int) -> tuple[Point, ...]:
+def points(*ranks: int) -> tuple[SweepPoint, ...]:
     step = 360 / len(ranks)
     cosines = np.zeros(2, np.float32)
-    return tuple(Point(Change(rotate=i * step), 0, True, 0.3, r, cosines, 1, 0.4) for i, r in enumerate(ranks))
+    return tuple(SweepPoint(Change(rotate=i * step), 0, True, 0.3, r, cosines, 1, 0.4) for i, r in enumerate(ranks))
 
 
 def test_shares_fill_their_part_of_the_bar() -> None:
@@ -75,7 +75,7 @@ def test_a_full_turn_ends_with_the_picture_that_it_begins_with() -> None:
 
 def test_points_carry_the_attributes_that_are_passed_in() -> None:
     profile = SweepResult(
-        "zoom", tuple(Point(Change(scale=s), 0, None, 0.1, 1, np.zeros(1), 0, 0.1) for s in (0.5, 1, 2))
+        "zoom", tuple(SweepPoint(Change(scale=s), 0, None, 0.1, 1, np.zeros(1), 0, 0.1) for s in (0.5, 1, 2))
     )
     plain = charts.profile_charts(profile, ["a"], 720, current=3.0)
     assert 'class="point"' not in plain

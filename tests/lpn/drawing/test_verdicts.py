@@ -8,7 +8,7 @@ import pytest
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain.counterfactual import Effect, PositiveRank, RanksWithoutParts, Reweighting
-from lpn.explain.sweeps import Point, SweepResult
+from lpn.explain.sweeps import SweepPoint, SweepResult
 from lpn.retrieval import Match
 
 
@@ -47,8 +47,8 @@ def test_reweighting_states_its_effect_on_all_queries() -> None:
 
 
 def test_rotation_names_the_best_angle_and_the_heading() -> None:
-    def point(angle: float, rank: int, score: float, top_score: float) -> Point:
-        return Point(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
+    def point(angle: float, rank: int, score: float, top_score: float) -> SweepPoint:
+        return SweepPoint(Change(rotate=angle), 0, True, score, rank, np.zeros(4, np.float32), 1, top_score)
 
     turned = verdicts.describe_rotation(
         SweepResult("rotation", (point(0, 5, 0.2, 0.4), point(90, 2, 0.3, 0.3))), ("drone", "satellite")
@@ -74,7 +74,7 @@ def test_rotation_names_the_best_angle_and_the_heading() -> None:
     ],
 )
 def test_a_guessed_heading_is_judged_by_the_known_one(known: float, judged: str) -> None:
-    point = Point(Change(), 0, True, 0.2, 1, np.zeros(4, np.float32), 1, 0.4)
+    point = SweepPoint(Change(), 0, True, 0.2, 1, np.zeros(4, np.float32), 1, 0.4)
     sweep = SweepResult("rotation", (point,))
     assert verdicts.describe_heading(sweep, ("drone", "satellite"), known).endswith(judged)
 

@@ -20,7 +20,7 @@ from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
 from lpn.explain import sweeps
-from lpn.explain.sweeps import Point, SweepResult, changes_over, run_sweep
+from lpn.explain.sweeps import SweepPoint, SweepResult, changes_over, run_sweep
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
@@ -126,8 +126,8 @@ def test_a_sweep_computes_no_further_than_it_is_asked(
     assert [point.change for point in islice(points, 3)] == changes[:3] == asked
 
 
-def point(change: Change, score: float, rank: int, top_score: float) -> Point:
-    return Point(change, 4, True, score, rank, np.array([score, score], np.float32), 5, top_score)
+def point(change: Change, score: float, rank: int, top_score: float) -> SweepPoint:
+    return SweepPoint(change, 4, True, score, rank, np.array([score, score], np.float32), 5, top_score)
 
 
 def test_a_profile_tells_the_best_change_and_what_it_gains() -> None:
@@ -234,7 +234,7 @@ def test_a_sweep_goes_away_from_what_is_done_to_the_query_already() -> None:
     assert [change.shift for change in shifts] == [5, 0, -10, 10]
     assert {change.rotate for change in shifts} == {-90.0}
     points = tuple(
-        Point(change, 0, True, 0.1 * i, 1 + i, np.zeros(4, np.float32), 0, 0.5) for i, change in enumerate(turns)
+        SweepPoint(change, 0, True, 0.1 * i, 1 + i, np.zeros(4, np.float32), 0, 0.5) for i, change in enumerate(turns)
     )
     assert SweepResult("rotation", points, base).unchanged is points[0]
     assert SweepResult("rotation", points).unchanged is None

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import InputError, StoreError
-from lpn.index import Box, open_index
+from lpn.index import DegreeBox, open_index
 from lpn.models.base import normalise
 from tests.lpn.index.test_index import KIND, Tiles
 
@@ -21,7 +21,7 @@ pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
 from lpn.index.faiss import FaissIndex
 
 COUNT = 12_000
-WIDE: list[Box] = [(-70, -160, 80, 170), (-85, 60, 85, 20)]
+WIDE: list[DegreeBox] = [(-70, -160, 80, 170), (-85, 60, 85, 20)]
 """Boxes that leave far more tiles than are compared one by one."""
 
 
@@ -113,7 +113,7 @@ def test_more_lists_are_looked_through_until_a_box_has_given_enough(
     # The tiles like the query lie in the south, so that the lists nearest to it hold next to none of the north.
     positions = np.where(tiles.scores(query, None) > np.median(tiles.scores(query, None)), -45.0, 45.0)
     places = np.stack([positions, np.zeros(COUNT)], 1)
-    north: Box = (0, -10, 90, 10)
+    north: DegreeBox = (0, -10, 90, 10)
     with FaissIndex.create(tmp_path / "index", KIND, codes, nprobe=1) as index:
         index.add(tiles.names, tiles.descriptors, places)
         found = index.search(query, None, 200, north)

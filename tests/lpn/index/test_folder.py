@@ -15,7 +15,7 @@ import pytest
 
 from lpn.core.errors import StoreError
 from lpn.doctor.verify import verify
-from lpn.index import Box, ExactIndex, create_index, folder, open_index, segments
+from lpn.index import DegreeBox, ExactIndex, create_index, folder, open_index, segments
 from lpn.index.base import covers, overlaps, within
 from tests.lpn.index.test_index import KIND, Tiles
 
@@ -229,7 +229,7 @@ def test_a_box_reads_the_positions_of_segments_on_its_border_alone(
     original = segments.within
     monkeypatch.setattr(segments, "within", lambda *given: read.append(1) or original(*given))
     query = tiles.descriptors[3]
-    boxes: list[tuple[Box, int]] = [
+    boxes: list[tuple[DegreeBox, int]] = [
         ((39, -171, 43, -147), 0),  # three whole segments
         ((41, -171, 43, -117), 6),  # half of each
         ((39, -161, 43, -149), 1),  # one whole, and part of the next
@@ -260,10 +260,10 @@ def test_smallest_boxes_meet_and_lie_in_boxes_as_their_corners_do() -> None:
         # Whole degrees, so that borders often touch.
         south, north = np.sort(rng.integers(-4, 5, 2))
         west, east = rng.integers(-4, 5, 2)
-        box: Box = (float(south), float(west), float(north), float(east))
+        box: DegreeBox = (float(south), float(west), float(north), float(east))
         positions = rng.integers(-4, 5, (int(rng.integers(1, 4)), 2)).astype(np.float64)
         low, high = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
-        extent: Box = (*low, *high)
+        extent: DegreeBox = (*low, *high)
         inside = within(positions, box)
         assert overlaps(extent, box) or not inside.any()
         assert not covers(box, extent) or inside.all()
@@ -271,5 +271,5 @@ def test_smallest_boxes_meet_and_lie_in_boxes_as_their_corners_do() -> None:
         if len(positions) == 1:
             assert overlaps(extent, box) == covers(box, extent) == bool(inside.all())
     assert 0.1 < lay / 4000 < met / 4000 < 0.9
-    nowhere: Box = (np.nan, np.nan, np.nan, np.nan)
+    nowhere: DegreeBox = (np.nan, np.nan, np.nan, np.nan)
     assert not overlaps(nowhere, (-90, -180, 90, 180))

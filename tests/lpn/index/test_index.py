@@ -20,10 +20,10 @@ from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, StoreError
 from lpn.index import (
-    Box,
+    DegreeBox,
+    DescriptorKind,
     ExactIndex,
     Index,
-    Kind,
     SearchResult,
     create_index,
     folder,
@@ -36,9 +36,15 @@ from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
 from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, pretend
 
-KIND = Kind("0123456789abcdef", 4, 16)
+KIND = DescriptorKind("0123456789abcdef", 4, 16)
 WEIGHTS: list[list[float] | None] = [None, [1, 0, 0, 0], [0.5, 0.1, 0, 0.4]]
-BOXES: list[Box | None] = [None, (-30, -60, 40, 70), (-80, 150, 80, -140), (10, 20, 10.5, 20.5), (-90, 180, 90, -180)]
+BOXES: list[DegreeBox | None] = [
+    None,
+    (-30, -60, 40, 70),
+    (-80, 150, 80, -140),
+    (10, 20, 10.5, 20.5),
+    (-90, 180, 90, -180),
+]
 
 
 @dataclass
@@ -50,7 +56,7 @@ class Tiles:
     positions: np.ndarray[Any, Any]
 
     @classmethod
-    def draw(cls, count: int, seed: int = 0, spread: float = 0.5, kind: Kind = KIND) -> Tiles:
+    def draw(cls, count: int, seed: int = 0, spread: float = 0.5, kind: DescriptorKind = KIND) -> Tiles:
         """Descriptors about a few centres, as those of real tiles are; a tenth of them without a position."""
         rng = np.random.default_rng(seed)
         shape = (kind.n_parts, kind.embedding)
@@ -70,7 +76,7 @@ class Tiles:
         cosines = len(query) * (self.descriptors.astype(np.float64) * query).sum(axis=2)
         return np.asarray(cosines @ shares)
 
-    def inside(self, box: Box | None) -> np.ndarray[Any, Any]:
+    def inside(self, box: DegreeBox | None) -> np.ndarray[Any, Any]:
         if box is None:
             return np.arange(len(self.names))
         south, west, north, east = box
@@ -81,7 +87,7 @@ class Tiles:
         )
 
     def check(
-        self, found: SearchResult, query: Float32Array, weights: list[float] | None, k: int, box: Box | None
+        self, found: SearchResult, query: Float32Array, weights: list[float] | None, k: int, box: DegreeBox | None
     ) -> None:
         scores, inside = self.scores(query, weights), self.inside(box)
         order = inside[np.argsort(-scores[inside], kind="stable")][:k]
@@ -223,7 +229,7 @@ def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize("precision", ["float16", "int8"])
 @pytest.mark.parametrize("spread", [1e-4, 0.02, 1.0])
 def test_a_small_copy_changes_no_answer(tmp_path: Path, precision: scan.Precision, spread: float) -> None:
-    kind = Kind("f", 4, 64)
+    kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(1500, spread=spread, kind=kind)
     # Equal tiles tie exactly, and keep the order of insertion; others differ from them in one last bit.
     tiles.descriptors[700:710] = tiles.descriptors[5]
@@ -245,7 +251,7 @@ def test_a_small_copy_changes_no_answer(tmp_path: Path, precision: scan.Precisio
 @pytest.mark.usefixtures("products")
 @pytest.mark.parametrize("precision", scan.PRECISIONS)
 def test_no_score_is_above_its_bound_and_few_bounds_are_far_above(precision: scan.Precision) -> None:
-    kind = Kind("f", 4, 64)
+    kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(2000, kind=kind)
     vectors = kind.checked(tiles.descriptors)
     rows: Any = (vectors, None, None) if precision == "float32" else scan.small_copy(vectors, kind, precision)
@@ -428,7 +434,7 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="descriptors of model 0123456789abcdef, and this model is fedc"):
         open_index(tmp_path / "index", "fedc")
     with pytest.raises(StoreError, match="choose another folder"):
-        create_index(tmp_path / "index", Kind("fedc", 4, 16))
+        create_index(tmp_path / "index", DescriptorKind("fedc", 4, 16))
     with pytest.raises(StoreError, match="holds an index with precision float32, but the new one has precision int8"):
         create_index(tmp_path / "index", KIND, precision="int8")
     with pytest.raises(InputError, match="does not go with this place"):

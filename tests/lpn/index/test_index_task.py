@@ -16,7 +16,7 @@ from lpn.core.errors import InputError, StoreError
 from lpn.datasets import geo, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
-from lpn.index import Engine, Kind, SearchResult, create_index, ground
+from lpn.index import DescriptorKind, IndexEngine, SearchResult, create_index, ground
 from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.ranking import IndexRanking
 from lpn.index.shared import SharedIndex
@@ -52,9 +52,9 @@ def whole(places: Path, model: Model) -> GalleryTask:
     return open_task(model, "model.onnx", open_dataset(places), "drone-to-satellite")
 
 
-def _index(where: Path, whole: GalleryTask, engine: Engine = "exact", positions: bool = True) -> SharedIndex:
+def _index(where: Path, whole: GalleryTask, engine: IndexEngine = "exact", positions: bool = True) -> SharedIndex:
     """An index of the gallery, as lpn describe of its folder and lpn index make it."""
-    index = create_index(where, Kind(whole.model.fingerprint, 4, 512), engine)  # type: ignore[union-attr]
+    index = create_index(where, DescriptorKind(whole.model.fingerprint, 4, 512), engine)  # type: ignore[union-attr]
     folder = whole.root / "test" / "gallery_satellite"
     names = [tile.path.relative_to(folder).as_posix() for tile in whole.gallery]
     assert whole.geometry is not None
@@ -229,7 +229,7 @@ def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
     assert whole.geometry is not None
     degrees = np.array([(place.latitude, place.longitude) for place in whole.geometry.tiles])
     degrees[::3] = np.nan
-    index = SharedIndex(create_index(tmp_path / "index", Kind(model.fingerprint, 4, 512)))
+    index = SharedIndex(create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512)))
     index.index.add([f"{i}.png" for i in range(PLACES)], whole.gallery_descriptors, degrees)
     monkeypatch.setattr(ground, "_PROBED", 4)  # so few that they lie in a corner of the map
     found = ground.probes(index, model)
@@ -244,7 +244,7 @@ def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
 
 
 def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
-    index = create_index(tmp_path / "index", Kind(model.fingerprint, 4, 512))
+    index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
     small_worlds.write(tmp_path / "secret.png", small_worlds.place(1))
     names = ["../secret.png", str(tmp_path / "secret.png"), "a\nb.png"]
     index.add(names, whole.gallery_descriptors[:3])
@@ -266,7 +266,7 @@ def test_mistakes_get_one_sentence(tmp_path: Path, whole: GalleryTask, model: Mo
     with pytest.raises(InputError, match="has no tile gone"):
         index.read(["0002/0002.png", "gone.png"])
     index.close()
-    empty = SharedIndex(create_index(tmp_path / "empty", Kind(model.fingerprint, 4, 512)))
+    empty = SharedIndex(create_index(tmp_path / "empty", DescriptorKind(model.fingerprint, 4, 512)))
     with pytest.raises(InputError, match="holds no tiles"):
         index_task(model, "m", empty, queries)
     with pytest.raises(StoreError, match="holds descriptors of model"):
@@ -274,7 +274,7 @@ def test_mistakes_get_one_sentence(tmp_path: Path, whole: GalleryTask, model: Mo
 
 
 def test_an_index_of_other_tiles_leaves_the_places_unknown(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
-    index = create_index(tmp_path / "index", Kind(model.fingerprint, 4, 512))
+    index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
     index.add([f"other/{i}.png" for i in range(12)], whole.gallery_descriptors[:12])
     shared = SharedIndex(index)
     task = index_task(model, "m", shared, dataset_queries(model, open_dataset(whole.root), shared))
@@ -294,7 +294,7 @@ def _ranks(task: IndexTask) -> npt.NDArray[np.object_]:
 def test_the_described_folder_is_found_among_all_heights(tmp_path: Path, model: Model) -> None:
     dataset = open_dataset(layouts.sues(tmp_path / "sues", 0, 1, ("150", "200")))
     tiles = normalise(np.random.default_rng(0).standard_normal((3, 4, 512)).astype(np.float32))
-    kind = Kind(model.fingerprint, 4, 512)
+    kind = DescriptorKind(model.fingerprint, 4, 512)
     index = SharedIndex(create_index(tmp_path / "index", kind))
     index.index.add(["0001/0.jpg", "0001/1.jpg"], tiles[:2])
     with pytest.raises(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import LPNError, StoreError
-from lpn.index import Box, Index, Kind, MilvusIndex, Structure, create_index, milvus, open_index
+from lpn.index import DegreeBox, DescriptorKind, Index, MilvusIndex, Structure, create_index, milvus, open_index
 from lpn.models.base import normalise
 from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `make` of this module
     BOXES,
@@ -55,7 +55,7 @@ def test_a_milvus_collection_has_the_structure_asked_for(server: MilvusServer, s
 
 
 def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: MilvusServer) -> None:
-    kind = Kind("m", 4, 128)
+    kind = DescriptorKind("m", 4, 128)
     tiles = Tiles.draw(9000, kind=kind)
     with ThreadPoolExecutor(1) as pool:
         with MilvusIndex.create(f"{server.url}/killed", kind, patience=180) as index:  # a busy machine starts slowly
@@ -102,14 +102,14 @@ def built(server: MilvusServer) -> dict[Structure, tuple[MilvusIndex, Tiles]]:
         return dict(zip(structures, pool.map(make, structures), strict=True))
 
 
-def _strip(tiles: Tiles, count: int) -> Box:
+def _strip(tiles: Tiles, count: int) -> DegreeBox:
     """A box with so many tiles in it."""
     latitudes = np.sort(tiles.positions[:, 0])  # those without a place are last
     south, north = latitudes[[2000, 2000 + count]]
     return float(south), -180.0, float(np.nextafter(north, south)), 179.9999
 
 
-def _recall(index: Index, tiles: Tiles, k: int, box: Box | None, queries: int = 6) -> float:
+def _recall(index: Index, tiles: Tiles, k: int, box: DegreeBox | None, queries: int = 6) -> float:
     """Return the share of the true k that is found; assert that k tiles or all return, each as it was added."""
     rng, inside, hits, wanted = np.random.default_rng(2), tiles.inside(box), 0, 0
     rows_of = {name: row for row, name in enumerate(tiles.names)}
@@ -190,7 +190,7 @@ def test_tiles_are_read_page_by_page(
 
 def test_what_an_answer_or_a_growing_segment_has_no_room_for_is_read_in_lots(server: MilvusServer) -> None:
     """A server's answer has 64 MB at most; and of a growing segment it looks through one list of eight."""
-    kind = Kind("g", 4, 512)
+    kind = DescriptorKind("g", 4, 512)
     tiles = Tiles.draw(8600, kind=kind)
     with create_index(f"{server.url}/growing", kind, structure="hnsw") as index:
         tiles.add_to(index)

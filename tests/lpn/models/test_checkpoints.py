@@ -22,7 +22,7 @@ from lpn.models.checkpoints import TorchModel, exact_inference, load_backbone, l
 from lpn.models.network import LPN
 from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
-from lpn.models.weight_storage import Storage
+from lpn.models.weight_storage import WeightType
 from tools.fixtures import seeded, small_worlds
 
 
@@ -187,7 +187,7 @@ def test_a_backbone_is_loaded_as_far_as_it_goes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("storage", "share"), [("float16", 0.45), ("int8", 0.35)])
 def test_a_model_in_fewer_bits_is_small_and_opens_and_fills_a_backbone(
-    storage: Storage, share: float, tmp_path: Path
+    storage: WeightType, share: float, tmp_path: Path
 ) -> None:
     network = small_worlds.make_network(classes=300)
     whole, small = tmp_path / "whole.safetensors", tmp_path / "small.safetensors"
