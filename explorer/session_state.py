@@ -31,7 +31,7 @@ class Chosen(NamedTuple):
     """Queries that were chosen in the laboratory by a click or a lasso.
 
     Attributes:
-        kind: there is one choice of a kind.
+        kind: of selection, such as a lasso; there is one of each.
         label: what they have in common, in words.
         rows: the queries, ascending.
     """

@@ -102,7 +102,7 @@ def scale(points: MapPoints) -> tuple[Float64Array, float]:
 
 
 def degrees(points: MapPoints, origin: Position) -> list[tuple[float, float]]:
-    """Return latitude, then longitude, of the origin of `plane` in degrees, each with the degrees of one unit in its direction.
+    """Return ((latitude, degrees per unit), (longitude, degrees per unit)): the affine map from `plane` to WGS 84.
 
     Args:
         origin: the position that the points count their metres from.

@@ -313,7 +313,7 @@ class Stage:
     ) -> None:
         """Draw a part's share of the distance as a bar at the height `y`, its name above, the share below.
 
-        Where these two lines take more than the room in pixels, both are above.
+        If name and share do not fit above and below the bar in `room` pixels, both are written above it.
         """
         left, right = sides
         size, small, middle = self._lettering.part, self._lettering.share, (left + right) / 2

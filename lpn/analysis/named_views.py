@@ -28,7 +28,7 @@ class ChosenQueries(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Queries that were chosen together by hand.
 
     Attributes:
-        kind: a view has one choice of a kind.
+        kind: of selection, such as a lasso; a view keeps one of each.
         label: what they have in common, in words.
         paths: relative to the data set's folder.
     """

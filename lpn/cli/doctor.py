@@ -37,7 +37,7 @@ class DoctorCommand:
         if self.model is not None:
             return self._check_model(self.model)
         if self.kind is not None:
-            raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
+            raise InputError("--kind needs --model; give both, or leave it out.")
         if self.data is None:
             return self._check_environment()  # works without any package
 

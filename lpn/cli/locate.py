@@ -136,7 +136,7 @@ def locate_files(
     if limit is not None and limit < 1:
         raise InputError(f"The limit is {limit} frames; expected 1 or more.")
     if kind is not None and model is None:
-        raise InputError("A kind is that of a model; give --kind with --model, or leave it out.")
+        raise InputError("--kind needs --model; give both, or leave it out.")
     if index is not None and (model is None or options.sizes is not None):
         raise InputError(
             "An index has the windows that the retrieval ranks, and their sizes; give --index with --model and without --size."

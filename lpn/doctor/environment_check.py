@@ -292,7 +292,7 @@ def _demo_error(demo: Path) -> str | None:
                 for row in manifest.rows:
                     picture = demo / "test" / f"{role}_{manifest.view}" / row.file
                     if not picture.is_file() or picture.stat().st_size != row.size:
-                        return f"{picture.relative_to(demo)} is missing or another"
+                        return f"{picture.relative_to(demo)} is missing, or is not the packaged file (its size differs)"
     except LPNError as error:
         return str(error)
     except FileNotFoundError as error:

@@ -207,7 +207,7 @@ def is_model_name(name: str) -> bool:
 
 
 def check_trained_file(path: Path) -> None:
-    """Check by its first bytes that a file may hold a `.safetensors` or a PyTorch file.
+    """Check a model file's first bytes, without torch or safetensors installed.
 
     Raises:
         ModelFileError: if it does not, or is missing or unreadable.

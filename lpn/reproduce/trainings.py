@@ -113,7 +113,7 @@ class TrainingJob:
         return [float(row["seconds"]) for row in self._log()]
 
     def epoch_seconds(self) -> float:
-        """Time a step, and return the seconds of an epoch of as many."""
+        """Estimate the seconds of one epoch by timing its second step."""
         with tempfile.TemporaryDirectory() as folder:
             trainer = Trainer(
                 self.source.dataset,

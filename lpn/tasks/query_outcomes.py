@@ -55,8 +55,8 @@ class Outcomes:
         weights: the part weights, summing to one, (n,).
         known: the queries whose truth is known, (Q,).
         depth: number of tiles that were ranked for each query; None for all.
-        missed: the queries whose first true match an approximate search may have missed, (Q,); their `rank` is `depth` and may be
-            any. None for none.
+        missed: the queries whose first true match an approximate search may have skipped, (Q,). Their `rank` holds `depth`, as
+            the true rank is unknown. None if the search is exact.
     """
 
     rank: Int64Array
@@ -234,7 +234,7 @@ def compared_ranks(table: Table, rank: Int64Array, depth: int | None = None) -> 
 
 
 def listed_columns(outcomes: Outcomes, truth: Sequence[Truth] | None) -> list[Column]:
-    """Columns of what lists tell about the answers, without those of which they tell nothing.
+    """Return the columns `overlap` and `semi`, each only if the data set lists it.
 
     Columns:
         overlap: of the answer with the query's footprint, 0 .. 1.

@@ -405,7 +405,7 @@ def _first_epoch_alone(out: Path) -> bool:
 def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
     spec = ModelSpec(
         backbone=recipe.backbone,
-        # The recipe's own belongs to its own backbone.
+        # `last_layer` is defined for our own backbones only.
         last_layer="layer4" if is_timm(recipe.backbone) else recipe.last_layer,
         views=places.views,
         shared=recipe.shared and "drone" in places.views,

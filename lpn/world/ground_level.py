@@ -22,7 +22,7 @@ from lpn.world.meshes import CROWNS, VEHICLE_SIZES
 from lpn.world.streets import beside, densified
 from lpn.world.surroundings import Obstacles, distances
 
-NEAR, FAR = 15.0, 45.0  # metres from a building's walls to who photographs it
+NEAR, FAR = 15.0, 45.0  # distance of a street camera from the walls, in metres
 CLOSER = 9.0  # where little of it can be seen from there, open ground this far off will do too
 EYES = (1.7, 2.5)  # metres above the ground
 FIELDS = (60.0, 75.0)  # degrees across

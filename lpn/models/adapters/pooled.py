@@ -56,7 +56,7 @@ def first_alone(count: int) -> FixedWeights:
 class RegionWeights(nn.Module):
     """FSRA's regions: tokens in the order of falling heat, cut into k regions of floor(N / k), of which the last takes the rest.
 
-    A token's heat is the mean of its numbers. One further part is the class token; without one, it is the mean of all tokens.
+    A token's heat is the mean over its channels. One extra part is the class token, or the mean of all tokens if there is none.
 
     Args:
         regions: k.
@@ -107,7 +107,7 @@ class PooledTokens(PartBranch):
             and `grid`.
         weights: of the tokens in the parts.
         heads: A (n, D, C) and c (n, D).
-        cells: whether some part has cells; without them there is no account.
+        cells: False if no part pools over the map; the branch then gives no evidence.
     """
 
     def __init__(self, trunk: Any, weights: nn.Module, heads: tuple[Tensor, Tensor], cells: bool = True) -> None:

@@ -722,7 +722,7 @@ def test_a_kind_reaches_each_model(
     assert kinds == ["dac"] * 4
     for arguments, message in (
         (["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac"], "There are 1 kinds for 2 models"),
-        (["doctor", "--kind", "dac"], "give --kind with --model"),
+        (["doctor", "--kind", "dac"], "--kind needs --model"),
         (["evaluate", "flight", *where, "--kind", "dac"], "give --kind with --model"),
     ):
         assert main(arguments) == 2
