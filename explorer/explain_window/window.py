@@ -223,13 +223,13 @@ class ExplainWindow:
         self.show_tab(wanted)
 
     def show_tab(self, tab: WhyTab) -> None:
-        """Make the page show a tab, unless it does, and bring the window in front; "best" waits for `show`."""
+        """Open a tab of the page and bring the window to the front; `show` does it for "best"."""
         if tab not in ("best", self._tab_shown) and not (tab == "models" and self._workspace.second is None):
             self._tab_shown = tab
             self._open_tab(_TABS[tab])
 
     def _on_tab(self, value: Any) -> None:
-        """Follow the page, where a person opened a tab by its untrusted name, which may be another window's."""
+        """Follow a person who opened a tab; `value` is its name, untrusted, and may be a tab of another window."""
         tab = next((key for key, name in _TABS.items() if name == value), None)
         if self._open and tab is not None:
             self._tab_shown = tab
@@ -266,7 +266,7 @@ class ExplainWindow:
         self._panel.visible = False
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Keep the analysis, and draw it if the window is open, now and in the analysed state."""
+        """Keep the analysis. Draw it if the window is open and was open in the analysed state."""
         drawn = self._open and analysis.state.shows_reasons
         before = self._content
         kept = before is not None and before.pair is not None and before.pair.belongs_to(analysis)
@@ -478,6 +478,6 @@ class ExplainWindow:
 
 
 def best_tab(analysis: StateAnalysis) -> WhyTab:
-    """Return the tab that answers why the compared tile is first: a wrong one is compared with the true tile."""
+    """Return the tab that explains the compared tile: for a wrong answer the comparison with the true tile, else evidence."""
     wrong = analysis.chosen.rank == 1 and analysis.chosen.true is False
     return "comparison" if wrong and analysis.positive is not None else "evidence"

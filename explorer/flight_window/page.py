@@ -42,7 +42,12 @@ _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
 def shell(part_names: Sequence[str], height: int, tall: bool = False) -> str:
-    """Return the elements that the script fills, of a height in pixels; on a phone a `tall` window takes the whole screen."""
+    """Return the elements that the script fills.
+
+    Args:
+        height: of the window in pixels.
+        tall: on a phone, fill the whole screen.
+    """
     return render("flight/shell", part_names=part_names, height=height, tall=tall)
 
 

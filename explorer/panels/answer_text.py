@@ -13,7 +13,7 @@ from lpn.core.numbers import distance
 from lpn.drawing import verdicts
 from lpn.retrieval import Match
 
-# From here on a picture's GPS tag is that of another region than the tiles'.
+# A GPS tag at least this far from the nearest tile is in another region.
 _ELSEWHERE_M = 10_000.0
 # The shapes of an own picture and of the network's input differ visibly from here on.
 _PRESSED = 1.05
@@ -27,7 +27,7 @@ class Lead:
     """The lead of one tile over another, part by part: of the answer, or of the right picture over a wrong answer.
 
     Attributes:
-        shares: each part's share in d², (n,); positive where it speaks for the leader, so never against the right picture.
+        shares: each part's term of the lead in d², (n,); positive where the part speaks for the leader.
         other: the tile that the answer is compared with, in words.
         index: that tile's position in the gallery.
         of_answer: the leader is the answer; otherwise it is the other tile.
@@ -157,10 +157,10 @@ def lead(analysis: StateAnalysis) -> Lead | None:
 
 
 def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say how often answers are right that were as far ahead of the second tile, in words; empty where that is not known.
+    """Say how often answers with a similar lead over the second tile are right; empty where that is not known.
 
-    It is not known under part weights or of cells that no other query was ranked by, nor where only the truth tells which tiles
-    compete with the answer.
+    It is not known under other part weights or for a region, as no other query was ranked so. For an uploaded picture it is not
+    known either if the truth names junk, as its junk is unknown.
     """
     state, task, result = analysis.state, analysis.task, workspace.rankings[analysis.task.name].result
     own = state.upload is not None
@@ -202,7 +202,7 @@ def overall(ranking: TaskRanking | None, altered: bool = False) -> str:
     """Return how often the top match is right over all queries of a task, in words; empty while it is not known.
 
     Args:
-        altered: the query or the search on the page is altered, which these are not.
+        altered: the query or the search on the page is altered; the rate is of unaltered queries.
     """
     if ranking is None or not (graded := int(ranking.results["queries"])):
         return ""

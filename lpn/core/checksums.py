@@ -32,12 +32,12 @@ UNSEALED = _PREFIX.decode() + "0" * _DIGITS
 _SEARCHED = 4_000_000
 # Bytes of a block of an array.
 BLOCK = 1 << 22
-# A model file may hold so many times its own bytes (shared weights are counted up to three times), or so many bytes in any case.
+# A model file may claim this many times its size (shared weights count up to three times); this many bytes are always allowed.
 _MAX_RATIO, _ALLOWANCE = 8, 1_000_000
 
 
 def with_seal(data: bytes) -> bytes:
-    """Return a file whose metadata hold `UNSEALED` with the seal in its place."""
+    """Replace `UNSEALED` in a file's metadata by the seal of the file."""
     start = _find_seal(data)
     assert start is not None
     assert data[start : start + _DIGITS] == b"0" * _DIGITS

@@ -7,7 +7,7 @@ from pathlib import Path
 from lpn.core.files import data_folder
 
 _PACKAGE = Path(__file__).parents[1]
-# A checkout has them beside its packages; the wheel, whose folder of packages is shared, inside `lpn` (setup.py).
+# A checkout has the assets beside its packages. The wheel has them inside `lpn`, as site-packages is shared (setup.py).
 ASSETS = _PACKAGE / "assets" if (_PACKAGE / "assets").is_dir() else _PACKAGE.parent / "assets"
 DEMO = ASSETS / "demo"
 DEMO_MODEL = DEMO / "lpn.onnx"
@@ -20,7 +20,7 @@ DEMO_QUERY = "0394/06"
 
 
 def own_file(folder: Path, name: str) -> Path:
-    """Return where a file that a person adds to a data set or a flight lies: in its folder, but for the demo in the user's own.
+    """Return the path of a file that a person adds to a data set or flight: in its folder, for the demo in the user's own.
 
     Raises:
         OutputError: for the demo, if the user has no home folder.
@@ -30,9 +30,9 @@ def own_file(folder: Path, name: str) -> Path:
 
 
 def own_file_place(folder: Path, name: str, what: str) -> str:
-    """Return the place of `own_file` in words that a visitor of a served page understands, without folders of this machine.
+    """Describe the path of `own_file` to a visitor of a served page, without folders of this machine.
 
-    Such as "notes.csv, beside the data, on the computer that runs this page".
+    An example is "notes.csv, beside the data, on the computer that runs this page".
 
     Args:
         what: the noun for `folder`.

@@ -3,7 +3,7 @@
     train/{satellite,drone,street,google}/<id>/*     JPEG, PNG, WebP, BMP, GIF, TIFF
     test/{query,gallery}_{satellite,drone,street}/<id>/*
 
-A folder of the test split may be a text file with the name of another: the same pictures in a further role.
+In the test split a text file may stand in place of a folder; it names another folder, whose pictures have this role, too.
 The label of a picture is its folder's integer name.
 """
 

@@ -30,14 +30,15 @@ _ODD_ZONES = (
 )  # fmt: skip
 # Positions of photos and log that agree within so many metres in the median are of one moment.
 _NEAR = 30.0
-# Another offset agrees as well if its median is below this many times the best one's, or these metres more.
+# An offset agrees as well as the best if its median distance is below this multiple of the best one's, or this much above it.
 _CLEAR, _CLEAR_METRES = 3.0, 15.0
 # Offsets that differ by fewer seconds are one.
 _ONE = 30.0
 _MOST_OFFSETS, _MOST_PHOTOS = 20_000, 200
 # Photos that are spread over fewer metres do not tell an offset.
 _LEAST_SPREAD = 60.0
-# A zone fits if the log holds this share of the photos. If none does, a log of one battery holds these photos, and this share.
+# A zone fits if the log holds this share of the photos. If no zone does, the log may be of one battery: then it fits if the log
+# holds at least this number and this share.
 _INSIDE = 0.9
 _LEAST_INSIDE, _LEAST_SHARE = 3, 0.1
 _UTC, _LOCAL = "UTC", "their clock"
@@ -113,17 +114,17 @@ def _place(photo: Photo) -> tuple[float, float]:
 
 
 def _by_zone(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str, utc: bool) -> ClockFit | None:
-    """Return the one zone at which the photos lie within the log, or that several do; None if there is none."""
+    """Return the zone at which the photos lie within the log, or a fit that says that several do; None if none does."""
     sign = 1.0 if basis == _UTC else -1.0
     is_between = basis == _LOCAL and not utc
     if is_between:
-        # Two clocks of unknown zones; those of one person seldom differ by a part of an hour.
+        # Both zones are unknown. Whole hours come first, as two clocks of one person seldom differ by a part of an hour.
         sets = [[float(h) for h in range(-14, 15) if h], [h / 4 for h in range(-56, 57) if h % 4]]
     else:
         sets = [_zones(_middle_longitude(telemetry))]
     counts = {zone: int(_inside(telemetry, times, sign * zone * _HOUR).sum()) for zones in sets for zone in zones}
     total = int(np.isfinite(times).sum())
-    # A log of one battery holds a part of the photos.
+    # A log of one battery holds only some of the photos.
     fitting = next(
         (
             matching
@@ -172,7 +173,7 @@ def _by_places(
     apart = offs[np.abs(offsets - offsets[best]) > _ONE]
     if offs[best] > _NEAR or (len(apart) and apart.min() < max(_CLEAR * offs[best], offs[best] + _CLEAR_METRES)):
         return None
-    # Offsets that agree alike about the best one are those of a drone that hovers; their middle is taken.
+    # While the drone hovers, offsets near the best one agree as well; the middle of them is taken.
     alike = offsets[(np.abs(offsets - offsets[best]) <= _ONE) & (offs <= offs[best] + 1.0)]
     offset = float(np.median(alike))
     sentence = (

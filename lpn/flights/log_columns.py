@@ -104,7 +104,7 @@ UNITS = {
 # Names that hold their unit.
 _OWN_UNITS = {"timeus": 1e-6, "timeutcusec": 1e-6}
 _BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))\s*", re.DOTALL)
-# Values that one word of a column's name tells where no other column does, as in "GPS Lat Exif".
+# If no column has a full name of one of these values, one word of a name is enough, as in "GPS Lat Exif".
 _BY_WORD = ("file", "latitude", "longitude")
 # Positions of these are not the aircraft's.
 _OTHERS = (

@@ -35,9 +35,9 @@ from lpn.flights.telemetry import TelemetryEntry
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
 _SCALED = 1e7
-# A recording of fewer seconds marks the beginning of a video alone.
+# A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
-# A log with a larger share of positions that are none on the Earth is refused.
+# A log is refused if a larger share of its positions is beyond latitude 90 or longitude 180.
 _MOST_BEYOND = 0.1
 # Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
 _LEAST_SCALED = 2e7
@@ -126,7 +126,7 @@ def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
     clocks = np.array([entry.clock for entry in known], np.float64)
     times = np.array([entry.time for entry in known], np.float64)
     if len(known) > 1 and np.isfinite(times).all() and (clocks == np.floor(clocks)).all():
-        # Whole seconds are cut off, so that the clock is ahead of the elapsed time by the largest difference, or a little more.
+        # Whole seconds are rounded down, so the largest difference is nearest to the clock's true lead over the elapsed time.
         lead = clocks - times
         if float(np.ptp(lead)) <= 1.0:
             clocks = times + lead.max()
@@ -188,7 +188,7 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
 
 
 def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]]) -> tuple[float | None, str]:
-    """Return the time of a log's column at which a video began, by the time in the video's file, and a note."""
+    """Return the elapsed time in a log at which a video began, by the time in the video's file, or None; and a note."""
     known = [(row.entry.clock, time) for row, time in timed if row.entry.clock is not None]
     if began is not None and log.utc and known and known[0][0] <= began <= known[-1][0]:
         clock, time = min(known, key=lambda pair: abs(pair[0] - began))
@@ -232,7 +232,7 @@ class _Cells:
         """Return degrees of a coordinate, with the letter of its own column if it has one; None if it is unknown.
 
         Raises:
-            DataError: if it is no angle.
+            DataError: if the text is not an angle.
         """
         text = self.text(what)
         if not text:
@@ -250,7 +250,7 @@ class _Cells:
         """Return latitude and longitude; both None if either is unknown.
 
         Raises:
-            DataError: if they are none.
+            DataError: if the text is not a latitude and a longitude.
         """
         if "position" not in self.table.columns.places:
             latitude, longitude = self.angle("latitude", "NS"), self.angle("longitude", "EW")
@@ -269,7 +269,7 @@ class _Cells:
 
 
 def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
-    """Return the positions of the rows in degrees, both None where unknown; notes about what the values are; if they are scaled.
+    """Return the rows' positions in degrees, both None where unknown, notes on how they were read, and whether they were scaled.
 
     Raises:
         DataError: if they are not degrees on the Earth; the message names the line.
@@ -315,7 +315,7 @@ def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, flo
 
 
 def _with_mavlink_units(table: LogTable) -> LogTable:
-    """Return a table whose whole numbers of heights are millimetres, and those of headings beyond 360 hundredths of degrees."""
+    """Read a column of large whole numbers as MAVLink's units: heights in millimetres, headings in hundredths of degrees."""
     factors = dict(table.columns.factors)
     for what, most, factor in (
         ("altitude", 1000, 0.001),

@@ -85,7 +85,7 @@ class Telemetry:
         return values
 
     def times_by_distance(self, metres: float) -> list[float]:
-        """Return the times at which each further number of metres has been flown, from the first known position on.
+        """Return the times at which 0, 1, 2, ... times `metres` have been flown since the first known position.
 
         Raises:
             DataError: if there are more than a million.
@@ -96,7 +96,7 @@ class Telemetry:
             return []
         flown = np.cumsum(np.hypot(*np.diff(local_metres(np.stack([latitudes, longitudes], axis=1)), axis=0).T))
         flown = np.concatenate([[0.0], flown])
-        # Without a move the first of several equal distances counts.
+        # While the drone hovers, the distance stays the same; its first time counts.
         flown, first = np.unique(flown, return_index=True)
         if flown[-1] > _MOST_MARKS * metres:
             raise DataError(
@@ -107,7 +107,7 @@ class Telemetry:
         return [float(time) for time in np.interp(marks, flown, times[first])]
 
     def _changes(self) -> np.typing.NDArray[np.bool_]:
-        """Return a mask of the entries at which the position changes, and of the last before a change after a long rest."""
+        """Return a mask of the entries at which the position changes, and of the last entry of each long rest."""
         places = [(entry.latitude, entry.longitude) for entry in self.entries]
         keep = np.zeros(len(places), bool)
         start = 0

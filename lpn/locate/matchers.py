@@ -62,7 +62,7 @@ class Matcher(ABC):
         """Return mutual nearest neighbours that pass the ratio test, (M, 2) int64: indices of `photo` and of `ground`."""
         if len(photo.points) < 2 or len(ground.points) < 2:
             return np.zeros((0, 2), np.int64)
-        # Rows of the map's features in the product, because the argmax of a column is slow.
+        # The map's features are the rows of the product, because an argmax over columns is slow.
         best = np.full(len(photo.points), -2.0, np.float32)
         nearest = np.empty(len(ground.points), np.int64)
         values = np.empty(len(ground.points), np.float32)
@@ -88,7 +88,7 @@ class Matcher(ABC):
 
 
 class SiftMatcher(Matcher):
-    """SIFT on pictures of equalised contrast, with root descriptors; it does not mind turns."""
+    """SIFT on pictures of equalised contrast, with root descriptors; it matches at any turn."""
 
     name = "SIFT"
     tolerance = 180.0

@@ -25,7 +25,7 @@ class Trace:
         cells: the weight of each cell in each part of each pass, (P, n, h, w).
         weight: the heads, (n, D, C); None for the identity.
         slopes: the activation's slope for each number of each pass's embedding, (P, n, D); None without an activation.
-        constants: what the sum over cells lacks, all passes and the view's subtracted mean together, whitened, (n, D) float64.
+        constants: the embedding less the sum over cells, (n, D) float64: of all passes, with the view's mean, whitened.
         whitening: the matrix of each part after the heads, (n, D, D); None for the identity.
     """
 
@@ -140,7 +140,7 @@ class Trace:
         return total.T if only is None else total[:, 0]
 
     def errors(self) -> Float64Array:
-        """Return by how much cells plus constants miss each part at most, as a share of the part's largest value, (n,).
+        """Return the largest error of cells plus constants in each part, as a share of the part's largest value, (n,).
 
         The share is infinite where a sum is no finite number.
         """

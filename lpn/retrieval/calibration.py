@@ -35,9 +35,9 @@ from lpn.retrieval.protocol import centred
 STEP = 2**0.25
 # One step from the ratio of all costs this much cosine; without a cost, a weak network follows its noise.
 PRIOR = 0.02
-# Steps from 1 that the ratio of all may have, and from it that of one picture.
+# Bounds in steps: of the ratio of all from 1, and of one picture's ratio from the ratio of all.
 _MOST_STEPS, _OWN_STEPS = 8, 2
-# Pictures of a view that a mean needs, and that the ratio of all is chosen by at most.
+# A mean needs this many pictures of a view; the ratio of all is chosen on at most this many of each.
 MIN_PICTURES = 20
 _MOST_DRONES, _MOST_TILES = 200, 1000
 _SEED = 0
@@ -68,7 +68,7 @@ class Calibration:
         tried: mean of s(r) by the ratio r, see this module; empty if the views are not those of drone and satellite.
         ratio: the ratio of all.
         levels: the zooms that a drone picture may have; empty without ratios.
-        tiles: descriptors of tiles, (T, n, D), that the zoom of one's own picture is chosen by.
+        tiles: descriptors of tiles, (T, n, D), against which the zoom of an uploaded picture is chosen.
     """
 
     means: Mapping[View, Float32Array]
@@ -79,7 +79,7 @@ class Calibration:
     tiles: Float32Array
 
     def pictures(self, view: View, pictures: Sequence[Picture]) -> list[Picture]:
-        """Return the pictures with their zoom, which a note tells."""
+        """Return the pictures with their zoom, and with a note that names it."""
         zooms = self.zooms[view]
         return [
             replace(
@@ -124,13 +124,17 @@ class Calibration:
         return descriptors.StoredDescriptors(described, hashlib.sha256(described.tobytes()).hexdigest())
 
     def applied(self, model: Model) -> Model:
-        """Return the model that subtracts the means; contributions stay exact, with the length of the mean's term held."""
+        """Return the model that subtracts the means. Contributions stay exact; the length of the mean's term is held."""
         moved = model.centred(self.means)
         moved.contract = replace(moved.contract, title=f"{moved.contract.title}, calibrated")
         return moved
 
     def own_zoom(self, model: Model, picture: UInt8Array, view: View) -> float:
-        """Return the zoom of one's own picture (H, W, 3), that of a drone chosen as for the others; `model` may be calibrated."""
+        """Return the zoom of an uploaded picture (H, W, 3). For a drone picture it is chosen as in `calibrate`.
+
+        Args:
+            model: with or without the calibration.
+        """
         if view != "drone" or not self.levels:
             return next(iter(self.zooms[view].values()))
         plain, best, most = model.centred({}), 1.0, -np.inf
@@ -177,8 +181,8 @@ def calibrate(
 
     Args:
         model: see `Model.for_task`.
-        lists: of each view, the lists of pictures that are searched with and that are searched, which are read one by one;
-            equal files count once.
+        lists: for each view, its lists of pictures: queries, gallery, or both. They are read one by one; equal files count
+            once.
 
     Raises:
         InputError: if there is one view only, one has fewer than 20 pictures, or the model lacks one.
@@ -275,7 +279,7 @@ class _Side:
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def sample(self, most: int, step: int) -> Float32Array:
-        """Return the descriptors of at most so many."""
+        """Return the descriptors of at most `most` pictures, drawn at random, at the zoom STEP^step."""
         return self._described(_sample(self.pictures, most), step)
 
     def _described(self, pictures: Sequence[Picture], step: int) -> Float32Array:
@@ -312,7 +316,7 @@ def _step_of_all(drones: _Side, tiles: _Side) -> tuple[int, dict[float, float]]:
 
 
 def _sample(values: Any, most: int) -> Any:
-    """Return at most so many of a sequence or an array's rows, in their order."""
+    """Draw at most `most` values of a sequence, or rows of an array, at random with a fixed seed; keep their order."""
     if len(values) <= most:
         return values
     rows = np.sort(np.random.default_rng(_SEED).choice(len(values), most, replace=False))

@@ -32,7 +32,7 @@ class Tokens(nn.Module):
     The class token comes first where there is one, then registers, then the cells row by row.
 
     Args:
-        entries: of timm's names.
+        entries: with timm's names.
         wide_scale: FSRA's attention: 8 heads, and logits scaled by C^-0.5 in place of (C / 8)^-0.5.
     """
 
@@ -85,9 +85,9 @@ class Tokens(nn.Module):
 
 
 def foreign_entry(entries: Entries) -> str | None:
-    """Return the first entry that a plain vision transformer of timm lacks, `patch_embed` or `pos_embed` if it has none.
+    """Return an entry that shows that this is no plain vision transformer of timm: one too many, or one that is missing.
 
-    None if it is a plain one.
+    None for a plain one.
     """
     lacking = (key for key in ("patch_embed.proj.weight", "pos_embed") if key not in entries.state)
     return next((key for key in entries.state if not _PLAIN.match(key)), next(lacking, None))
