@@ -22,7 +22,9 @@ from lpn.core.resources import ProviderName
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.index.task import DEPTH
-from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress, registered
+from lpn.locate.located import LocatedFlight
+from lpn.locate.options import LocateOptions, Progress
+from lpn.locate.pipeline import registered
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.retrieval.plain_arrays import PlainArrays

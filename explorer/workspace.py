@@ -30,7 +30,7 @@ from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.models.contract import Contract
@@ -256,7 +256,7 @@ class Workspace:
         assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
-                basemap = self.basemap if self.flight is None else self.flight.town
+                basemap = self.basemap if self.flight is None else self.flight.basemap
                 if basemap is not None:
                     drawn = mosaic.draw_map(task.geometry, basemap)
                 elif task.depth is not None:

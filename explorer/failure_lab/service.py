@@ -22,7 +22,7 @@ from lpn.core.errors import LPNError
 from lpn.core.tables import Table
 from lpn.datasets.geo import Position
 from lpn.datasets.metadata import NOTE, TAGS
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 from lpn.locate.task import stage_columns
 from lpn.tasks import notes, query_outcomes
 from lpn.tasks.notes import Note

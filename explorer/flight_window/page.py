@@ -16,7 +16,7 @@ from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays, score_map, theme
-from lpn.locate.pipeline import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.summary import describe_flight
 
 # The part whose cosines are painted, or all parts under the current weights.
@@ -58,7 +58,7 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         address: folder of the pictures, relative to the page.
     """
     flight = view.flight
-    basemap, frames, pyramid = flight.town, flight.frames, Pyramid.of(flight.town)
+    basemap, frames, pyramid = flight.basemap, flight.frames, Pyramid.of(flight.basemap)
     known = [frame.frame.time for frame in frames]
     sheets = [
         {
@@ -139,7 +139,7 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
     place = None if stage is None else located.stages[stage]
     degrees = None
     if place is not None and place.x is not None and place.y is not None:
-        degrees = view.flight.town.frame.degrees([(place.x, place.y)])[0]
+        degrees = view.flight.basemap.frame.degrees([(place.x, place.y)])[0]
     return render(
         "flight/card",
         frame=frame,
@@ -253,7 +253,7 @@ def lists(view: FlightView) -> dict[str, str]:
         if view.beliefs[i].stage != "registration" and _refusals(located)
     ]
     apart = [(one.frame, printable(flight.frames[one.frame].frame.name), [one.sentence]) for one in view.contradictions]
-    notes = [*flight.notes, *flight.flight.notes, *flight.town.notes]
+    notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]
     if view.corrections_error:
         notes.append(f"Corrections are left out: {view.corrections_error}")
     audit = "" if flight.audit is None else flight.audit.sentence
@@ -267,7 +267,7 @@ def lists(view: FlightView) -> dict[str, str]:
 
 def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float]) -> str:
     """Return the list of the frames that show a spot."""
-    degrees = view.flight.town.frame.degrees([place])[0]
+    degrees = view.flight.basemap.frame.degrees([place])[0]
     entries = []
     for i in frames:
         one = view.outlines[i]

@@ -20,7 +20,7 @@ from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.homography import apply_homography, middle_pixel
 from lpn.locate.belief import belief
-from lpn.locate.pipeline import LocatedFrame
+from lpn.locate.located import LocatedFrame
 from lpn.maps import Map, Window
 from lpn.maps.map import OVERVIEW
 
@@ -89,15 +89,15 @@ class FlightPictures:
             return None
         if match := _TILE_PATH.fullmatch(rest):
             level, column, row = map(int, match.groups())
-            if Pyramid.of(flight.town).window(level, column, row) is None:
+            if Pyramid.of(flight.basemap).window(level, column, row) is None:
                 return None
             return lambda: self._tiles.get(
-                (level, column, row), lambda: encoded(*tile(flight.town, level, column, row))
+                (level, column, row), lambda: encoded(*tile(flight.basemap, level, column, row))
             )
         if (match := _FRAME_PATH.fullmatch(rest)) and (frame := int(match[2])) < len(flight.frames):
             kind, located = match[1], flight.frames[frame]
             if kind == "ground":
-                return lambda: _ground(flight.town, located)
+                return lambda: _ground(flight.basemap, located)
             make = _photo if kind == "photo" else _square_photo
             return lambda: self._photos.get((kind, frame), lambda: make(located))
         return None

@@ -17,7 +17,7 @@ from lpn.locate import corrections
 from lpn.locate.belief import Belief, Disagreement, beliefs, disagreements
 from lpn.locate.corrections import Correction
 from lpn.locate.coverage import Outline, outline
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +51,14 @@ class FlightView:
         correction = self.corrections.get(self.flight.frames[frame].frame.name)
         if correction is None:
             return None
-        x, y = self.flight.town.frame.xy(*correction.middle[:, None])[0].tolist()
+        x, y = self.flight.basemap.frame.xy(*correction.middle[:, None])[0].tolist()
         return x, y
 
     def homography(self, frame: int) -> Float64Array | None:
         """Return the matrix that lays a photo over the map: that of a correction, else of an accepted registration."""
         located = self.flight.frames[frame]
         if (correction := self.corrections.get(located.frame.name)) is not None:
-            return correction.homography(self.flight.town.frame, located.frame.width, located.frame.height)
+            return correction.homography(self.flight.basemap.frame, located.frame.width, located.frame.height)
         answer = located.stages.get("registration")
         if answer is None or not answer.accepted or answer.homography is None:
             return None
@@ -103,7 +103,7 @@ class FlightService:
         """
         with self._lock:  # otherwise an older state of the file could be assigned last
             view = self.view()
-            name, basemap = view.flight.frames[frame].frame.name, view.flight.town
+            name, basemap = view.flight.frames[frame].frame.name, view.flight.basemap
             correction = None if corners is None else Correction.of(corners, basemap.frame)
             kept = corrections.set_correction(self.corrections_file, name, correction)
             self._view = replace(view, corrections=kept, corrections_error="")

@@ -139,7 +139,7 @@ class WindowSources:
         context: dict[str, Any] = {"frame": None}
         if frame is not None:
             located = view.flight.frames[frame]
-            photo, ground = pictures.pair(view.flight.town, located)
+            photo, ground = pictures.pair(view.flight.basemap, located)
             context = {
                 "frame": frame,
                 "name": data["names"][frame],
@@ -242,7 +242,7 @@ def draw_flight(view: FlightView, data: dict[str, Any], frame: int | None) -> UI
 
 def _ground(view: FlightView, drawn: MapPicture) -> tuple[UInt8Array, PlaneBounds]:
     """Join the tiles of the map's pyramid that a picture needs, and return them with their borders."""
-    basemap = view.flight.town
+    basemap = view.flight.basemap
     pyramid = pictures.Pyramid.of(basemap)
     level = min(max(math.ceil(math.log2(pyramid.side / (pictures.TILE * drawn.unit))), 0), pyramid.levels)
     size = pyramid.side / (1 << level)

@@ -153,10 +153,10 @@ class ModelTable:
                 for one in self.models
             ]
         )
-        found = intervals(
+        estimates = intervals(
             values.reshape(-1, self.queries).astype(np.float64), self.models[0].labels, self.seed, self.resamples
         )
-        rows = iter(found)
+        rows = iter(estimates)
         return [{name: next(rows) for name in names} for _ in self.models]
 
     @cached_property

@@ -200,7 +200,7 @@ class EvaluationOfFlight:
         from lpn.cli.locate import locate_files, print_summary
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, write_json
-        from lpn.locate.pipeline import LocateOptions
+        from lpn.locate.options import LocateOptions
 
         if self.json is not None:
             check_writable(self.json)

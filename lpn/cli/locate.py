@@ -18,7 +18,8 @@ from lpn.models.adapters import Kind
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lpn.locate.pipeline import LocatedFlight, LocateOptions, Progress
+    from lpn.locate.located import LocatedFlight
+    from lpn.locate.options import LocateOptions, Progress
 
 
 @dataclass
@@ -93,7 +94,7 @@ class LocateCommand:
         return "Frames that are done are kept; give the same command again."
 
     def _options(self) -> LocateOptions:
-        from lpn.locate.pipeline import LocateOptions
+        from lpn.locate.options import LocateOptions
 
         return LocateOptions(
             self.sequence,
@@ -158,7 +159,7 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
 
     summaries = located.summaries()
     table = Table(
-        title=f"{printable(located.flight.name)} on {printable(located.town.name)}: {len(located.frames)} frames"
+        title=f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} frames"
     )
     columns = (
         "stage",

@@ -69,7 +69,7 @@ class IndexTask(Task):
         index: the index.
         search_depth: number of tiles that a search returns.
         contains: see `IndexQueries`.
-        town: the map that windows are cut from; None without one.
+        basemap: the map that windows are cut from; None without one.
     """
 
     gallery: IndexGallery
@@ -78,7 +78,7 @@ class IndexTask(Task):
     snapshots: _Snapshots
     contains: Callable[[int, Sequence[str]], BoolArray] | None = None
     ground: IndexGround | None = None
-    town: Map | None = None
+    basemap: Map | None = None
 
     @property
     def tiles(self) -> int:
@@ -150,11 +150,11 @@ class IndexTask(Task):
         assert self.truth is not None
         truth = None if query is None else self.truth[query]
         junk = np.zeros(0, np.int64) if truth is None else truth.junk
-        found = self.index.search(descriptor, weights, self.search_depth + len(junk), background)
-        places = self.gallery.add(found.ids, found.positions)
+        hits = self.index.search(descriptor, weights, self.search_depth + len(junk), background)
+        places = self.gallery.add(hits.ids, hits.positions)
         kept = np.flatnonzero(~np.isin(places, junk))[: self.search_depth]
-        places, vectors, scores = places[kept], found.vectors[kept], found.scores[kept]
-        depth = None if len(found) >= self.tiles else len(places)
+        places, vectors, scores = places[kept], hits.vectors[kept], hits.scores[kept]
+        depth = None if len(hits) >= self.tiles else len(places)
         good = np.zeros(0, np.int64) if truth is None else truth.good
         missing = np.setdiff1d([*good, *also], [*places, *junk]).astype(np.int64)
         if len(missing):
@@ -227,7 +227,7 @@ def index_task(
     index: SharedIndex,
     queries: IndexQueries,
     depth: int = DEPTH,
-    town: Map | None = None,
+    basemap: Map | None = None,
 ) -> IndexTask:
     """Return the task of some queries over an index.
 
@@ -235,7 +235,7 @@ def index_task(
         model: describes queries; the index holds its descriptors.
         model_name: to display.
         depth: number of tiles that a search returns.
-        town: map that windows are cut from.
+        basemap: map that windows are cut from.
 
     Raises:
         InputError: if the depth is less than 10, or the index holds no tiles, or none on the map.
@@ -254,7 +254,7 @@ def index_task(
             return listed
         side = max(model.input_size)
         return tile_picture(
-            name, _NO_PLACE + place, queries.root, queries.folders, town, side, lambda: gallery.degrees_of(place)
+            name, _NO_PLACE + place, queries.root, queries.folders, basemap, side, lambda: gallery.degrees_of(place)
         )
 
     gallery = IndexGallery(make_picture)
@@ -265,7 +265,7 @@ def index_task(
         junk = np.sort(gallery.add(queries.junk[i])) if queries.junk else none
         truth.append(Truth(np.sort(gallery.add(names)) if names else none, junk, known=names is not None))
     places = queries.places or [None] * len(queries.pictures)
-    ground, no_map = ground_of(probes(index, model), index.extent(), places, town)
+    ground, no_map = ground_of(probes(index, model), index.extent(), places, basemap)
     return IndexTask(
         name=queries.name,
         model=model,
@@ -287,5 +287,5 @@ def index_task(
         contains=queries.contains,
         ground=ground,
         no_map=no_map,
-        town=town,
+        basemap=basemap,
     )

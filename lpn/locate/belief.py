@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from lpn.locate.pipeline import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame, StageRecord
 
 # 1-sigma radius in metres of a tag by a consumer's receiver in the open.
 TAG_RADIUS = 5.0

@@ -11,7 +11,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.homography import apply_homography, corner_pixels, middle_pixel
 from lpn.flights import footprint
-from lpn.locate.pipeline import LocatedFrame
+from lpn.locate.located import LocatedFrame
 
 
 @dataclass(frozen=True, eq=False)

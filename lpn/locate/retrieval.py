@@ -57,14 +57,14 @@ class RankedWindows:
         scores: weighted mean cosines, (K,) float64.
         headings: degrees at which the frame scored best, (K,) float64.
         cosines: of each part, (K, n) float32.
-        shares: each part's contribution to the squared distance 2 - 2 score, (K, n) float32.
+        contributions: of each part to the squared distance 2 - 2 score, (K, n) float32.
     """
 
     indices: Int64Array
     scores: Float64Array
     headings: Float64Array
     cosines: Float32Array
-    shares: Float32Array
+    contributions: Float32Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class MapRetrieval:
         frames_described: of each frame, (headings, n, D) float32; None if it cannot be read.
         headings: degrees at which each frame was described.
         levels: the size of windows that each frame was cut for; NaN if all sizes are compared.
-        shares: of its width that each frame's square shows, see `lpn.flights.cut.cut_square`, (N,).
+        cut_shares: of its width that each frame's square shows, see `lpn.flights.cut.cut_square`, (N,).
         pixels: side of the pictures that were described.
         means: the mean descriptor that was subtracted from each view's, (n, D); empty if they were not centred.
         broken: the error of each frame that cannot be read.
@@ -96,7 +96,7 @@ class MapRetrieval:
     frames_described: list[Float32Array | None]
     headings: list[list[float]]
     levels: Float64Array
-    shares: Float64Array
+    cut_shares: Float64Array
     pixels: int
     means: dict[View, Float32Array]
     broken: dict[int, str]
@@ -226,7 +226,7 @@ def retrieve(
         return model.prepare(basemap.read(window, side)[0], "satellite")
 
     levels = np.full(len(flight.frames), np.nan)
-    shares = np.zeros(len(flight.frames))
+    cut_shares = np.zeros(len(flight.frames))
     jobs: list[tuple[int, float, float]] = []
     headings: list[list[float]] = []
     for i, frame in enumerate(flight.frames):
@@ -235,7 +235,7 @@ def retrieve(
         if cut is not None:
             levels[i] = min(chosen, key=lambda size: abs(np.log(size / cut)))
             share *= levels[i] / cut
-        shares[i] = share
+        cut_shares[i] = share
         headings.append(tried_headings(frame))
         jobs += [(i, heading, share) for heading in headings[-1]]
 
@@ -283,7 +283,7 @@ def retrieve(
         described_frames,
         headings,
         levels,
-        shares,
+        cut_shares,
         side,
         means,
         bad,

@@ -7,7 +7,7 @@ from statistics import median
 
 from lpn.core.numbers import distance
 from lpn.locate.belief import Belief
-from lpn.locate.pipeline import LocatedFrame
+from lpn.locate.located import LocatedFrame
 
 _WAYS = {
     "registration": "by laying the photo over the map (registration)",

@@ -22,7 +22,7 @@ from lpn.datasets.geo import Position
 from lpn.flights import Frame
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.belief import beliefs, disagreements
-from lpn.locate.pipeline import STAGES, LocatedFlight, LocatedFrame
+from lpn.locate.located import STAGES, LocatedFlight, LocatedFrame
 from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import WindowCut, describe_place
@@ -60,110 +60,111 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     Raises:
         InputError: if the flight was located without a model, or the model lacks a view.
     """
-    found = located.retrieval
-    if found is None:
+    retrieval = located.retrieval
+    if retrieval is None:
         raise InputError("The flight was located without a model, so there is no ranking to explore; give a model.")
     for view in ("satellite", "drone"):
         model.check_view(view)
-    turns = [0 if i in found.broken else found.best_turn(i) for i in range(len(located.frames))]
-    truth, geometry = _truth(located, found), _geometry(located, found)
-    queries = _descriptors(found, turns)
-    digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(found.windows_described).tobytes()).hexdigest()
-    if found.means:
-        model = model.centred(found.means, found.whitening)
+    turns = [0 if i in retrieval.broken else retrieval.best_turn(i) for i in range(len(located.frames))]
+    truth, geometry = _truth(located, retrieval), _geometry(located, retrieval)
+    queries = _descriptors(retrieval, turns)
+    digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(retrieval.windows_described).tobytes()).hexdigest()
+    if retrieval.means:
+        model = model.centred(retrieval.means, retrieval.whitening)
     return GalleryTask(
         name=TASK,
         model=model,
         model_name=printable(model_name),
-        data_name=printable(f"{located.flight.name} over {located.town.name}"),
+        data_name=printable(f"{located.flight.name} over {located.basemap.name}"),
         root=root,
         contract=model.contract,
         map_sizes={view: model.map_size(view) for view in model.views},
         queries=[
-            _query(found, i, located.frames[i].frame, found.headings[i][turn], root) for i, turn in enumerate(turns)
+            _query(retrieval, i, located.frames[i].frame, retrieval.headings[i][turn], root)
+            for i, turn in enumerate(turns)
         ],
-        gallery=_gallery(located.town, found, root),
+        gallery=_gallery(located.basemap, retrieval, root),
         query_labels=np.arange(len(turns), dtype=np.int64),
-        gallery_labels=np.arange(len(turns), len(turns) + len(found.windows), dtype=np.int64),
+        gallery_labels=np.arange(len(turns), len(turns) + len(retrieval.windows), dtype=np.int64),
         query_descriptors=queries,
-        gallery_descriptors=found.windows_described,
+        gallery_descriptors=retrieval.windows_described,
         truth=truth,
         geometry=geometry,
         identity=digest,
-        columns=_columns(located, found, turns),
+        columns=_columns(located, retrieval, turns),
     )
 
 
-def _query(found: MapRetrieval, i: int, frame: Frame, heading: float, root: Path) -> Picture:
+def _query(retrieval: MapRetrieval, i: int, frame: Frame, heading: float, root: Path) -> Picture:
     file = frame.file if frame.file.is_relative_to(root) else root / frame.name
-    tried = len(found.headings[i])
+    tried = len(retrieval.headings[i])
     note = f"heading {heading:.0f}°, best of {tried}" if tried > 1 else ""
-    cut = TurnedFrame(frame, heading, float(found.shares[i]), found.pixels)
+    cut = TurnedFrame(frame, heading, float(retrieval.cut_shares[i]), retrieval.pixels)
     return Picture(file, i, frame.name, note=note, cut=cut)
 
 
-def _gallery(town: Map, found: MapRetrieval, root: Path) -> list[Picture]:
+def _gallery(basemap: Map, retrieval: MapRetrieval, root: Path) -> list[Picture]:
     """Return windows as pictures, named by the metres from the map's origin to their centre, and by their side if it varies."""
-    first, several = len(found.headings), len(set(found.sizes.tolist())) > 1
+    first, several = len(retrieval.headings), len(set(retrieval.sizes.tolist())) > 1
     return [
         Picture(
             root / "windows" / str(j),
             first + j,
             describe_place(window, several),
-            cut=WindowCut(town, window, found.pixels),
+            cut=WindowCut(basemap, window, retrieval.pixels),
         )
-        for j, window in enumerate(found.windows)
+        for j, window in enumerate(retrieval.windows)
     ]
 
 
-def _descriptors(found: MapRetrieval, turns: list[int]) -> Float32Array:
+def _descriptors(retrieval: MapRetrieval, turns: list[int]) -> Float32Array:
     """Return the descriptor of each frame at its turn, (Q, n, D); 0 for a frame that cannot be read."""
-    descriptors = np.zeros((len(turns), *found.windows_described.shape[1:]), np.float32)
+    descriptors = np.zeros((len(turns), *retrieval.windows_described.shape[1:]), np.float32)
     for i, turn in enumerate(turns):
-        if (described := found.frames_described[i]) is not None:
+        if (described := retrieval.frames_described[i]) is not None:
             descriptors[i] = described[turn]
     return descriptors
 
 
-def _truth(located: LocatedFlight, found: MapRetrieval) -> list[Truth]:
+def _truth(located: LocatedFlight, retrieval: MapRetrieval) -> list[Truth]:
     none = np.zeros(0, np.int64)
     others: dict[float, Int64Array] = {}
     truth = []
     for i, frame in enumerate(located.frames):
-        level = float(found.levels[i])
+        level = float(retrieval.levels[i])
         if math.isnan(level):
-            eligible, junk = np.ones(len(found.windows), bool), none
+            eligible, junk = np.ones(len(retrieval.windows), bool), none
         else:
-            eligible = found.sizes == level
+            eligible = retrieval.sizes == level
             junk = others.setdefault(level, np.flatnonzero(~eligible))
-        if frame.tag is None or i in found.broken:
+        if frame.tag is None or i in retrieval.broken:
             truth.append(Truth(none, junk, known=False))
             continue
-        holds = np.all(np.abs(found.places - frame.tag) <= found.sizes[:, None] / 2, axis=1)
+        holds = np.all(np.abs(retrieval.places - frame.tag) <= retrieval.sizes[:, None] / 2, axis=1)
         truth.append(Truth(np.flatnonzero(eligible & holds), junk))
     return truth
 
 
-def _geometry(located: LocatedFlight, found: MapRetrieval) -> GalleryGeometry:
-    degrees = located.town.frame.degrees
+def _geometry(located: LocatedFlight, retrieval: MapRetrieval) -> GalleryGeometry:
+    degrees = located.basemap.frame.degrees
     tiles = [
         Position(float(latitude), float(longitude), width=float(size))
-        for (latitude, longitude), size in zip(degrees(found.places), found.sizes, strict=True)
+        for (latitude, longitude), size in zip(degrees(retrieval.places), retrieval.sizes, strict=True)
     ]
-    middle = (found.places.min(axis=0) + found.places.max(axis=0)) / 2
+    middle = (retrieval.places.min(axis=0) + retrieval.places.max(axis=0)) / 2
     latitude, longitude = (float(value) for value in degrees([middle])[0])
     positions = [
-        _position(located, frame, float(level)) for frame, level in zip(located.frames, found.levels, strict=True)
+        _position(located, frame, float(level)) for frame, level in zip(located.frames, retrieval.levels, strict=True)
     ]
-    width = float(np.median(found.sizes))
-    return GalleryGeometry(positions, tiles, Position(latitude, longitude), found.places - middle, width)
+    width = float(np.median(retrieval.sizes))
+    return GalleryGeometry(positions, tiles, Position(latitude, longitude), retrieval.places - middle, width)
 
 
 def _position(located: LocatedFlight, frame: LocatedFrame, level: float) -> Position | None:
     """Return the camera's position; its picture is north-up, and as wide as the windows that it is compared with."""
     if frame.tag is None:
         return None
-    latitude, longitude = (float(value) for value in located.town.frame.degrees([frame.tag])[0])
+    latitude, longitude = (float(value) for value in located.basemap.frame.degrees([frame.tag])[0])
     height = frame.frame.flying_height
     if height is None or height <= 0 or math.isnan(level):
         return Position(latitude, longitude)
@@ -171,7 +172,7 @@ def _position(located: LocatedFlight, frame: LocatedFrame, level: float) -> Posi
     return Position(latitude, longitude, altitude=height, heading=0.0, fov=fov, width=level)
 
 
-def _columns(located: LocatedFlight, found: MapRetrieval, turns: list[int]) -> list[Column]:
+def _columns(located: LocatedFlight, retrieval: MapRetrieval, turns: list[int]) -> list[Column]:
     """Return what is known of each frame, for the table of outcomes."""
     frames = [one.frame for one in located.frames]
     times = located.flight.times
@@ -179,12 +180,12 @@ def _columns(located: LocatedFlight, found: MapRetrieval, turns: list[int]) -> l
     columns = [
         _numbers("seconds", since.tolist(), "s"),
         _numbers("altitude", [frame.flying_height for frame in frames], "m"),
-        _numbers("heading", [found.headings[i][turn] for i, turn in enumerate(turns)], "°"),
+        _numbers("heading", [retrieval.headings[i][turn] for i, turn in enumerate(turns)], "°"),
         _numbers("pitch", [frame.pitch for frame in frames], "°"),
         _numbers("roll", [frame.roll for frame in frames], "°"),
     ]
     sources = [
-        str(frame.heading_source) if heading_is_certain(frame) else f"best of {len(found.headings[i])}"
+        str(frame.heading_source) if heading_is_certain(frame) else f"best of {len(retrieval.headings[i])}"
         for i, frame in enumerate(frames)
     ]
     columns.append(text_column("heading from", sources))
@@ -193,9 +194,9 @@ def _columns(located: LocatedFlight, found: MapRetrieval, turns: list[int]) -> l
 
 def stage_columns(located: LocatedFlight) -> list[Column]:
     """Return what the stages say of each frame: metres from its tag, the registration, the verdict, and the reason for it."""
-    found = beliefs(located.frames, disagreements(located.frames))
+    opinions = beliefs(located.frames, disagreements(located.frames))
     verdicts = [
-        "contradicted" if one.stage == "registration" and not one.sign else _VERDICTS[one.stage] for one in found
+        "contradicted" if one.stage == "registration" and not one.sign else _VERDICTS[one.stage] for one in opinions
     ]
     answers = [frame.stages.get("registration") for frame in located.frames]
     columns = [
@@ -203,7 +204,7 @@ def stage_columns(located: LocatedFlight) -> list[Column]:
         text_column("registration", ["" if answer is None else answer.state for answer in answers]),
         _numbers("inliers", [None if answer is None else answer.inliers for answer in answers]),
         text_column("verdict", verdicts),
-        text_column(REASON, [one.reason for one in found]),
+        text_column(REASON, [one.reason for one in opinions]),
     ]
     return [column for column in columns if column.known.any()]
 

@@ -14,7 +14,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 
 if TYPE_CHECKING:
-    from lpn.locate.pipeline import LocatedFlight
+    from lpn.locate.located import LocatedFlight
     from lpn.maps import Map
     from lpn.models.base import Model
     from lpn.sources.sources import TaskSource

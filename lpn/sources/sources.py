@@ -318,7 +318,8 @@ class Flown(TaskSource):
     ) -> OpenedSource:
         """Open the flight with windows that overlap by a share of their sides, `LocateOptions.overlap` by default."""
         from lpn.flights import open_flight
-        from lpn.locate.pipeline import LocateOptions, locate
+        from lpn.locate.options import LocateOptions
+        from lpn.locate.pipeline import locate
         from lpn.locate.task import flight_task
         from lpn.maps import open_map
         from lpn.retrieval import scoring

@@ -19,7 +19,9 @@ from explorer.workspace import LazyWorkspace, Workspace
 from lpn.flights import Flight, Frame
 from lpn.locate.audit import TagAudit
 from lpn.locate.corrections import read_corrections
-from lpn.locate.pipeline import LocateOptions, StageRecord, locate
+from lpn.locate.located import StageRecord
+from lpn.locate.options import LocateOptions
+from lpn.locate.pipeline import locate
 from lpn.locate.task import flight_task
 from lpn.maps import LocalFrame, open_map
 from tests.e2e.conftest import ExplorerPage, box, expect_accessible

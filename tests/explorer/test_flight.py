@@ -30,7 +30,7 @@ from explorer.workspace import StateAnalyser, Workspace
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.flights import write_flight
-from lpn.locate.pipeline import LocatedFlight, StageRecord
+from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.task import TASK
 from lpn.maps import Map, Window
 from lpn.sources import Flown, Indexed, ModelOptions
@@ -107,7 +107,7 @@ def test_the_picture_of_all_tiles_is_the_map(workspace: Workspace) -> None:
     row = (north - (y - origin[1])) / (north - south) * picture.shape[0]
     shown = picture[int(row) - 20 : int(row) + 20, int(column) - 20 : int(column) + 20]
     metres = 40 * (east - west) / picture.shape[1]
-    expected, _ = located.town.read(Window(x, y, metres), 40)
+    expected, _ = located.basemap.read(Window(x, y, metres), 40)
     assert np.abs(shown.astype(float) - expected).mean() < 12
 
 

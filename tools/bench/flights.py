@@ -23,7 +23,8 @@ import lpn
 from lpn.cli.locate import print_summary
 from lpn.core.files import write_atomic
 from lpn.flights import open_flight
-from lpn.locate.pipeline import LocateOptions, locate
+from lpn.locate.options import LocateOptions
+from lpn.locate.pipeline import locate
 from lpn.maps import open_map
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from lpn.flights import Flight, Frame
 from lpn.locate.audit import TagAudit
-from lpn.locate.pipeline import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.retrieval import MapRetrieval
 from lpn.maps import Window, open_map
 from tests.lpn.maps.small_maps import smooth, write_geotiff

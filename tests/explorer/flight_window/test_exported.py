@@ -13,7 +13,7 @@ from explorer.flight_window import page
 from explorer.flight_window.service import FlightService
 from explorer.session_state import SessionState
 from explorer.stories.windows import WindowSources, draw_flight
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from explorer.compute.background_jobs import BackgroundJob, ReportProgress
 from explorer.flight_window import page
 from explorer.flight_window.service import FlightService, FlightView
 from lpn.core.errors import DataError
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 from lpn.maps import open_map
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
@@ -71,7 +71,7 @@ def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path
     for i in range(2):
         place = (0.5, 0, EAST + 150 * i, 0, -0.5, NORTH)
         write_geotiff(tmp_path / f"sheet{i}.tif", smooth(40, 200, i), matrix=place)
-    two = replace(flight, town=open_map(tmp_path))
+    two = replace(flight, basemap=open_map(tmp_path))
     sheets = page.data(view_of(two), "x/")["sheets"]
     assert sorted(sheet["name"] for sheet in sheets) == ["sheet0.tif", "sheet1.tif"]
     assert len({sheet["colour"] for sheet in sheets}) == 2

@@ -12,7 +12,7 @@ from explorer.flight_window.pictures import TILE, FlightPictures, Pyramid, groun
 from explorer.server.picture_route import PREFIX
 from lpn.core.arrays import AnyArray
 from lpn.core.errors import DataError
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 from lpn.maps import Window, open_map
 from tests.lpn.maps.small_maps import smooth, write_geotiff
 
@@ -32,8 +32,8 @@ def loaded(pictures: FlightPictures, path: str) -> AnyArray:
 
 
 def test_tiles_of_a_level_cover_the_map_without_gap_or_overlap(flight: LocatedFlight) -> None:
-    pyramid = Pyramid.of(flight.town)
-    west, south, east, north = flight.town.bounds
+    pyramid = Pyramid.of(flight.basemap)
+    west, south, east, north = flight.basemap.bounds
     assert pyramid.side == pytest.approx(max(east - west, north - south))
     # 400 pixels need two tiles of 256.
     assert pyramid.levels == 1
@@ -51,9 +51,9 @@ def test_a_tile_shows_its_window_and_is_transparent_where_the_map_is_unknown(
     flight: LocatedFlight, pictures: FlightPictures
 ) -> None:
     shown = loaded(pictures, "tile/1/1/0")
-    window = Pyramid.of(flight.town).window(1, 1, 0)
+    window = Pyramid.of(flight.basemap).window(1, 1, 0)
     assert window is not None
-    expected, valid = flight.town.read(window, TILE)
+    expected, valid = flight.basemap.read(window, TILE)
     assert shown.shape[:2] == (TILE, TILE)
     assert np.abs(shown[..., 2::-1].astype(int) - expected)[valid].mean() < 3
     edge = loaded(pictures, "tile/1/0/0")

@@ -13,7 +13,7 @@ from explorer.flight_window.service import FlightService
 from lpn.core.errors import InputError
 from lpn.locate import corrections
 from lpn.locate.corrections import NAME
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 
 CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
 

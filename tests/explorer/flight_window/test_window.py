@@ -18,7 +18,7 @@ from explorer.flight_window.service import FlightService
 from explorer.flight_window.window import FlightWindow
 from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
-from lpn.locate.pipeline import LocatedFlight
+from lpn.locate.located import LocatedFlight
 
 SQUARE = [[0, 30], [40, 30], [40, 0], [0, 0]]
 

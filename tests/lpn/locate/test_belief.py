@@ -7,7 +7,7 @@ import pytest
 
 from lpn.flights import Frame
 from lpn.locate.belief import TAG_RADIUS, belief, disagreements
-from lpn.locate.pipeline import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame, StageRecord
 
 FRAME = Frame("a", Path("a"), 80, 60, height_above_ground=100.0)
 TAG = np.zeros(2)

@@ -7,7 +7,7 @@ import pytest
 
 from lpn.flights import Frame, footprint
 from lpn.locate.coverage import corners_of, outline, seen_by
-from lpn.locate.pipeline import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame, StageRecord
 from tests.lpn.locate.scenery import ground_to_photo
 
 FRAME = Frame(

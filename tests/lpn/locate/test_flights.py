@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from lpn.flights import open_flight
-from lpn.locate.pipeline import LocateOptions, locate
+from lpn.locate.options import LocateOptions
+from lpn.locate.pipeline import locate
 from lpn.maps import open_map
 
 # Two photos as taken, and two that someone turned by 180 degrees.

@@ -15,7 +15,7 @@ from lpn.core.errors import InputError, StoreError
 from lpn.index import ExactIndex, create_index
 from lpn.index.base import DescriptorKind
 from lpn.locate.index_windows import indexed_windows
-from lpn.locate.pipeline import LocateOptions
+from lpn.locate.options import LocateOptions
 from lpn.locate.retrieval import retrieve
 from lpn.maps import Map, NamedWindow
 from tests.lpn.locate.scenery import GridModel, land, small_flight, write_map

@@ -17,19 +17,14 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels
 from lpn.flights import Flight, Frame, footprint
 from lpn.flights.cut import cut_square
-from lpn.locate import pipeline
+from lpn.locate import pipeline, ranked_stages, registered_stage
+from lpn.locate.camera_place import nadir_pixel
 from lpn.locate.corrections import Correction, set_correction
 from lpn.locate.ground import MapFeatures
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.matchers import Features, SiftMatcher
-from lpn.locate.pipeline import (
-    LocatedFlight,
-    LocatedFrame,
-    LocateOptions,
-    StageRecord,
-    WindowRecord,
-    locate,
-    nadir_pixel,
-)
+from lpn.locate.options import LocateOptions
+from lpn.locate.pipeline import locate
 from lpn.locate.registration import Expectation, Registration, Similarity, contested, register
 from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.maps import Map, Window, open_map
@@ -125,7 +120,7 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
     def run() -> list[StageRecord]:
         return [located.stages["registration"] for located in locate(town, flight, None, SIFT).frames]
 
-    monkeypatch.setattr(pipeline, "_register_frame", answer)
+    monkeypatch.setattr(registered_stage, "register_frame", answer)
     whole = run()
     records = next((tmp_path / "cache").rglob("*.jsonl"))
     lines = [line for line in records.read_bytes().splitlines() if line]
@@ -152,7 +147,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer = StageRecord("accepted", "It agrees.", 3.0, 4.0, camera=True, radius=0.5, width=WIDTH)
-    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: answer)
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: answer)
     # The last frame has no tilt, so a correction tells its middle only; the first was flown at 10 degrees of roll.
     frames = (replace(flight.frames[0], roll=10.0), *flight.frames[1:3], replace(flight.frames[3], pitch=None))
     kept = {
@@ -195,7 +190,7 @@ def test_a_registration_in_progress_is_told_without_changing_the_flight(
 ) -> None:
     monkeypatch.setattr(pipeline, "_PARTIAL_INTERVAL", 0.0)
     answer = StageRecord("accepted", "It agrees.", 1.0, 2.0, radius=0.5, width=WIDTH)
-    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: answer)
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: answer)
     frames = [LocatedFrame(frame, None) for frame in flight.frames]
     located = LocatedFlight(flight, town, frames, None, ["A note."], None)
     partial: list[LocatedFlight] = []
@@ -217,7 +212,7 @@ def test_a_registration_that_no_drone_can_have_flown_to_is_refused_unless_they_a
         number = int(located.frame.name)
         return StageRecord("accepted", "It agrees.", 8.0 * number, 60.0 * (number in false), radius=0.5)
 
-    monkeypatch.setattr(pipeline, "_register_frame", answer)
+    monkeypatch.setattr(registered_stage, "register_frame", answer)
     frames = tuple(replace(flight.frames[0], name=str(i), time=float(i)) for i in range(30))
     found = locate(town, replace(flight, frames=frames), None, SIFT)
     answers = [located.stages["registration"] for located in found.frames]
@@ -253,7 +248,7 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
 def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
     town: Map, flight: Flight, moved: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
     found = locate(town, replace(flight, frames=tuple(replace(frame, **moved) for frame in flight.frames)), None, SIFT)
     assert len(found.notes) == 1
     assert "elsewhere than the map town" in found.notes[0]
@@ -262,7 +257,7 @@ def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
 
 
 def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline, "_register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
     frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
     found = locate(town, replace(flight, frames=frames), None, SIFT)
     assert found.notes == ["1 of 4 frames have a position off the map."]
@@ -280,8 +275,8 @@ def test_a_prior_beside_a_model_is_refused(town: Map, flight: Flight) -> None:
 
 
 def test_an_expected_width_is_tried_freely_too(town: Map) -> None:
-    assert list(pipeline._tried_widths(town, 90.0, [])) == [(90.0, True), (90.0, False)]
-    assert list(pipeline._tried_widths(town, 90.0, [50.0])) == [(90.0, True), (90.0, False)]
+    assert list(registered_stage.tried_widths(town, 90.0, [])) == [(90.0, True), (90.0, False)]
+    assert list(registered_stage.tried_widths(town, 90.0, [50.0])) == [(90.0, True), (90.0, False)]
 
 
 @pytest.mark.parametrize(("east", "searches"), [(0.0, 1), (90.0, 2)])
@@ -300,12 +295,12 @@ def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
         centres.append(ground[0].tolist())
         return answers[min(len(centres), 2) - 1]
 
-    monkeypatch.setattr(pipeline, "register", search)
+    monkeypatch.setattr(registered_stage, "register", search)
     features = MapFeatures(town, SiftMatcher())
     monkeypatch.setattr(features, "around", lambda places, *_: places)
     located = LocatedFrame(flight.frames[0], None, windows=[WindowRecord(5.0, 0.0, 40.0, 0.9, 0.0, [], [])])
     ranked = sized(np.full(25, 40.0))
-    answer = pipeline._register_frame(town, [features], located, SIFT, [], [], ranked)
+    answer = registered_stage.register_frame(town, [features], located, SIFT, [], [], ranked)
     assert answer.accepted == (searches == 1)
     assert centres[0] == [5.0, 0.0]
     assert set(map(tuple, centres[1:])) == ({(90.0, 0.0)} if searches == 2 else set())
@@ -339,7 +334,7 @@ def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Fl
     located = LocatedFrame(replace(flight.frames[0], file=file, height_above_ground=height), None)
     both, one = MapFeatures(town, _MutualMatcher()), MapFeatures(town, _OneEyedMatcher())
     alone, after = (
-        pipeline._register_frame(town, kinds, located, SIFT, [], [], None) for kinds in ([one], [both, one])
+        registered_stage.register_frame(town, kinds, located, SIFT, [], [], None) for kinds in ([one], [both, one])
     )
     assert alone.accepted
     assert alone.x == pytest.approx(50, abs=1)
@@ -406,7 +401,7 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
     found = Registration(
         True, "", "SIFT", homography=laid, centre=np.array(place), width=WIDTH, covariance=0.04 * np.eye(2)
     )
-    monkeypatch.setattr(pipeline, "register", lambda *_: found)
+    monkeypatch.setattr(registered_stage, "register", lambda *_: found)
 
     def radius(frame: Frame, map_error: float | None) -> float:
         options = replace(SIFT, map_error=map_error)
@@ -492,7 +487,7 @@ def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) ->
         assert located.stages["sequence"].accepted
         assert located.stages["registration"].accepted
         best = located.windows[0]
-        assert sum(best.shares) == pytest.approx(2 - 2 * best.score, abs=1e-5)
+        assert sum(best.contributions) == pytest.approx(2 - 2 * best.score, abs=1e-5)
         assert [window.score for window in located.windows] == sorted(
             (window.score for window in located.windows), reverse=True
         )
@@ -529,8 +524,10 @@ def _ranked(
         broken,
         overlap=0.0,
     )
-    pipeline._ranked(found, frames, 2)
-    told = pipeline._sequenced(found, replace(flight, frames=flight.frames[: len(scores)]), frames, LocateOptions())
+    ranked_stages.enter_retrieval(found, frames, 2)
+    told = ranked_stages.enter_sequence(
+        found, replace(flight, frames=flight.frames[: len(scores)]), frames, LocateOptions()
+    )
     if notes is not None:
         notes += told
     return frames
@@ -559,13 +556,13 @@ def test_steps_that_do_not_follow_the_headings_are_told(
 def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
     flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    smoothed, scores = pipeline._smoothed, np.eye(25)[[12, 12, 12]]
+    smoothed, scores = ranked_stages.smoothed, np.eye(25)[[12, 12, 12]]
 
     def through_a_corner(*given: Any) -> Any:
         track, motion = smoothed(*given)
         return replace(track, path=np.array([12, 24, 12])), motion
 
-    monkeypatch.setattr(pipeline, "_smoothed", through_a_corner)
+    monkeypatch.setattr(ranked_stages, "smoothed", through_a_corner)
     said = [frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {})]
     assert ["The most probable path of the whole flight passes 113 m from here." in one for one in said] == [
         False, True, False,
@@ -723,7 +720,7 @@ def test_a_kind_reaches_each_model(
     for arguments, message in (
         (["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac"], "There are 1 kinds for 2 models"),
         (["doctor", "--kind", "dac"], "--kind needs --model"),
-        (["evaluate", "flight", *where, "--kind", "dac"], "give --kind with --model"),
+        (["evaluate", "flight", *where, "--kind", "dac"], "--kind needs --model"),
     ):
         assert main(arguments) == 2
         assert message in " ".join(capsys.readouterr().err.split())

@@ -14,7 +14,9 @@ from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.core.errors import DataError, PictureError
 from lpn.flights import Flight
 from lpn.locate import retrieval
-from lpn.locate.pipeline import LocatedFlight, LocateOptions, locate
+from lpn.locate.located import LocatedFlight
+from lpn.locate.options import LocateOptions
+from lpn.locate.pipeline import locate
 from lpn.locate.task import flight_task
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -64,7 +66,7 @@ def test_rankings_and_contributions_are_those_of_the_retrieval(task: Task, locat
     for i in range(count):
         assert analysis.matches[i].index == top.indices[i]
         assert analysis.matches[i].score == pytest.approx(top.scores[i], abs=1e-5)
-        np.testing.assert_allclose(analysis.matches[i].contributions, top.shares[i], atol=1e-5)
+        np.testing.assert_allclose(analysis.matches[i].contributions, top.contributions[i], atol=1e-5)
     assert bool(task.queries[query].note) == (query == 1)
 
 

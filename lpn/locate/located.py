@@ -1,0 +1,248 @@
+"""The answers of the stages for each frame of a flight, their errors, and their track."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from lpn.core.arrays import BoolArray, Float64Array
+from lpn.core.homography import apply_homography, middle_pixel
+from lpn.flights import Flight, Frame
+from lpn.locate import measures
+from lpn.locate.audit import TagAudit
+from lpn.locate.options import TOP
+from lpn.locate.retrieval import MapRetrieval
+from lpn.locate.tracks import State, TrackPoint
+from lpn.maps import Map
+from lpn.retrieval import field_metrics
+
+STAGES = ("retrieval", "sequence", "registration")
+# The stage of a track that has the places of corrected frames.
+BY_HAND = "by hand"
+# Windows of a frame are kept whose centres lie so far apart, as a share of their side: overlapping ones show one place.
+APART = 0.5
+
+
+class WindowRecord(msgspec.Struct, frozen=True):
+    """A ranked window of a frame: its place and side in metres, score, heading, part cosines, and part contributions."""
+
+    x: float
+    y: float
+    size: float
+    score: float
+    heading: float
+    cosines: list[float]
+    contributions: list[float]
+
+
+class StageRecord(msgspec.Struct, frozen=True):
+    """One stage's answer for a frame.
+
+    Attributes:
+        state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
+        sentence: what was found, or why it was refused.
+        x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
+        camera: whether the position is the camera's, which needs a known tilt of 15 degrees at most.
+        radius: 1-sigma radius in metres; None for the retrieval, which has none.
+        heading: of the picture's top in degrees.
+        turn: degrees from the heading that the flight tells to `heading`.
+        width: metres of ground across the picture.
+        inliers: matches that agree.
+        homography: from pixels to metres, 9 numbers by rows.
+    """
+
+    state: State
+    sentence: str
+    x: float | None = None
+    y: float | None = None
+    camera: bool = False
+    radius: float | None = None
+    heading: float | None = None
+    turn: float | None = None
+    width: float | None = None
+    inliers: int | None = None
+    homography: list[float] | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """True if the position may be used."""
+        return self.state == "accepted"
+
+    def distance(self, place: Float64Array) -> float:
+        """Return the metres from the position, which must be known, to a place (2,)."""
+        assert self.x is not None
+        assert self.y is not None
+        return math.hypot(self.x - place[0], self.y - place[1])
+
+
+@dataclass
+class LocatedFrame:
+    """A frame with the answers of the stages that ran.
+
+    Attributes:
+        frame: of the flight.
+        tag: its position in metres of the map's frame, (2,); None without a tag.
+        stages: answers by stage.
+        windows: best windows of the retrieval.
+        by_hand: where a person's correction lays the photo; None without one.
+    """
+
+    frame: Frame
+    tag: Float64Array | None
+    stages: dict[str, StageRecord] = field(default_factory=dict)
+    windows: list[WindowRecord] = field(default_factory=list)
+    by_hand: StageRecord | None = None
+
+    def truth(self, camera: bool) -> Float64Array | None:
+        """Return the place of the camera, or that of the picture's middle: by the correction, else the tag; (2,) or None."""
+        if self.by_hand is None or (camera and not self.by_hand.camera):
+            return self.tag
+        if camera:
+            return np.array([self.by_hand.x, self.by_hand.y])
+        matrix = np.array(self.by_hand.homography).reshape(3, 3)
+        return apply_homography(matrix, middle_pixel(self.frame.width, self.frame.height))
+
+    def error(self, stage: str) -> float | None:
+        """Return the metres from the truth to a stage's position; None without one of them."""
+        answer = self.stages.get(stage)
+        if answer is None or answer.x is None or answer.y is None or (truth := self.truth(answer.camera)) is None:
+            return None
+        return answer.distance(truth)
+
+    @property
+    def sentence(self) -> str:
+        """Summarise in one line what the stages found."""
+        sentences = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]
+        return " ".join(
+            sentences if self.by_hand is None else [*sentences, f"{BY_HAND.capitalize()}: {self.by_hand_sentence}"]
+        )
+
+    @property
+    def by_hand_sentence(self) -> str:
+        """Say what a correction changed; "" without one."""
+        if self.by_hand is None:
+            return ""
+        apart = None if self.tag is None else self.by_hand.distance(self.tag)
+        sentence = f"{self.by_hand.sentence}{_sentence('The tag lies', apart)}"
+        answer, apart = self.stages.get("registration"), self.error("registration")
+        if answer is not None and not answer.accepted:
+            return f"{sentence} The registration is refused."
+        return sentence + _sentence("The registration lies", apart)
+
+
+@dataclass
+class LocatedFlight:
+    """A flight over a map, located.
+
+    Attributes:
+        flight, basemap: what was located, and where.
+        frames: in the order of the flight.
+        audit: of the tags against registered positions; None without registration.
+        notes: sentences about the run.
+        retrieval: scores of all windows; None without a model.
+    """
+
+    flight: Flight
+    basemap: Map
+    frames: list[LocatedFrame]
+    audit: TagAudit | None
+    notes: list[str]
+    retrieval: MapRetrieval | None
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that ran."""
+        return [stage for stage in STAGES if any(stage in located.stages for located in self.frames)]
+
+    def track(self) -> list[TrackPoint]:
+        """Return the track's points, stage by stage; a correction takes the place of its frame's registration."""
+        return [
+            self._point(located, stage, answer)
+            for stage in (*self.stages, BY_HAND)
+            for located in self.frames
+            if (answer := located.by_hand if stage == BY_HAND else located.stages.get(stage)) is not None
+            and not (stage == "registration" and located.by_hand is not None)
+        ]
+
+    def _point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
+        latitude = longitude = None
+        if answer.x is not None and answer.y is not None:
+            latitude, longitude = (float(value) for value in self.basemap.frame.degrees([(answer.x, answer.y)])[0])
+        return TrackPoint(
+            located.frame.name,
+            stage,
+            answer.state,
+            located.by_hand_sentence if stage == BY_HAND else answer.sentence,
+            located.frame.time,
+            latitude,
+            longitude,
+            answer.camera,
+            answer.radius,
+            answer.heading,
+            located.error(stage),
+        )
+
+    def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
+        """Return the errors of each stage against `LocatedFrame.truth`; frames without one are left out, refused positions do
+        not count.
+
+        Answers of the retrieval are ordered by their scores, those of the other stages by their radii.
+        """
+        known = [located for located in self.frames if located.truth(False) is not None]
+        summaries = {}
+        for stage in self.stages:
+            answers = [located.stages.get(stage) for located in known]
+            errors = [
+                math.nan if answer is None or answer.state == "refused" or error is None else error
+                for answer, error in zip(answers, (located.error(stage) for located in known), strict=True)
+            ]
+            radii = [math.nan if answer is None or answer.radius is None else answer.radius for answer in answers]
+            scores = [located.windows[0].score if located.windows else math.nan for located in known]
+            summaries[stage] = measures.summarise(errors, radii, limit, scores=scores if stage == "retrieval" else None)
+        return summaries
+
+    def field_measures(self) -> dict[str, float]:
+        """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
+
+        A window is a hit if it holds that place. Recall@5 apart is that of the windows that the registration searches: centres of
+        two lie at least half of a side apart. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
+        retrieval or such places.
+        """
+        if self.retrieval is None:
+            return {}
+        depth = min(10, len(self.retrieval.windows))
+        rows: list[Float64Array] = []
+        hits: list[BoolArray] = []
+        apart: list[bool] = []
+        for i, located in enumerate(self.frames):
+            if (truth := located.truth(False)) is None:
+                continue
+            if i in self.retrieval.broken:
+                rows.append(np.full(depth, np.inf))
+                hits.append(np.zeros(depth, bool))
+                apart.append(False)
+                continue
+            off = self.retrieval.places - truth
+            holds = np.all(np.abs(off) <= self.retrieval.sizes[:, None] / 2, axis=1)
+            order = self.retrieval.first(i, depth)
+            rows.append(np.linalg.norm(off[order], axis=1))
+            hits.append(holds[order])
+            apart.append(bool(holds[self.retrieval.first(i, TOP, APART)].any()))
+        if not rows:
+            return {}
+        distances = np.array(rows)
+        read = distances[np.isfinite(distances).all(axis=1)]
+        depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
+        figures = {f"recall@{k}": field_metrics.recall_at(hits, k) for k in depths}
+        figures[f"recall@{TOP} apart"] = 100 * float(np.mean(apart))
+        figures |= {f"sdm@{k}": float(field_metrics.sdm_gta_uav(distances, k).mean()) for k in depths}
+        if len(read):
+            figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
+        return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
+
+
+def _sentence(what: str, metres: float | None) -> str:
+    return "" if metres is None else f" {what} {metres:.1f} m from there."

@@ -1,0 +1,139 @@
+"""The stages of a flight that rank windows: retrieval, and the sequence over its scores."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.flights import Flight
+from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
+from lpn.locate.options import LocateOptions
+from lpn.locate.retrieval import MapRetrieval
+from lpn.locate.sequence import MotionModel, SequenceResult, emissions, fitted, fitted_frames, score_units, smooth
+from lpn.locate.tracks import State
+
+# A place is told by windows that overlap it, whose centres lie within this share of a side, and with this probability.
+_OVERLAP = 0.75
+_CONFIDENCE = 0.98
+# Steps of known time between frames that can be read, from which a flight's motion is told.
+_LEAST_STEPS = 10
+# Standard deviation of a step, as a share of the distance between windows, below which it tells no direction.
+_LEAST_STEP = 0.3
+
+
+def enter_retrieval(retrieval: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
+    """Enter the answers of the retrieval."""
+    for i, located in enumerate(frames):
+        if i in retrieval.broken:
+            located.stages["retrieval"] = StageRecord("refused", retrieval.broken[i])
+            continue
+        top = retrieval.top(i, max(k, 2), APART)
+        located.windows = [
+            WindowRecord(
+                float(retrieval.places[w, 0]),
+                float(retrieval.places[w, 1]),
+                float(retrieval.sizes[w]),
+                float(top.scores[j]),
+                float(top.headings[j]),
+                [float(value) for value in top.cosines[j]],
+                [float(value) for value in top.contributions[j]],
+            )
+            for j, w in enumerate(top.indices[:k])
+        ]
+        best = located.windows[0]
+        turned = "" if len(retrieval.headings[i]) == 1 else f", turned to {best.heading:.0f} degrees"
+        margin = _margin(retrieval, i)
+        others = (
+            "no window lies apart from it"
+            if margin is None
+            else f"the margin to windows apart from it is {margin:.3f} d²"
+        )
+        located.stages["retrieval"] = StageRecord(
+            "not verified",
+            f"The best of {len(retrieval.windows)} windows has the score {best.score:.3f}{turned}; {others}; not verified.",
+            best.x,
+            best.y,
+            heading=best.heading,
+        )
+
+
+def _margin(retrieval: MapRetrieval, frame: int) -> float | None:
+    """Return d² of the best window that does not overlap the best one, minus d² of that; None without such a window."""
+    scores = retrieval.scores(frame)
+    best = int(scores.argmax())
+    apart = (
+        np.abs(retrieval.places - retrieval.places[best]).max(axis=1) >= (retrieval.sizes + retrieval.sizes[best]) / 2
+    )
+    return float(2 * (scores[best] - scores[apart].max())) if apart.any() else None
+
+
+def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tuple[SequenceResult, MotionModel]:
+    """Run the sequence over windows and headings; return it with its motion.
+
+    A frame whose heading is told has this one as its state, as the drone flies along it, and each window counts with the best of
+    the turns that are tried. Other frames have all headings that are tried.
+    """
+    best = np.stack([retrieval.scores(i) for i in range(len(flight.frames))])
+    flown = [frame.heading for frame in flight.frames]
+    headings = [
+        np.array([heading] if heading is not None else [math.nan] if i in retrieval.broken else retrieval.headings[i])
+        for i, heading in enumerate(flown)
+    ]
+    side = float(np.median(retrieval.sizes))
+    step = max(side * (1 - retrieval.overlap), 1.0)
+    compared = np.isnan(retrieval.levels)[:, None] | (retrieval.sizes == retrieval.levels[:, None])
+    units = score_units(best, MotionModel(speed or MotionModel.speed, step).steps(flight.times), side, compared)
+
+    def scores(i: int) -> Float64Array:
+        return units.standardised(i, best[i][:, None] if len(headings[i]) == 1 else retrieval.scores_by_heading(i))
+
+    motion, temperature = fitted(scores, headings, retrieval.places, flight.times, step, speed)
+    near = _OVERLAP * side
+    return smooth(
+        lambda i: emissions(scores(i), temperature), headings, retrieval.places, flight.times, motion, near
+    ), motion
+
+
+def enter_sequence(
+    retrieval: MapRetrieval, flight: Flight, frames: list[LocatedFrame], options: LocateOptions
+) -> list[str]:
+    """Enter the answers of the sequence; return sentences about it."""
+    side = float(np.median(retrieval.sizes))
+    spacing = side * (1 - retrieval.overlap)
+    track, motion = smoothed(retrieval, flight, options.speed)
+    for i, located in enumerate(frames):
+        radius = float(np.hypot(track.radii[i], spacing / 2))
+        state: State = "accepted"
+        sentence = track.sentence(i)
+        off = float(np.linalg.norm(retrieval.places[track.path[i]] - track.positions[i]))
+        if off > _OVERLAP * side:
+            sentence += f" The most probable path of the whole flight passes {off:.0f} m from here."
+        if i in retrieval.broken:
+            state, sentence = "refused", "The frame cannot be read; the position is a guess of its neighbours."
+        elif radius > side:
+            state = "refused"
+            sentence = (
+                f"The 1-sigma radius of {radius:.0f} m is larger than a window, whose side is {side:.0f} m. {sentence}"
+            )
+        elif track.nearby[i] < _CONFIDENCE:
+            state = "refused"
+            probability = math.floor(100 * track.nearby[i]) / 100  # never rounded up to what is needed
+            sentence = (
+                f"The frame lies within {_OVERLAP * side:.0f} m of this place with a probability of {probability:.2f}, and "
+                f"{_CONFIDENCE:.2f} are needed. {sentence}"
+            )
+        x, y = (float(value) for value in track.positions[i])
+        heading = None if math.isnan(track.headings[i]) else float(track.headings[i])
+        located.stages["sequence"] = StageRecord(state, sentence, x, y, radius=radius, heading=heading)
+    start, stop = fitted_frames(len(frames))
+    read = np.array([i not in retrieval.broken for i in range(start, stop)])
+    seconds = np.diff(flight.times[start:stop])
+    seconds = seconds[np.isfinite(seconds) & read[1:] & read[:-1]]
+    if motion.along or len(seconds) < _LEAST_STEPS or motion.speed * np.median(seconds) < _LEAST_STEP * spacing:
+        return []
+    return [
+        "The scores are more probable where the drone moves in any direction than where it flies along its headings: it flew "
+        "sideways, its headings are wrong, or the map is of another place."
+    ]

@@ -1,0 +1,314 @@
+"""The stage of a flight that registers each photo on the map; resumable."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from lpn.core import images
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import PictureError
+from lpn.core.files import cache_folder
+from lpn.flights import Flight, Frame, ground_width
+from lpn.locate import continuity
+from lpn.locate.camera_place import camera_place
+from lpn.locate.ground import MAX_BLOCKS, MapFeatures
+from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
+from lpn.locate.options import TOP, LocateOptions, Progress
+from lpn.locate.registration import (
+    Expectation,
+    Ground,
+    Registration,
+    Similarity,
+    contested,
+    register,
+)
+from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
+from lpn.maps import Map
+from lpn.models.base import Model
+
+FORMAT = "lpn-locate/7"
+# Ratios between the ground widths that are tried where none is known.
+_WIDTHS = 1.9
+# Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
+_RECENT = 7
+_LATEST = 3
+# Ground widths around a candidate that are searched.
+_AROUND = 0.75
+# Share of a photo's ground beyond what was searched, above which the search is repeated about the place found.
+_BEYOND = 0.05
+# How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
+_SWAY = 0.1
+UNKNOWN = (math.nan, math.nan)
+
+
+def register_frames(
+    basemap: Map,
+    flight: Flight,
+    frames: list[LocatedFrame],
+    options: LocateOptions,
+    model: Model | None,
+    retrieval: MapRetrieval | None,
+    on_progress: Progress | None,
+) -> list[str]:
+    """Enter the answers of the registration, those of a killed run from its records; return sentences about them."""
+    matchers = [open_matcher(options.matcher)]
+    if options.matcher == "auto" and matchers[0].name != SiftMatcher.name:
+        matchers.append(SiftMatcher())
+    features = [MapFeatures(basemap, matcher) for matcher in matchers]
+    # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
+    names = [matcher.name for matcher in matchers]
+    searched = replace(options, top=TOP, map_error=None)
+    side = None if retrieval is None else float(np.median(retrieval.sizes))
+    key = [FORMAT, basemap.digest(), names, asdict(searched), model and model.fingerprint, side]
+    records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
+    widths: list[float] = []
+    ratios: list[float] = []
+    trail = _digest(key)
+    for i, located in enumerate(frames):
+        # An answer depends on the frames before it, whose widths it takes over.
+        trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), _candidates(located, options)])
+        answer = records.get(trail)
+        if answer is None:
+            answer = register_frame(basemap, features, located, options, widths, ratios, retrieval)
+            records.append(trail, answer)
+        located.stages["registration"] = _with_map_error(answer, options.map_error or 0.0)
+        if answer.accepted and answer.width is not None:
+            widths.append(answer.width)
+            if (expected := ground_width(located.frame)) is not None:
+                ratios.append(answer.width / expected)
+        if on_progress is not None:
+            on_progress("registration", i + 1, len(frames))
+    return refuse_jumps(frames, options.map_error or 0.0)
+
+
+def _with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
+    """Add the map's error to an answer's radius, and tell the radius of an accepted one."""
+    if answer.radius is None:
+        return answer
+    radius = math.hypot(answer.radius, map_error)
+    sentence = answer.sentence
+    if answer.accepted:
+        sentence += f" The 1-sigma radius of the {'camera' if answer.camera else 'picture'}'s "
+        sentence += f"{'place' if answer.camera else 'middle'} is {radius:.1f} m."
+    return msgspec.structs.replace(answer, radius=radius, sentence=sentence)
+
+
+def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
+    """Refuse registrations that the drone cannot have flown to and back from, unless they are many; return sentences about it.
+
+    Cameras and pictures' middles are two tracks. The map's error moves neighbours alike, so it is taken out of their radii.
+    """
+    notes = []
+    for of_camera in (True, False):
+        timed = [
+            (located, answer)
+            for located in frames
+            if (answer := located.stages["registration"]).accepted
+            and answer.camera == of_camera
+            and answer.radius is not None
+            and located.frame.time is not None
+        ]
+        times = np.array([located.frame.time for located, _ in timed], np.float64)
+        places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
+        sway = 0.0 if of_camera else _SWAY
+        own = np.array([answer.radius for _, answer in timed], np.float64)
+        widths = np.array([answer.width or 0.0 for _, answer in timed])
+        radii = np.sqrt(np.maximum(own**2 - map_error**2, 0) + (sway * widths) ** 2)
+        tags = np.array([UNKNOWN if located.tag is None else located.tag for located, _ in timed]).reshape(-1, 2)
+        if (speeds := continuity.top_speeds(times, places, tags)) is None:
+            continue
+        jumps = np.flatnonzero(continuity.jumps(times, places, radii, speeds))
+        if len(jumps) > continuity.MOST * len(timed):
+            notes.append(
+                f"{len(jumps)} of {len(timed)} registrations lie where the drone would have had to be faster than it flies to "
+                "get there and back. These are too many to tell which of all are wrong, so none of them was refused; check "
+                "the track."
+            )
+            continue
+        for i in jumps:
+            located, answer = timed[i]
+            sentence = (
+                f"The photo fits the map here, but the drone flies up to {speeds[i - 1 : i + 1].max():.0f} m/s and would have "
+                "had to be faster to get here and back: it may be an equal building."
+            )
+            located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
+    return notes
+
+
+def _candidates(located: LocatedFrame, options: LocateOptions) -> list[list[float]] | None:
+    """Return places (K, 2) about which a frame is searched; None for the whole map."""
+    if (answer := located.stages.get("sequence")) is not None and answer.x is not None and answer.y is not None:
+        return [[answer.x, answer.y]] + [[window.x, window.y] for window in located.windows[:2]]
+    if located.windows:
+        return [[window.x, window.y] for window in located.windows]
+    if options.prior is not None and located.tag is not None:
+        return [[float(located.tag[0]), float(located.tag[1])]]
+    return None
+
+
+def register_frame(
+    basemap: Map,
+    features: Sequence[MapFeatures],
+    located: LocatedFrame,
+    options: LocateOptions,
+    widths: list[float],
+    ratios: list[float],
+    retrieval: MapRetrieval | None,
+) -> StageRecord:
+    """Register one frame, and describe the answer in a sentence."""
+    frame = located.frame
+    try:
+        photo = images.load_picture(frame.file)
+    except PictureError as error:
+        return StageRecord("refused", str(error))
+    places = _candidates(located, options)
+    if options.prior is not None and located.tag is None and retrieval is None:
+        return StageRecord(
+            "refused", "The frame has no position to search around; leave --prior out to search the whole map."
+        )
+    centres = None if places is None else np.array(places)
+    known_width = ground_width(frame)
+    if known_width is not None and ratios:
+        known_width *= float(np.median(ratios[-_RECENT:]))
+    best: Registration | None = None
+    searched = 0.0
+    for again in (False, True):
+        best = None
+        searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
+        rivals: list[Similarity] = []
+        for kind, (width, known) in product(features, list(tried_widths(basemap, known_width, widths))):
+            reach = _AROUND * width + (
+                options.prior or 0.0 if retrieval is None else 0.5 * float(np.median(retrieval.sizes))
+            )
+            ground = kind.around(centres, reach, width)
+            if ground is None:
+                return StageRecord(
+                    "refused",
+                    f"More than {MAX_BLOCKS} blocks of {basemap.name} would have to be searched for this photo; give --model, or "
+                    "--prior with the metres around the tag.",
+                )
+            expected = Expectation(width if known else None, frame.heading, heading_is_certain(frame))
+            answer = register(kind.matcher, photo, ground, expected, [width], basemap.bounds)
+            alike = searches.setdefault(width, {})
+            alike[answer.matcher] = kind.matcher, ground
+            # A search that finds one of several equal places must not undo that an earlier one found more.
+            if answer.accepted and rivals:
+                answer = contested(answer, photo, list(alike.values()), rivals)
+            rivals += answer.places
+            if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
+                best, searched = answer, reach
+            if answer.accepted:
+                break
+        assert best is not None
+        if (
+            again
+            or retrieval is None
+            or centres is None
+            or not _reaches_out(best, photo.shape[1::-1], centres, searched)
+        ):
+            break
+        # A wrong place at the border of what was searched has no rival, as the true one beyond was not seen.
+        assert best.centre is not None
+        centres = best.centre[None]
+    assert best is not None
+    return _record(frame, photo.shape[1::-1], best, searched if retrieval is None and centres is not None else None)
+
+
+def _reaches_out(answer: Registration, size: tuple[int, int], centres: Float64Array, reach: float) -> bool:
+    """Return whether an accepted photo of this size lies beyond squares of side 2 `reach` about points (K, 2)."""
+    if not answer.accepted:
+        return False
+    pixels = np.stack(np.meshgrid(*(np.linspace(0, side - 1, 9) for side in size)), axis=-1).reshape(-1, 2)
+    off = np.abs(answer.to_metres(pixels)[:, None] - centres).max(axis=2).min(axis=1)
+    return bool((off > reach).mean() > _BEYOND)
+
+
+def tried_widths(basemap: Map, known_width: float | None, widths: list[float]) -> Iterator[tuple[float, bool]]:
+    """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
+    if known_width is not None:
+        yield known_width, True
+        # The height may be that above take-off, and the correction by the frames before may be wrong.
+        yield known_width, False
+        return
+    if widths:  # a flight that climbs or sinks moves away from it, so it is no more than a start
+        yield float(np.median(widths[-_LATEST:])), False
+    largest = 0.8 * min(basemap.bounds[2] - basemap.bounds[0], basemap.bounds[3] - basemap.bounds[1])
+    width = min(largest, 400.0)
+    for _ in range(4):
+        yield width / 1.3, False
+        width /= _WIDTHS
+
+
+def _record(frame: Frame, size: tuple[int, int], registration: Registration, reach: float | None) -> StageRecord:
+    """Return the record of a registration; `reach` is half the side of the square about the tag that was searched, if one was."""
+    how = ""
+    if reach is not None:
+        how = f" The search used the tag: it saw the map in a square of {2 * reach:.0f} m about it."
+    if registration.centre is None or registration.homography is None:
+        return StageRecord("refused", registration.reason + how)
+    place, radius = registration.centre, registration.radius
+    if (below := camera_place(frame, size, registration)) is not None:
+        place, radius = below
+    sentence = registration.reason
+    if registration.accepted:
+        agreed = f"{registration.inliers} matches of {registration.matcher} agree on a {registration.model}."
+        sentence = f"{agreed} {registration.turn_sentence}".rstrip()
+    return StageRecord(
+        "accepted" if registration.accepted else "refused",
+        sentence + how,
+        float(place[0]),
+        float(place[1]),
+        below is not None,
+        radius,
+        registration.heading,
+        registration.turn,
+        registration.width,
+        registration.inliers,
+        [float(value) for value in registration.homography.ravel()],
+    )
+
+
+class _Records:
+    """Answers of frames in a file of lines, appended one by one; a line that a kill cut short is left out."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file.with_suffix(".jsonl")
+        self._answers: dict[str, StageRecord] = {}
+        try:
+            lines = self._file.read_bytes().splitlines()
+        except OSError:
+            return
+        for line in lines:
+            try:
+                trail, answer = msgspec.json.decode(line, type=tuple[str, StageRecord])
+            except (msgspec.MsgspecError, ValueError):
+                continue
+            self._answers[trail] = answer
+
+    def get(self, trail: str) -> StageRecord | None:
+        return self._answers.get(trail)
+
+    def append(self, trail: str, answer: StageRecord) -> None:
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        with self._file.open("ab") as file:
+            # A line that was cut short must not swallow this one.
+            file.write(b"\n" + msgspec.json.encode((trail, answer)) + b"\n")
+
+
+def _plain(frame: Frame) -> dict[str, Any]:
+    return {key: value for key, value in asdict(frame).items() if key != "file"}
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:24]

@@ -1,0 +1,92 @@
+"""What is known of a flight before it is located: its tags on the map, and a person's corrections."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.flights import Flight
+from lpn.locate.camera_place import camera_place
+from lpn.locate.corrections import Correction
+from lpn.locate.located import BY_HAND, LocatedFrame, StageRecord
+from lpn.locate.registration import (
+    Registration,
+    pose,
+    turn_between,
+)
+from lpn.maps import Map
+from lpn.retrieval import field_metrics
+
+
+def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
+    """Return positions of a flight in metres of the map's frame, (N, 2), NaN where none is of use, and sentences about them."""
+    total = len(flight.frames)
+    tags = basemap.frame.xy(*flight.degrees.T)
+    tagged = ~np.isnan(flight.degrees).any(axis=1)
+    if not np.isfinite(tags[tagged]).all():  # one position that the projection cannot place makes all of them NaN
+        tags = np.concatenate([basemap.frame.xy([latitude], [longitude]) for latitude, longitude in flight.degrees])
+    known = np.isfinite(tags).all(axis=1)
+    tags[~known] = np.nan
+    notes = []
+    if missing := total - int(tagged.sum()):
+        notes.append(f"{missing} of {total} frames have no position, so no error is known for them.")
+    if not tagged.any():
+        return tags, notes
+    west, south, east, north = basemap.bounds
+    margin = max(east - west, north - south)
+    off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
+    if (off > margin).all():
+        middle = (basemap.frame.latitude, basemap.frame.longitude)
+        nearest = field_metrics.great_circle(flight.degrees[tagged], np.array(middle)).min() / 1000
+        notes.append(
+            f"The flight is elsewhere than the map {basemap.name}: its nearest position is {nearest:.1f} km from the map's "
+            "middle. The positions were left out; give the map of this flight, unless its positions are wrong."
+        )
+        return np.full_like(tags, np.nan), notes
+    if outside := int((off > 0).sum()) + int((tagged & ~known).sum()):
+        notes.append(f"{outside} of {total} frames have a position off the map.")
+    return tags, notes
+
+
+def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Mapping[str, Correction]) -> list[str]:
+    """Enter the corrections of frames, and return sentences about them."""
+    left = dict(corrections)
+    for located in frames:
+        correction = left.get(located.frame.name)
+        if correction is None or not np.isfinite(basemap.frame.xy(*correction.corners.T)).all():
+            continue
+        del left[located.frame.name]
+        frame, size = located.frame, (located.frame.width, located.frame.height)
+        matrix = correction.homography(basemap.frame, *size)
+        centre, heading, width = pose(matrix, *size)
+        turn = turn_between(frame.heading, heading)
+        laid = Registration(
+            True, "", BY_HAND, "homography", 0, 0, 0.0, matrix, centre, heading, width, turn, np.zeros((2, 2))
+        )
+        below = camera_place(frame, size, laid)
+        x, y = (centre if below is None else below[0]).tolist()
+        located.by_hand = StageRecord(
+            "accepted",
+            f"A person laid the photo by hand. {laid.turn_sentence}".rstrip(),
+            x,
+            y,
+            below is not None,
+            heading=heading,
+            turn=turn,
+            width=width,
+            homography=matrix.ravel().tolist(),
+        )
+    notes = []
+    if count := sum(located.by_hand is not None for located in frames):
+        notes.append(
+            f"{count} of {len(frames)} frames are corrected by hand. Their positions are the corrections', and so is the truth "
+            "of their errors; --no-corrections leaves them out."
+        )
+    if left:
+        notes.append(
+            f"Corrections of frames that this run does not have, or beyond what the map's frame holds, are left out: "
+            f"{', '.join(sorted(left))}."
+        )
+    return notes
