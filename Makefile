@@ -68,7 +68,8 @@ setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"
 
 # One thread a process: the tests' networks are so small that threads cost more than they save, on a busy machine many times.
-PYTEST := OMP_NUM_THREADS=1 LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest -n $(JOBS)
+# Bytecode is kept: hundreds of processes that the tests start would each compile the same files again.
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest -n $(JOBS)
 
 # Every module and the browser, in minutes. A process that has nothing left to do takes over half of what another still has.
 test: check $(VENV)/.browser $(VENV)/.milvus

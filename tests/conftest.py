@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import shutil
@@ -21,6 +22,16 @@ from lpn.training.trainer import Trainer
 from tools.fixtures import small_worlds
 
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+
+# Collecting makes millions of objects that stay. Looking through them for cycles takes longer than to make them.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage from here on, among what the tests make."""
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
