@@ -6,7 +6,7 @@ import gc
 import io
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,15 +23,17 @@ from tools.fixtures import small_worlds
 
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
 
-# Collecting makes millions of objects that stay. Looking through them for cycles takes longer than to make them.
-gc.disable()
 
-
-def pytest_collection_finish() -> None:
-    """Collect garbage from here on, among what the tests make."""
-    gc.collect()
-    gc.freeze()
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Collect no garbage while collecting tests, which makes millions of objects that stay; leave these out later too."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
+import runpy
 import shutil
-import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -21,9 +24,24 @@ from lpn.training.recipes import RECIPES
 ROOT = Path(__file__).parents[1]
 
 
-def pages(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "tools.pages", *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+@dataclass(frozen=True)
+class Done:
+    """The exit status and the output of a run."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def pages(*arguments: str) -> Done:
+    """Run `python -m tools.pages` in this process."""
+    output, errors = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(output), redirect_stderr(errors):
+        patch.setattr(sys, "argv", ["pages", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(ROOT / "tools" / "pages.py"), run_name="__main__")
+    assert isinstance(ended.value.code, int)
+    return Done(ended.value.code, output.getvalue(), errors.getvalue())
 
 
 @pytest.fixture
