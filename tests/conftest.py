@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 from rich.console import Console
 
 from lpn.core.files import exclusive_lock
@@ -22,6 +23,16 @@ from lpn.training.trainer import Trainer
 from tools.fixtures import small_worlds
 
 MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+
+# Properties are tried with the same examples each time, however busy the machine is.
+settings.register_profile(
+    "tests",
+    deadline=None,
+    database=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+settings.load_profile("tests")
 
 
 @pytest.hookimpl(wrapper=True)

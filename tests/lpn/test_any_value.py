@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lpn import descriptors
@@ -13,15 +13,7 @@ from lpn.core.errors import LPNError
 from lpn.datasets.geo import read_positions
 from lpn.models.spec import ModelSpec
 
-QUIET = settings(
-    max_examples=150,
-    deadline=None,
-    database=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
-
-
+MANY = settings(max_examples=150)
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
@@ -42,7 +34,7 @@ MANIFEST: dict[str, Any] = {
 }
 
 
-@QUIET
+@MANY
 @given(key=st.sampled_from([*MANIFEST, "other"]), value=VALUES)
 def test_a_manifest_with_any_value_is_read_or_refused(key: str, value: Any) -> None:
     try:
@@ -53,7 +45,7 @@ def test_a_manifest_with_any_value_is_read_or_refused(key: str, value: Any) -> N
     assert descriptors.Manifest.from_json(read.to_json(), "manifest.json") == read
 
 
-@QUIET
+@MANY
 @given(key=st.sampled_from([*json.loads(ModelSpec().to_json()), "other"]), value=VALUES)
 def test_a_description_with_any_value_is_read_or_refused(key: str, value: Any) -> None:
     try:
@@ -67,7 +59,7 @@ def test_a_description_with_any_value_is_read_or_refused(key: str, value: Any) -
 CELLS = st.text(max_size=12) | st.floats().map(str) | st.integers(-200, 200).map(str)
 
 
-@QUIET
+@MANY
 @given(rows=st.lists(st.tuples(CELLS, CELLS, CELLS), max_size=4))
 def test_positions_are_on_the_earth_or_refused(rows: list[tuple[str, str, str]]) -> None:
     text = "path,latitude,longitude\n" + "".join(",".join(row) + "\n" for row in rows)

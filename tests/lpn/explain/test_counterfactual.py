@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.optimize import linprog, minimize
 
 from lpn import retrieval
@@ -64,7 +66,7 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
         counterfactual.margin(ranking, 3, 30)
 
 
-@pytest.mark.parametrize("seed", range(0, 40, 3))
+@given(st.integers(0, 10_000))
 def test_without_and_alone_are_the_ranks_of_those_weights(seed: int) -> None:
     ranking, labels = random_case(seed)
     found = counterfactual.ranks_without_parts(ranking)

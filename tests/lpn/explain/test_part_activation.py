@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lpn.core.arrays import Float32Array
 from lpn.explain.part_activation import part_activation, value_ranges
@@ -27,8 +28,7 @@ def trace(features: Float32Array, partition: Partition) -> Trace:
     return Trace(embedding.astype(np.float32), features[None], cells, None, None, embedding)
 
 
-@pytest.mark.parametrize("partition", PARTITIONS, ids=lambda partition: f"{partition.kind}-{partition.n}")
-@pytest.mark.parametrize("size", [(16, 16), (4, 20)])
+@given(st.sampled_from(PARTITIONS), st.tuples(st.integers(1, 20), st.integers(1, 20)))
 def test_each_part_has_the_channel_sum_of_the_cells_that_it_pools(partition: Partition, size: tuple[int, int]) -> None:
     features = np.random.default_rng(0).normal(size=(6, *size)).astype(np.float32)
     maps = part_activation(trace(features, partition))

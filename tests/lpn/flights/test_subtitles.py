@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
@@ -196,7 +198,7 @@ def test_a_video_without_any_fix_is_of_a_known_dialect(text: str) -> None:
     assert found.notes[-1] == "1 of 1 entries of a.SRT have no position."
 
 
-@pytest.mark.parametrize("length", range(20, len(BRACKETS)))
+@given(st.integers(20, len(BRACKETS) - 1))
 def test_a_number_that_the_end_cuts_off_is_not_used(length: int) -> None:
     whole = one(BRACKETS)
     try:

@@ -150,7 +150,7 @@ _DAMAGE = [
 ]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(st.dictionaries(_NAMES, _TEXTS, min_size=1), st.sampled_from(_DAMAGE), st.booleans())
 def test_damage_beside_properties_changes_none(properties: dict[str, str], damage: str, nested: bool) -> None:
     content = "".join(f"<s:{name}>{text}</s:{name}>" for name, text in properties.items())

@@ -222,21 +222,19 @@ PICKLED: dict[str, tuple[object, list[str]]] = {
 
 
 @pytest.mark.parametrize("case", PICKLED)
-@pytest.mark.parametrize("how", ["new", "legacy", "protocol 4", "plain"])
-def test_the_names_in_a_pickle_are_read_without_running_it(case: str, how: str, tmp_path: Path) -> None:
+def test_the_names_in_a_pickle_are_read_without_running_it(case: str, tmp_path: Path) -> None:
     value, expected = PICKLED[case]
-    options: dict[str, Any] = {
-        "legacy": {"_use_new_zipfile_serialization": False},
-        "protocol 4": {"pickle_protocol": 4},
-    }
-    plain = how == "plain" and case != "tensors"
-    (tmp_path / "net.pth").write_bytes(pickle.dumps(value) if plain else saved(value, **options.get(how, {})))
-    assert names_in_pickle(tmp_path / "net.pth") == expected
-    assert contents_of(tmp_path / "net.pth") == "pytorch"
-    check_trained_file(tmp_path / "net.pth")
-    assert pickle_protocol(tmp_path / "net.pth") == (
-        pickle.DEFAULT_PROTOCOL if plain else 4 if how == "protocol 4" else 2
-    )
+    files = {"new": (saved(value), 2), "legacy": (saved(value, _use_new_zipfile_serialization=False), 2)}
+    files["protocol 4"] = (saved(value, pickle_protocol=4), 4)
+    if case != "tensors":
+        files["plain"] = (pickle.dumps(value), pickle.DEFAULT_PROTOCOL)
+    for how, (data, protocol) in files.items():
+        file = tmp_path / f"{how}.pth"
+        file.write_bytes(data)
+        assert names_in_pickle(file) == expected, how
+        assert contents_of(file) == "pytorch", how
+        check_trained_file(file)
+        assert pickle_protocol(file) == protocol, how
 
 
 def test_a_pickle_that_cannot_be_read_names_nothing(tmp_path: Path) -> None:

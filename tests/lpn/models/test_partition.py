@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from hypothesis import example, given
+from hypothesis import strategies as st
 from torch import Tensor
 
 from lpn.core.errors import InputError
-from lpn.models.partition import Partition
+from lpn.models.partition import Kind, Partition
 
-SIZES = [(8, 8), (16, 16), (20, 20), (24, 24), (32, 32), (7, 7), (15, 17), (16, 40), (1, 1), (5, 3)]
+SIZES = st.tuples(st.integers(1, 40), st.integers(1, 40))
+PARTS = st.integers(1, 10)
+KINDS: st.SearchStrategy[Kind] = st.sampled_from(["rings", "rows", "columns"])
 
 
 def published_rings(features: Tensor, n: int, align_corners: bool) -> Tensor:
@@ -41,9 +45,8 @@ def pooled(partition: Partition, features: Tensor) -> Tensor:
     return torch.einsum("nhw,bchw->bnc", weights, features)
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 6, 8, 10])
-@pytest.mark.parametrize("outside_in", [False, True])
+@given(SIZES, PARTS, st.booleans())
+@example((16, 16), 4, False)
 def test_rings_partition_every_map(size: tuple[int, int], n: int, outside_in: bool) -> None:
     partition = Partition("rings", n, outside_in=outside_in)
     labels = partition.labels(*size)
@@ -57,17 +60,15 @@ def test_rings_partition_every_map(size: tuple[int, int], n: int, outside_in: bo
             assert (weights.argmax(0) == labels).all()
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("kind", ["rings", "rows", "columns"])
-@pytest.mark.parametrize("n", [1, 3, 4, 8])
-def test_area_weights_are_means(size: tuple[int, int], kind: str, n: int) -> None:
-    weights = Partition(kind, n, "area").weights(*size)  # type: ignore[arg-type]
+@given(SIZES, KINDS, PARTS)
+def test_area_weights_are_means(size: tuple[int, int], kind: Kind, n: int) -> None:
+    weights = Partition(kind, n, "area").weights(*size)
     np.testing.assert_allclose(weights.sum((1, 2)), 1, rtol=1e-5)
 
 
-@pytest.mark.parametrize("size", [8, 16, 20, 24, 32])
-@pytest.mark.parametrize("n", [1, 2, 4, 6, 8, 10])
-@pytest.mark.parametrize("align_corners", [True, False])
+@given(st.integers(2, 16).map(lambda half: 2 * half), PARTS, st.booleans())
+@example(8, 8, True)
+@example(16, 4, True)
 def test_published_weights_equal_the_released_pooling(size: int, n: int, align_corners: bool) -> None:
     features = torch.randn(2, 5, size, size, generator=torch.Generator().manual_seed(n))
     partition = Partition("rings", n, align_corners=align_corners)
@@ -76,8 +77,7 @@ def test_published_weights_equal_the_released_pooling(size: int, n: int, align_c
     torch.testing.assert_close(pooled(reverse, features), published_rings(features, n, align_corners).flip(1))
 
 
-@pytest.mark.parametrize("size", [(8, 8), (16, 24), (7, 9), (3, 2)])
-@pytest.mark.parametrize("n", [1, 4, 8])
+@given(SIZES, PARTS)
 def test_strips_are_adaptive_average_pooling(size: tuple[int, int], n: int) -> None:
     features = torch.randn(2, 5, *size, generator=torch.Generator().manual_seed(n))
     rows = F.adaptive_avg_pool2d(features, (n, 1))[..., 0].transpose(1, 2)
@@ -86,11 +86,9 @@ def test_strips_are_adaptive_average_pooling(size: tuple[int, int], n: int) -> N
     torch.testing.assert_close(pooled(Partition("columns", n), features), columns)
 
 
-@pytest.mark.parametrize("size", [(16, 16), (8, 8), (20, 30), (7, 7)])
-@pytest.mark.parametrize("kind", ["rings", "rows", "columns"])
-@pytest.mark.parametrize("n", [1, 4, 6])
-def test_boxes_enclose_the_labels(size: tuple[int, int], kind: str, n: int) -> None:
-    partition = Partition(kind, n)  # type: ignore[arg-type]
+@given(SIZES, KINDS, PARTS)
+def test_boxes_enclose_the_labels(size: tuple[int, int], kind: Kind, n: int) -> None:
+    partition = Partition(kind, n)
     labels = partition.labels(*size)
     for part, (left, top, right, bottom) in enumerate(partition.boxes(*size)):
         rows, columns = np.nonzero(labels == part)
@@ -101,7 +99,7 @@ def test_boxes_enclose_the_labels(size: tuple[int, int], kind: str, n: int) -> N
         assert right == pytest.approx((columns.max() + 1) / labels.shape[1], abs=half_column)
 
 
-@pytest.mark.parametrize("n", [1, 2, 4, 8])
+@given(st.integers(1, 8))
 def test_rings_of_an_even_map_survive_turns_and_mirrors(n: int) -> None:
     weights = Partition("rings", n).weights(16, 16)
     for changed in (weights[:, ::-1, ::-1], weights[:, :, ::-1], weights.transpose(0, 2, 1)):

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 import lpn
 from lpn.core.arrays import UInt8Array
@@ -157,8 +159,7 @@ def test_attention_lies_inside_its_strip_and_makes_the_embedding() -> None:
         small_worlds.make_network().attention(torch.zeros(1, 256, 4, 4), "drone")
 
 
-@pytest.mark.parametrize("n", [1, 4, 8])
-@pytest.mark.parametrize("width", [8, 10, 19, 20, 38])
+@given(st.integers(1, 8), st.integers(8, 40))
 def test_windows_are_as_wide_as_the_stride_leaves(n: int, width: int) -> None:
     stride = width // n
     kernel = width - (n - 1) * stride

@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
@@ -83,13 +86,21 @@ def test_equal_scores_keep_gallery_order() -> None:
     np.testing.assert_allclose([found[key] for key in KEYS], expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_coarse_descriptors_full_of_ties_are_treated_by_the_book(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    tiles, classes, dim = int(rng.integers(2, 40)), int(rng.integers(1, 6)), int(rng.integers(1, 4))
-    gallery = rng.integers(-1, 2, (tiles, dim)).astype(np.float32)
-    query = rng.integers(-1, 2, (12, dim)).astype(np.float32)
-    labels, query_labels = rng.integers(-1, classes, tiles), rng.integers(0, classes + 1, 12)
+@st.composite
+def coarse(draw: st.DrawFn) -> Case:
+    """Descriptors of one to three numbers, each -1, 0, or 1, and labels of few classes."""
+
+    def drawn(dtype: type, shape: tuple[int, ...], least: int, most: int) -> np.ndarray:
+        return draw(arrays.arrays(np.int64, shape, elements=st.integers(least, most))).astype(dtype)
+
+    queries, tiles, classes, dim = (draw(st.integers(1, most)) for most in (12, 40, 5, 3))
+    query, gallery = (drawn(np.float32, (rows, dim), -1, 1) for rows in (queries, tiles))
+    return query, drawn(np.int64, (queries,), 0, classes), gallery, drawn(np.int64, (tiles,), -1, classes - 1)
+
+
+@given(coarse())
+def test_coarse_descriptors_full_of_ties_are_treated_by_the_book(made: Case) -> None:
+    query, query_labels, gallery, labels = made
     found = metrics.evaluate(query, query_labels, gallery, labels)
     np.testing.assert_allclose(
         [found[key] for key in KEYS], by_the_book(query, query_labels, gallery, labels), atol=1e-9
