@@ -281,7 +281,7 @@ def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_f
     folded = box(corner)["x"]
     page.locator("[data-act=save]").click()
     expect(page.locator("#lpn-flight .status")).to_contain_text("Not saved. The tie points turn the photo over")
-    page.evaluate("() => lpn.flight.follow({ ...lpn.flight.followed(), card: 'another' })")
+    page.evaluate("() => lpn.flight.follow({ ...lpn.flight.followed, card: 'another' })")
     expect(page.locator("#lpn-flight .about")).to_have_text("another")
     assert box(corner)["x"] == pytest.approx(folded, abs=2)
     assert read_corrections(file) == {}

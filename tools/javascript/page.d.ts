@@ -11,6 +11,32 @@ interface Step { caption: string; notes: string; points_at: string; shows: strin
 interface Story { name: string; steps: Step[] }
 interface Ground { middle: Point; metres: number; degrees: Point[] }
 
+// What a map shows: the middle in its plane, and pixels per unit.
+interface View { x: number; y: number; scale: number }
+interface PanZoom {
+  view: View | null;
+  size(): [number, number];
+  toPixels(at: Point): [number, number];
+  toPlane(at: Point): Point;
+  // Show from the lower left to the upper right corner in a share of the map; no side of them counts as shorter than `least`.
+  fit(low: Point, high: Point, share: number, least: number): void;
+  zoom(factor: number, at?: Point): void;
+  stepIn(): void;
+  stepOut(): void;
+  key(event: KeyboardEvent): boolean; // true if the key is one of the map's
+}
+interface PanZoomOptions {
+  limits(): [number, number]; // of pixels per unit
+  bounds(): number[]; // west, south, east, north: the middle stays within
+  ready(): boolean; // whether there is a view
+  changed(): void; // the person has moved the map
+  home(): void; // show all
+  pointed?(at: Point, event: MouseEvent, pressed?: boolean): void; // the pointer is at a place
+  tapped?(at: Point, event: PointerEvent): boolean; // a press without a drag; true if it was on something
+  pen?: { down(at: Point, event: PointerEvent): boolean; move(at: Point): void; up(): void; cancel(): void }; // true: it takes the drag
+  ignores?: string; // selectors of what lies on the map
+}
+
 interface Lpn {
   // Set by the server when it installs the script, see `PageBridge`.
   bridge: string;
@@ -99,7 +125,8 @@ interface Lpn {
   stageMap(ground: Ground | null): void;
 
   // Maps and their drawing.
-  tiles(redraw: () => void): { draw(pen: CanvasRenderingContext2D, ratio: number, data: any, shown: any): number; clear(): void };
+  panZoom(element: HTMLElement, options: PanZoomOptions): PanZoom;
+  tiles(redraw: () => void): { draw(pen: CanvasRenderingContext2D, ratio: number, data: any, map: PanZoom): number; clear(): void };
   pens: {
     canvas(element: HTMLCanvasElement): [CanvasRenderingContext2D, number];
     stroke(pen: CanvasRenderingContext2D, colour: string, width: number, dash?: number[]): void;
@@ -116,10 +143,6 @@ interface Lpn {
   homography(from: Point[], to: Point[]): Homography | null;
   product(one: Homography, other: Homography): Homography;
   transform(h: Homography): string;
-  timeline: {
-    draw(element: HTMLCanvasElement, data: any, bands: { plot: string; lines: any[] }[], chosen: number, colour: string): void;
-    nearest(left: number, element: HTMLElement, data: any): number;
-  };
   flight: any;
 
   // stories.js and url_state.js

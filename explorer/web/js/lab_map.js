@@ -1,4 +1,4 @@
-// The laboratory's map of queries: wheel and pinch zoom, drags move it or draw a lasso, a click opens a query.
+// The laboratory's map of queries: it is moved and zoomed as any map, a drag may draw a lasso, and a click opens a query.
 // Points are blended into pixels by hand from small pictures of each mark, so that 10^5 of them take no GPU.
 (() => {
   const lpn = window.lpn;
@@ -13,6 +13,8 @@
   const STRAIGHT = 0.12, LEAST_SIDE = 6;
   // Selected queries beyond which marks are small and have hard edges.
   const MANY = 15000;
+  // How much smaller and larger than with all in sight a map may be drawn.
+  const FARTHEST = 8, NEAREST = 1e5;
   const GREY = "#8a8a8a", PALE = "#515357", TILE = "#9aa1a8";
   const { clamp } = lpn;
   // The corners of what a drag encloses: its own, or those of the box that a straight one spans; null if it encloses nothing.
@@ -69,14 +71,14 @@
     if (outline) draw(0.9, "rgba(10,10,12,.85)");
     draw(0, colour);
     const pixels = pen.getImageData(0, 0, side, side).data;
-    const found = { dx: [], dy: [], rgba: [] };
+    const kept = { dx: [], dy: [], rgba: [] };
     for (let i = 0; i < side * side; i++)
       if (pixels[4 * i + 3] > (hard ? 110 : 8)) {
-        found.dx.push((i % side) - (side >> 1));
-        found.dy.push(Math.floor(i / side) - (side >> 1));
-        found.rgba.push(...pixels.slice(4 * i, 4 * i + 3), hard ? 255 : pixels[4 * i + 3]);
+        kept.dx.push((i % side) - (side >> 1));
+        kept.dy.push(Math.floor(i / side) - (side >> 1));
+        kept.rgba.push(...pixels.slice(4 * i, 4 * i + 3), hard ? 255 : pixels[4 * i + 3]);
       }
-    const made = { dx: Int16Array.from(found.dx), dy: Int16Array.from(found.dy), rgba: Uint8Array.from(found.rgba), offsets: null, stride: 0 };
+    const made = { dx: Int16Array.from(kept.dx), dy: Int16Array.from(kept.dy), rgba: Uint8Array.from(kept.rgba), offsets: null, stride: 0 };
     made.ink = new Uint32Array(made.rgba.buffer);
     marks.set(key, made);
     return made;
@@ -86,20 +88,14 @@
     const [ground, points, overlay] = box.querySelectorAll("canvas");
     const counted = box.querySelector(".counted"), position = box.querySelector(".read");
     let plane = null, flags = null, codes = null, palette = [], picture = null, order = null, groups = null;
-    let view = null, frame = 0, buffer = null, rest = 0, hovered = -1, lasso = null, asked = 0;
-    const fingers = new Map();
-    let pinch = 0, dragged = 0, last = null;
-    const size = () => [box.clientWidth, box.clientHeight];
+    let bounds = null, frame = 0, buffer = null, rest = 0, hovered = -1, lasso = null, asked = 0;
     const ratio = () => Math.min(window.devicePixelRatio || 1, 2);
     const x = (i) => plane[2 * i], y = (i) => plane[2 * i + 1];
-    const toPixels = (px, py) => [box.clientWidth / 2 + (px - view.x) * view.scale, box.clientHeight / 2 - (py - view.y) * view.scale];
-    /** @param {Point} at */
-    const toPlane = ([left, top]) => [view.x + (left - box.clientWidth / 2) / view.scale, view.y - (top - box.clientHeight / 2) / view.scale];
     const soon = () => (frame ||= requestAnimationFrame(draw));
-    const ready = () => plane && flags && codes && view && box.isConnected;
+    const ready = () => plane && flags && codes && map.view && box.isConnected;
 
-    // Fit the view to points; `share` of it is theirs.
-    const fit = (which, share = 0.92) => {
+    // West, south, east, and north of points; of all, tiles and the ground included, without a choice. Nothing if none has a place.
+    const extent = (which = null) => {
       let low = [Infinity, Infinity], high = [-Infinity, -Infinity];
       const grow = (px, py) => {
         if (px !== px) return;
@@ -109,25 +105,15 @@
       const total = data.queries + (which ? 0 : data.tiles);
       for (let i = 0; i < total; i++) if (!which || which(i)) grow(x(i), y(i));
       if (!which && data.ground) data.ground.corners.forEach((corner) => grow(...corner));
-      if (low[0] > high[0]) return;
-      const [width, height] = size();
-      const scale = share * Math.min(width / Math.max(high[0] - low[0], 1e-3), height / Math.max(high[1] - low[1], 1e-3));
-      view = { x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2, scale: scale };
-      views.set(data.view, view);
+      return low[0] > high[0] ? null : [...low, ...high];
+    };
+    const fit = (borders, share = 0.92) => {
+      if (!borders) return;
+      map.fit(borders.slice(0, 2), borders.slice(2), share, 1e-3);
+      views.set(data.view, map.view);
       soon();
     };
-    const zoom = (factor, at) => {
-      const [px, py] = toPlane(at);
-      view.scale = clamp(view.scale * factor, 20, 1e7);
-      view.x = px - (at[0] - box.clientWidth / 2) / view.scale;
-      view.y = py + (at[1] - box.clientHeight / 2) / view.scale;
-      soon();
-    };
-    const pan = (right, down) => {
-      view.x -= right / view.scale;
-      view.y += down / view.scale;
-      soon();
-    };
+    const fitted = () => views.get(data.view + "fit") || map.view.scale; // pixels per unit with all in sight
 
     // The order of drawing: tiles, queries that are not selected, those found, those failed. Many are drawn in the order of the
     // queries: failures on top would hide all others.
@@ -160,7 +146,7 @@
       frame = 0;
       if (!ready()) return;
       const begun = performance.now(), k = ratio();
-      const [width, height] = size().map((side) => Math.round(side * k));
+      const [width, height] = map.size().map((side) => Math.round(side * k));
       if (!width || !height) return;
       for (const canvas of [ground, points, overlay]) if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
       drawGround(ground.getContext("2d"), k);
@@ -171,9 +157,9 @@
     };
     const drawGround = (pen, k) => {
       pen.setTransform(k, 0, 0, k, 0, 0);
-      pen.clearRect(0, 0, ...size());
+      pen.clearRect(0, 0, ...map.size());
       if (!data.ground || !picture) return;
-      const [left, top] = toPixels(...data.ground.corners[0]), [right, bottom] = toPixels(...data.ground.corners[1]);
+      const [left, top] = map.toPixels(data.ground.corners[0]), [right, bottom] = map.toPixels(data.ground.corners[1]);
       pen.imageSmoothingQuality = "high";
       pen.drawImage(picture, left, top, right - left, bottom - top);
       pen.fillStyle = "rgba(0,0,0,.45)"; // points stand out
@@ -185,9 +171,10 @@
       const bytes = buffer.data, words = new Uint32Array(bytes.buffer);
       words.fill(0);
       const count = order[2].length + order[3].length;
-      const near = Math.sqrt(Math.max(view.scale / (views.get(data.view + "fit") || view.scale), 1));
+      const near = Math.sqrt(Math.max(map.view.scale / fitted(), 1));
       const radius = clamp((count <= 400 ? 4.6 : count <= 3000 ? 3.6 : count <= MANY ? 2.6 : 1.7) * Math.min(near, 2), 1.5, 6) * k;
       const quiet = Math.max(radius * 0.6, 1.2 * k);
+      const { view } = map;
       const [a, b] = [view.scale * k, width / 2 + pad - view.x * view.scale * k];
       const c = height / 2 + pad + view.y * view.scale * k;
       const outline = radius > 2.4 * k;
@@ -241,8 +228,8 @@
       pen.putImageData(buffer, -pad, -pad);
     };
     const drawPie = (pen, members) => {
-      const [left, top] = toPixels(x(members[0]), y(members[0]));
-      const [width, height] = size();
+      const [left, top] = map.toPixels([x(members[0]), y(members[0])]);
+      const [width, height] = map.size();
       if (left < -20 || top < -20 || left > width + 20 || top > height + 20) return;
       const radius = clamp(4 + 1.2 * Math.sqrt(members.length), 5, 12), shares = new Map();
       for (const i of members) shares.set(colour(i), (shares.get(colour(i)) || 0) + 1);
@@ -264,12 +251,12 @@
     const drawOverlay = (k) => {
       const pen = overlay.getContext("2d");
       pen.setTransform(k, 0, 0, k, 0, 0);
-      pen.clearRect(0, 0, ...size());
+      pen.clearRect(0, 0, ...map.size());
       const line = (from, to, ink, width) => {
         if (plane[2 * to] !== plane[2 * to] || x(from) !== x(from)) return;
         pen.beginPath();
-        pen.moveTo(...toPixels(x(from), y(from)));
-        pen.lineTo(...toPixels(x(to), y(to)));
+        pen.moveTo(...map.toPixels([x(from), y(from)]));
+        pen.lineTo(...map.toPixels([x(to), y(to)]));
         lpn.pens.stroke(pen, ink, width);
       };
       const style = getComputedStyle(document.documentElement);
@@ -283,7 +270,7 @@
         if (positive >= 0 && !data.ground) tiles.push([positive, right]);
         for (const [tile, ink] of tiles) {
           line(query, data.queries + tile, ink, 1.5);
-          const [left, top] = toPixels(x(data.queries + tile), y(data.queries + tile));
+          const [left, top] = map.toPixels([x(data.queries + tile), y(data.queries + tile)]);
           pen.fillStyle = "#0a0a0c";
           pen.fillRect(left - 5.5, top - 5.5, 11, 11);
           pen.fillStyle = ink;
@@ -302,13 +289,13 @@
         lpn.pens.stroke(pen, "#fff", 1.5, [5, 4]);
       }
       if (!data.ground) return;
-      const [width, height] = size();
-      box.dataset.metres = lpn.mapMarks.bar(pen, [12, height - 12], view.scale / data.ground.metres, width);
+      const [width, height] = map.size();
+      box.dataset.metres = lpn.mapMarks.bar(pen, [12, height - 12], map.view.scale / data.ground.metres, width);
       lpn.mapMarks.north(pen, [22, 58]);
     };
     const ring = (pen, i, radius, ink, width) => {
       pen.beginPath();
-      pen.arc(...toPixels(x(i), y(i)), radius, 0, 7);
+      pen.arc(...map.toPixels([x(i), y(i)]), radius, 0, 7);
       lpn.pens.stroke(pen, ink, width);
     };
 
@@ -317,143 +304,114 @@
     const near = ([left, top]) => {
       const best = [[REACH, -1], [REACH, -1]];
       for (let i = 0; i < data.queries; i++) {
-        const [px, py] = [(x(i) - view.x) * view.scale + box.clientWidth / 2, box.clientHeight / 2 - (y(i) - view.y) * view.scale];
+        const [px, py] = map.toPixels([x(i), y(i)]);
         const far = Math.hypot(px - left, py - top), which = flags[i] & SELECTED ? 0 : 1;
         if (far < best[which][0]) best[which] = [far, i];
       }
       return best[0][1] >= 0 ? best[0][1] : best[1][1];
     };
     const inLasso = (corners) => {
-      let low = [Infinity, Infinity], high = [-Infinity, -Infinity], found = 0;
+      let low = [Infinity, Infinity], high = [-Infinity, -Infinity], inside = 0;
       for (const [px, py] of corners) low = [Math.min(low[0], px), Math.min(low[1], py)], high = [Math.max(high[0], px), Math.max(high[1], py)];
       for (let i = 0; i < data.queries; i++) {
         const [px, py] = [x(i), y(i)];
         if (!(flags[i] & SELECTED) || !(px >= low[0] && px <= high[0] && py >= low[1] && py <= high[1])) continue;
-        let inside = false;
+        let odd = false; // borders crossed
         for (let n = 0, m = corners.length - 1; n < corners.length; m = n++) {
           const [x0, y0] = corners[n], [x1, y1] = corners[m];
-          if (y0 > py !== y1 > py && px < x0 + ((py - y0) / (y1 - y0)) * (x1 - x0)) inside = !inside;
+          if (y0 > py !== y1 > py && px < x0 + ((py - y0) / (y1 - y0)) * (x1 - x0)) odd = !odd;
         }
-        if (inside) found++;
+        if (odd) inside++;
       }
-      return found;
+      return inside;
     };
     // On the ground: the latitude and longitude of a place in pixels; without one, nothing.
     const read = (at) => {
-      const place = at && data.ground ? toPlane(at) : null;
+      const place = at && data.ground ? map.toPlane(at) : null;
       position.textContent = place ? lpn.mapMarks.degrees([1, 0].map((axis, i) => data.ground.degrees[i][0] + place[axis] * data.ground.degrees[i][1])) : "";
     };
     const tell = (count) => (counted.textContent = count.toLocaleString("en") + " of " + data.queries.toLocaleString("en"));
 
-    // ---- mouse, fingers, keys
-    const at = (event) => {
-      const { left, top } = box.getBoundingClientRect();
-      return [event.clientX - left, event.clientY - top];
-    };
+    // ---- pointer and keys
     const hideTips = () => document.querySelectorAll(".lab-tip").forEach((tip) => (tip.style.display = "none"));
-    overlay.addEventListener("pointerdown", (event) => {
-      if (!ready()) return;
-      overlay.setPointerCapture(event.pointerId);
-      fingers.set(event.pointerId, at(event));
-      hideTips();
-      dragged = 0;
-      last = at(event);
-      read(last);
-      if (fingers.size === 2) (lasso = null), (pinch = apart());
-      else lasso = (mode === "lasso") !== event.shiftKey && event.button === 0 ? [at(event)] : null;
-    });
-    const apart = () => {
-      const [[x0, y0], [x1, y1]] = fingers.values();
-      return Math.hypot(x1 - x0, y1 - y0);
-    };
-    overlay.addEventListener("pointermove", (event) => {
-      if (!ready()) return;
-      const now = at(event);
-      read(now);
+    const pointed = (at, event, pressed = false) => {
+      read(at);
       clearTimeout(rest);
-      if (fingers.has(event.pointerId)) {
-        fingers.set(event.pointerId, now);
-        dragged += Math.hypot(now[0] - last[0], now[1] - last[1]);
-        if (fingers.size === 2) {
-          const [[x0, y0], [x1, y1]] = fingers.values(), far = apart();
-          if (pinch > 0 && far > 0) zoom(far / pinch, [(x0 + x1) / 2, (y0 + y1) / 2]);
-          pinch = far;
-        } else if (lasso) {
-          const [left, top] = lasso[lasso.length - 1];
-          if (Math.hypot(now[0] - left, now[1] - top) > APART) lasso.push(now);
-          asked ||= requestAnimationFrame(() => {
-            asked = 0;
-            if (!lasso) return; // it was sent meanwhile
-            const corners = enclosed(lasso);
-            tell(corners ? inLasso(corners.map(toPlane)) : data.selected);
-          });
-          soon();
-        } else if (dragged > 4) pan(now[0] - last[0], now[1] - last[1]);
-        last = now;
-        return;
-      }
       hideTips();
-      const found = near(now);
-      if (found !== hovered) (hovered = found), soon();
-      overlay.style.cursor = found >= 0 ? "pointer" : mode === "lasso" || event.shiftKey ? "crosshair" : "grab";
-      if (found < 0) return;
+      if (pressed) return;
+      const query = near(at);
+      if (query !== hovered) (hovered = query), soon();
+      overlay.style.cursor = query >= 0 ? "pointer" : mode === "lasso" || event.shiftKey ? "crosshair" : "grab";
+      if (query < 0) return;
       lpn.mouse = [event.clientX, event.clientY];
-      rest = setTimeout(() => lpn.send("lab-tip", [data.map, found]), REST);
-    });
+      rest = setTimeout(() => lpn.send("lab-tip", [data.map, query]), REST);
+    };
+    const tapped = (at, { ctrlKey, metaKey }) => {
+      const query = near(at);
+      if (query >= 0) ctrlKey || metaKey ? lpn.send("lab-rows", [query, query, "toggle"]) : lpn.send("lab-point", [data.map, query]);
+      return query >= 0;
+    };
+    // A drag in the lasso's mode, or with Shift held in the other, draws.
+    const endLasso = () => {
+      lasso = null;
+      tell(data.selected);
+      soon();
+    };
+    const pen = {
+      down: (at, event) => {
+        lasso = (mode === "lasso") !== event.shiftKey && event.button === 0 ? [at] : null;
+        return lasso !== null;
+      },
+      move: (at) => {
+        if (!lasso) return; // Escape has ended it
+        const [left, top] = lasso[lasso.length - 1];
+        if (Math.hypot(at[0] - left, at[1] - top) > APART) lasso.push(at);
+        asked ||= requestAnimationFrame(() => {
+          asked = 0;
+          if (!lasso) return; // it was sent meanwhile
+          const corners = enclosed(lasso);
+          tell(corners ? inLasso(corners.map(map.toPlane)) : data.selected);
+        });
+        soon();
+      },
+      up: () => {
+        const corners = lasso && enclosed(lasso);
+        endLasso();
+        if (corners) sendLasso(corners);
+      },
+      cancel: endLasso,
+    };
     const sendLasso = (pixels) => {
       const step = Math.ceil(pixels.length / CORNERS);
-      const places = pixels.filter((_, i) => i % step === 0).map(toPlane);
+      const places = pixels.filter((_, i) => i % step === 0).map(map.toPlane);
       lpn.send("lab-lasso", [data.map, places.map((place) => place.map((value) => +value.toFixed(6)))]);
     };
     // The corners of the map in pixels, and the number of selected queries between them.
     const corners = () => {
-      const [right, down] = size();
+      const [right, down] = map.size();
       return [[0, 0], [right, 0], [right, down], [0, down]];
     };
-    const inSight = () => inLasso(corners().map(toPlane));
-    const release = (event) => {
-      const known = fingers.delete(event.pointerId);
-      if (!known || !ready()) return;
-      const drawn = lasso;
-      lasso = null;
-      soon();
-      if (event.type !== "pointerup") return tell(data.selected);
-      const chosen = drawn && dragged > 12 ? enclosed(drawn) : null;
-      if (chosen) sendLasso(chosen);
-      else if (dragged <= 4 && !fingers.size) {
-        const found = near(at(event));
-        const toggles = event.ctrlKey || event.metaKey;
-        if (found >= 0) toggles ? lpn.send("lab-rows", [found, found, "toggle"]) : lpn.send("lab-point", [data.map, found]);
-        tell(data.selected);
-      } else tell(data.selected);
+    const inSight = () => inLasso(corners().map(map.toPlane));
+    const home = () => fit(extent());
+    /** @returns {[number, number]} */
+    const limits = () => {
+      const all = views.get(data.view + "fit");
+      return all ? [all / FARTHEST, all * NEAREST] : [0, Infinity];
     };
-    overlay.addEventListener("pointerup", release);
-    overlay.addEventListener("pointercancel", release);
+    const map = lpn.panZoom(overlay, { limits, bounds: () => bounds, ready, changed: soon, home, pointed, tapped, pen });
     overlay.addEventListener("pointerleave", (event) => {
       if (event.pointerType === "mouse") read(null); // what a finger has pointed at stays
       clearTimeout(rest);
       hideTips();
       if (hovered >= 0) (hovered = -1), soon();
     });
-    overlay.addEventListener(
-      "wheel",
-      (event) => {
-        if (!ready()) return;
-        event.preventDefault();
-        hideTips();
-        // Lines and pages of a wheel are in pixels here; a pinch on a touchpad comes with Ctrl, in small steps.
-        const pixels = event.deltaY * (event.deltaMode === 1 ? 16 : event.deltaMode === 2 ? 400 : 1);
-        zoom(Math.exp(-clamp(pixels, -300, 300) * (event.ctrlKey ? 0.01 : 0.0018)), at(event));
-      },
-      { passive: false },
-    );
     const acts = {
       move: () => (mode = "move"),
       lasso: () => (mode = "lasso"),
-      in: () => zoom(1.5, size().map((side) => side / 2)),
-      out: () => zoom(1 / 1.5, size().map((side) => side / 2)),
-      all: () => fit(null),
-      chosen: () => fit((i) => flags[i] & SELECTED, 0.8),
+      in: map.stepIn,
+      out: map.stepOut,
+      all: home,
+      chosen: () => fit(extent((i) => flags[i] & SELECTED), 0.8),
     };
     const pressed = () => {
       box.querySelector(".hint").hidden = mode !== "lasso";
@@ -462,19 +420,14 @@
     box.querySelectorAll("button").forEach((one) => one.addEventListener("click", () => (ready() && acts[one.dataset.act](), pressed())));
     overlay.addEventListener("keydown", (event) => {
       if (!ready() || event.ctrlKey || event.metaKey || event.altKey) return;
-      const steps = { ArrowLeft: [60, 0], ArrowRight: [-60, 0], ArrowUp: [0, 60], ArrowDown: [0, -60] };
-      const keys = { "+": "in", "=": "in", "-": "out", 0: "all" };
-      if (event.key in steps) {
-        const before = view, seen = inSight();
-        view = { ...view };
-        pan(...steps[event.key]);
-        if (seen && !inSight()) (view = before), lpn.say("No point lies further that way.", 2);
-        views.set(data.view, view);
+      if (event.key.startsWith("Arrow")) {
+        const before = { ...map.view }, seen = inSight();
+        map.key(event);
+        if (seen && !inSight()) Object.assign(map.view, before), lpn.say("No point lies further that way.", 2);
       } else if (event.key === "Enter") inSight() ? sendLasso(corners()) : lpn.say("No query is in sight.", 2);
-      else if (event.key in keys) acts[keys[event.key]]();
-      else if (event.key === "Escape" && lasso) (lasso = null), tell(data.selected), soon();
+      else if (event.key === "Escape" && lasso) endLasso();
       else if (event.key === "Escape" && data.lasso) lpn.send("lab-unpick", "in " + data.map);
-      else return;
+      else if (!map.key(event)) return;
       read(null);
       event.preventDefault();
       event.stopPropagation();
@@ -514,8 +467,7 @@
 
     return {
       box: box,
-      view: () => view,
-      pixels: (i) => toPixels(x(i), y(i)),
+      pixels: (i) => map.toPixels([x(i), y(i)]),
       update: async (next) => {
         const select = /** @type {HTMLSelectElement} */ (document.getElementById("lpn-lab-colour"));
         if (select && select.value !== next.colour) select.value = next.colour;
@@ -533,10 +485,11 @@
         [plane, flags, codes, picture] = came;
         palette = next.palette; // it belongs to these codes
         sort();
-        view = views.get(next.view) || null;
-        if (!view) {
-          fit(null);
-          if (view) views.set(next.view + "fit", view.scale);
+        bounds = extent() || [0, 0, 0, 0];
+        map.view = views.get(next.view) || null;
+        if (!map.view) {
+          home();
+          if (map.view) views.set(next.view + "fit", map.view.scale);
         }
         tell(next.selected);
         legend();

@@ -49,19 +49,19 @@
       }
     };
 
-    // Draw the tiles in sight, and return how many are missing. `shown` has size, scale, toPixels, and toMetres.
-    const draw = (pen, ratio, data, shown) => {
+    // Draw the tiles in sight, and return how many are missing. `map` is a `PanZoom` in metres.
+    const draw = (pen, ratio, data, map) => {
       const { west, north, side, levels } = data.pyramid;
-      const level = Math.min(Math.max(Math.ceil(Math.log2((side * shown.scale * ratio) / SIDE) - 0.2), 0), levels);
+      const level = Math.min(Math.max(Math.ceil(Math.log2((side * map.view.scale * ratio) / SIDE) - 0.2), 0), levels);
       const step = side / 2 ** level, most = 2 ** level - 1;
       const number = (metres) => Math.min(Math.max(Math.floor(metres / step), 0), most);
-      const [left, top] = shown.toMetres([0, 0]), [right, bottom] = shown.toMetres(shown.size);
+      const [left, top] = map.toPlane([0, 0]), [right, bottom] = map.toPlane(map.size());
       const columns = [number(left - west), number(Math.min(right, data.bounds[2] - 1e-6) - west)];
       const rows = [number(north - top), number(north - Math.max(bottom, data.bounds[1] + 1e-6))];
       const missing = [];
       for (let row = rows[0]; row <= rows[1]; row++)
         for (let column = columns[0]; column <= columns[1]; column++) {
-          const corners = [0, 1].map((far) => shown.toPixels([west + (column + far) * step, north - (row + far) * step]).map(Math.round));
+          const corners = [0, 1].map((far) => map.toPixels([west + (column + far) * step, north - (row + far) * step]).map(Math.round));
           const box = [...corners[0], corners[1][0] - corners[0][0], corners[1][1] - corners[0][1]];
           let found = image(level, column, row);
           if (found) {

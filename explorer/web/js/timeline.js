@@ -1,7 +1,9 @@
 // The timeline of a flight: a value of each frame over time, and a mark that says what may be believed of it.
 (() => {
   const lpn = window.lpn;
-  if (lpn.timeline) return;
+  const { flight } = lpn;
+  if (flight.timeline) return;
+  const TURNS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageUp: 10, PageDown: -10 };
   const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." };
   const LABELS = { error: "Error", radius: "Radius", height: "Height" };
   // The colours of verdicts: to believe, without a position, to doubt.
@@ -11,9 +13,9 @@
     const { times, low, high } = data.span;
     return 44 + ((width - 56) * (times[i] - low)) / (high - low || 1);
   };
-  const nearest = (left, element, data) => {
-    const far = (i) => Math.abs(across(i, element.clientWidth, data) - left);
-    return data.names.reduce((best, _, i) => (far(i) < far(best) ? i : best), 0);
+  const nearest = (left) => {
+    const far = (i) => Math.abs(across(i, element.clientWidth, flight.data) - left);
+    return flight.data.names.reduce((best, _, i) => (far(i) < far(best) ? i : best), 0);
   };
   // Draw lines, each with values, states (2: refused), and a colour, between two heights of the canvas.
   const band = (pen, data, { plot, lines }, colour, width, head, foot) => {
@@ -54,22 +56,45 @@
       });
     }
   };
-  // Draw bands of { plot, lines } one below the other, in the ink of the page.
-  const draw = (element, data, bands, chosen, colour) => {
+  const series = (plot) =>
+    plot === "height"
+      ? [{ colour: flight.ink(), values: flight.data.heights, state: flight.data.heights.map(() => 0), line: true }]
+      : flight
+          .tracks()
+          .filter(([name]) => name !== "tag" && (plot === "error" || !["retrieval", "corrected"].includes(name)))
+          .map(([, track]) => ({ colour: track.colour, values: track[plot], state: track.state }));
+  // Say what the timeline shows, also to screen readers.
+  const say = () => {
+    const { data, chosen } = flight;
+    element.setAttribute("aria-valuemax", flight.total());
+    element.setAttribute("aria-valuenow", chosen + 1);
+    element.setAttribute("aria-valuetext", chosen < 0 ? "no frame" : data.names[chosen]);
+    const since = data.times && chosen >= 0 ? data.times[chosen] - data.times[0] : null;
+    const clock = since === null ? "" : ", " + Math.floor(since / 60) + ":" + String(Math.floor(since % 60)).padStart(2, "0");
+    const { skipped } = flight.play;
+    flight.find(".now").textContent =
+      (chosen < 0 ? "your own picture" : chosen + 1 + " of " + flight.total() + clock) + (skipped ? ", " + skipped + " skipped" : "");
+  };
+  // Draw the plots one below the other.
+  const draw = () => {
+    const { data, chosen } = flight, colour = flight.ink();
+    element.classList.toggle("stacked", timeline.plot === "all");
+    const plots = timeline.plot === "all" ? ["error", "radius", "height"] : [timeline.plot];
     const [pen] = lpn.pens.canvas(element);
     const [width, height] = [element.clientWidth, element.clientHeight];
-    const foot = height - 16, tall = foot / bands.length;
-    bands.forEach((one, i) => {
-      band(pen, data, one, colour, width, i * tall + 8, (i + 1) * tall);
-      if (bands.length === 1) return;
+    const foot = height - 16, tall = foot / plots.length;
+    plots.forEach((plot, i) => {
+      band(pen, data, { plot, lines: series(plot) }, colour, width, i * tall + 8, (i + 1) * tall);
+      if (plots.length === 1) return;
       pen.fillStyle = colour;
       pen.textAlign = "right";
-      pen.fillText(LABELS[one.plot], 40, (i + 0.5) * tall + 4);
+      pen.fillText(LABELS[plot], 40, (i + 0.5) * tall + 4);
     });
     data.signs.forEach((sign, i) => {
       pen.fillStyle = SIGNS[sign];
       pen.fillRect(across(i, width, data) - 2, foot + 4, 4, 8);
     });
+    say();
     if (chosen < 0) return;
     pen.strokeStyle = "#e6c300";
     pen.lineWidth = 2;
@@ -78,5 +103,27 @@
     pen.lineTo(across(chosen, width, data), foot + 14);
     pen.stroke();
   };
-  lpn.timeline = { draw: draw, nearest: nearest };
+
+  let element = null;
+  const timeline = (flight.timeline = {
+    plot: "error", // or "radius", "height", or "all"
+    draw,
+    // Return whether a key is one of the timeline's.
+    key: (key) => {
+      const last = flight.total() - 1;
+      if (key in TURNS) flight.choose(lpn.clamp(flight.chosen + TURNS[key], 0, last));
+      else if (key === "Home" || key === "End") flight.choose(key === "Home" ? 0 : last);
+      else return false;
+      return true;
+    },
+    attach: () => {
+      element = flight.find(".time canvas");
+      const choose = (event) => flight.data && flight.choose(nearest(event.offsetX));
+      element.addEventListener("pointerdown", (event) => {
+        element.setPointerCapture(event.pointerId);
+        choose(event);
+      });
+      element.addEventListener("pointermove", (event) => element.hasPointerCapture(event.pointerId) && choose(event));
+    },
+  });
 })();

@@ -1,0 +1,224 @@
+// The map of the flight window: tiles, scores, tracks, and the chosen frame's outline, on two canvases.
+(() => {
+  const lpn = window.lpn;
+  const { flight } = lpn;
+  if (flight.map) return;
+  // Pixels within which the mouse points at a frame, and metres around the map into which the view may be moved.
+  const REACH = 12, AROUND = 500;
+  const { canvas, stroke, dot, text } = lpn.pens;
+  const { find } = flight;
+  const tiles = lpn.tiles(flight.draw);
+  const overlay = { picture: null, source: "" };
+  let box = null; // the map's element
+  let map = null; // its `PanZoom`
+  let moved = false; // the user has moved the map since it was fitted
+
+  const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
+  const degrees = ([x, y]) => {
+    const [west, south, east, north] = flight.data.bounds;
+    const u = (2 * x - west - east) / (east - west), v = (2 * y - south - north) / (north - south);
+    const terms = [1, u, v, u * u, u * v, v * v, u * u * u, u * u * v, u * v * v, v * v * v];
+    return flight.data.degrees.map((row) => row.reduce((sum, value, i) => sum + value * terms[i], 0));
+  };
+  const around = () => flight.data.bounds.map((border, i) => border + (i < 2 ? -AROUND : AROUND));
+
+  // Show the flight, or the whole map if nothing of it lies there, and at least 40 m of ground.
+  const fit = () => {
+    moved = false;
+    if (!box?.clientWidth) return;
+    const [west, south, east, north] = around();
+    const track = Object.entries(flight.data.tracks).flatMap(([name, one]) =>
+      name === "retrieval" ? [] : flight.data.names.map((_, i) => (one.state[i] < 2 ? place(one, i) : null)).filter(Boolean),
+    );
+    const inside = track.filter(([x, y]) => x > west && x < east && y > south && y < north);
+    const { bounds } = flight.data;
+    const [across, up] = inside.length > 1 ? [0, 1].map((axis) => flight.range(inside.map((at) => at[axis]))) : [0, 1].map((axis) => [bounds[axis], bounds[axis + 2]]);
+    map.fit([across[0], up[0]], [across[1], up[1]], inside.length > 1 ? 0.72 : 0.9, 40);
+    flight.draw();
+  };
+
+  // ---- drawing
+  const path = (pen, points, close = false) => {
+    pen.beginPath();
+    points.forEach((point, i) => pen[i ? "lineTo" : "moveTo"](...map.toPixels(point)));
+    if (close) pen.closePath();
+  };
+  const drawTracks = (pen) => {
+    for (const [name, track] of flight.tracks()) {
+      // A line joins neighbours that were not refused; nothing has verified the retrieval, so it has no line.
+      if (name !== "retrieval") {
+        pen.beginPath();
+        let down = false;
+        for (let i = 0; i < flight.total(); i++) {
+          const at = place(track, i);
+          if (track.state[i] === 2) continue;
+          if (!at) {
+            down = false;
+            continue;
+          }
+          pen[down ? "lineTo" : "moveTo"](...map.toPixels(at));
+          down = true;
+        }
+        stroke(pen, track.colour, name === "tag" ? 1.5 : 2, name === "tag" ? [5, 4] : []);
+      }
+      for (let i = 0; i < flight.total(); i++) {
+        const at = place(track, i);
+        if (at) dot(pen, map.toPixels(at), name === "tag" ? 3 : 4, track.colour, track.state[i] === 2);
+      }
+    }
+  };
+  const drawSpot = (pen) => {
+    for (const i of flight.spotted.frames) {
+      path(pen, flight.data.outlines[i].slice(0, 4), true);
+      pen.fillStyle = "rgba(255,255,255,.05)";
+      pen.fill();
+      pen.lineWidth = 1;
+      pen.strokeStyle = "rgba(255,255,255,.6)";
+      pen.stroke();
+    }
+    const [left, top] = map.toPixels(flight.spotted.spot);
+    pen.beginPath();
+    for (const [right, down] of [[1, 0], [-1, 0], [0, 1], [0, -1]]) {
+      pen.moveTo(left + 4 * right, top + 4 * down);
+      pen.lineTo(left + 13 * right, top + 13 * down);
+    }
+    stroke(pen, "#fff", 2);
+  };
+  const drawChosen = (pen) => {
+    const { data, chosen, answered, followed } = flight;
+    const outline = data.outlines[chosen];
+    if (outline) {
+      path(pen, outline.slice(0, 4), true);
+      stroke(pen, "#ffe14d", 2, outline[4] ? [] : [7, 5]);
+      // The picture's top edge is thicker.
+      path(pen, outline.slice(0, 2));
+      stroke(pen, "#ffe14d", 4);
+    }
+    if (answered && followed && followed.frame === chosen) {
+      const [x, y, side] = answered;
+      const half = side / 2;
+      path(pen, [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
+      stroke(pen, data.tracks.retrieval ? data.tracks.retrieval.colour : "#e69f00", 1.5, [2, 3]);
+    }
+    for (const [name, track] of flight.tracks()) {
+      const at = place(track, chosen);
+      if (!at) continue;
+      const [left, top] = map.toPixels(at);
+      if (track.radius[chosen]) {
+        pen.beginPath();
+        pen.arc(left, top, Math.max(track.radius[chosen] * map.view.scale, 1), 0, 7);
+        stroke(pen, track.colour, 1.5, track.state[chosen] === 2 ? [3, 4] : []);
+      }
+      dot(pen, [left, top], name === "tag" ? 5 : 7, track.colour, track.state[chosen] === 2);
+    }
+  };
+  const drawFrame = (pen) => {
+    const [width, height] = map.size();
+    for (const sheet of flight.data.sheets) {
+      path(pen, sheet.outline, true);
+      stroke(pen, sheet.colour, 2);
+      const corner = sheet.outline.reduce((best, p) => (p[1] - p[0] > best[1] - best[0] ? p : best));
+      const [left, top] = map.toPixels(corner);
+      text(pen, sheet.name, lpn.clamp(left + 8, 8, width - 60), lpn.clamp(top + 14, 14, height - 40));
+    }
+    box.dataset.metres = String(lpn.mapMarks.bar(pen, [12, height - 38], map.view.scale, width));
+    lpn.mapMarks.north(pen, [width - 20, 30]);
+  };
+  const drawScores = (pen) => {
+    const [west, south, east, north] = flight.painted.bounds;
+    const [left, top] = map.toPixels([west, north]), [right, bottom] = map.toPixels([east, south]);
+    pen.globalAlpha = 0.6;
+    pen.imageSmoothingEnabled = false;
+    pen.drawImage(overlay.picture, left, top, right - left, bottom - top);
+    pen.globalAlpha = 1;
+  };
+  // Return whether there is a map to draw.
+  const draw = () => {
+    if (!box?.clientWidth) return false;
+    if (!map.view) fit();
+    const [ground, ratio] = canvas(find(".ground"));
+    ground.imageSmoothingEnabled = true;
+    box.dataset.missing = String(tiles.draw(ground, ratio, flight.data, map));
+    if (flight.painted && overlay.picture) drawScores(ground);
+    const [pen] = canvas(find(".over"));
+    drawTracks(pen);
+    if (flight.spotted) drawSpot(pen);
+    if (flight.chosen >= 0) drawChosen(pen);
+    drawFrame(pen);
+    return true;
+  };
+
+  // ---- the pointer
+  const hit = (at) => {
+    let best = [REACH, -1];
+    for (const [, track] of flight.tracks())
+      for (let i = 0; i < flight.total(); i++) {
+        const point = place(track, i);
+        if (!point) continue;
+        const [left, top] = map.toPixels(point);
+        const far = Math.hypot(left - at[0], top - at[1]);
+        if (far < best[0]) best = [far, i];
+      }
+    return best[1];
+  };
+  const read = (at) => {
+    const [x, y] = map.toPlane(at), frame = hit(at);
+    find(".read").textContent =
+      (frame >= 0 ? flight.data.names[frame] + " · " : "") + lpn.mapMarks.degrees(degrees([x, y])) + " · " + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
+  };
+  const tapped = (at, { shiftKey }) => {
+    if (shiftKey || flight.asking) {
+      flight.asking = false;
+      lpn.send("flight-spot", map.toPlane(at).map((value) => Math.round(100 * value) / 100));
+      return true;
+    }
+    const frame = hit(at);
+    flight.choose(frame);
+    return frame >= 0;
+  };
+
+  flight.pixels = (at) => map.toPixels(at);
+  flight.map = {
+    draw,
+    fit,
+    stepIn: () => map.stepIn(),
+    stepOut: () => map.stepOut(),
+    key: (event) => map.key(event),
+    view: () => map.view,
+    size: () => map.size(),
+    toPixels: (at) => map.toPixels(at),
+    // Another flight or map has taken the place of the one before, which may be null.
+    replaced: (before) => {
+      if (before && before.address !== flight.data.address) tiles.clear();
+      if (map && String(before?.bounds) !== String(flight.data.bounds)) map.view = null;
+    },
+    // The flight is fitted into the window again when that changes its size, unless the user has looked elsewhere.
+    resized: () => {
+      if (!moved) map.view = null;
+    },
+    // Show another picture of scores.
+    paint: (source) => {
+      if (overlay.source === source) return;
+      overlay.source = source;
+      const picture = new Image();
+      picture.onload = () => ((overlay.picture = picture), flight.draw());
+      picture.src = source;
+    },
+    attach: () => {
+      const view = map?.view; // the window was drawn anew
+      box = find(".view");
+      map = lpn.panZoom(box, {
+        limits: () => [20 / flight.data.pyramid.side, 8 / flight.data.resolution],
+        bounds: around,
+        ready: () => !!(flight.data && map.view),
+        changed: () => ((moved = true), flight.draw()),
+        home: fit,
+        pointed: read,
+        tapped,
+        ignores: ".swipe, .zoom, .ties *",
+      });
+      map.view = view;
+      box.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (find(".read").textContent = ""));
+    },
+  };
+})();

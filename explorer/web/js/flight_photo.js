@@ -1,0 +1,129 @@
+// The chosen frame's photo over the map of the flight window: swiped, blinking, or dragged to its place by tie points.
+(() => {
+  const lpn = window.lpn;
+  const { flight } = lpn;
+  if (flight.photo) return;
+  const { find, all } = flight;
+  // Four points of the photo, in shares of it, that a person drags to their places on the map.
+  const TIES = [[0.15, 0.15], [0.85, 0.15], [0.85, 0.85], [0.15, 0.85]];
+  const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
+  const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+  let ties = null; // { frame, points: metres of each tie point, saves: how many were saved when these were sent }
+
+  /** @param {Point} at */
+  const pixel = ([x, y]) => [x * flight.followed.size[0] - 0.5, y * flight.followed.size[1] - 0.5];
+  const here = () => flight.followed && flight.followed.frame === flight.chosen;
+  const startTies = () => {
+    const { size, homography } = flight.followed, outline = flight.data.outlines[flight.chosen];
+    let h = homography;
+    if (!h && outline) h = lpn.homography(CORNERS.map(pixel), outline.slice(0, 4));
+    if (!h) {
+      // Nothing tells where the photo lies: it starts in the middle of the view, north up.
+      const { x, y, scale } = flight.map.view();
+      const half = (0.2 * flight.map.size()[0]) / scale, tall = (half * size[1]) / size[0];
+      h = lpn.homography(CORNERS.map(pixel), [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([right, up]) => [x + right * half, y + up * tall]));
+    }
+    ties = { frame: flight.chosen, points: TIES.map((tie) => lpn.through(h, pixel(tie))) };
+  };
+  const tied = () => lpn.homography(TIES.map(pixel), ties.points);
+  const moveTie = (which, [right, up]) => {
+    ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
+    flight.draw();
+  };
+  const onTie = (event) => {
+    const tie = event.target.closest("[data-tie]");
+    if (!tie || !ties) return;
+    const { scale } = flight.map.view();
+    if (event.type === "keydown") {
+      if (!(event.key in ARROWS)) return;
+      moveTie(tie.dataset.tie, ARROWS[event.key].map((one) => (one * (event.shiftKey ? 10 : 1)) / scale));
+      event.preventDefault();
+    } else if (event.type === "pointerdown") {
+      tie.setPointerCapture(event.pointerId);
+      tie._at = [event.clientX, event.clientY];
+    } else if (event.type === "pointermove" && tie._at) {
+      moveTie(tie.dataset.tie, [(event.clientX - tie._at[0]) / scale, (tie._at[1] - event.clientY) / scale]);
+      tie._at = [event.clientX, event.clientY];
+    } else if (event.type !== "pointermove") tie._at = null;
+    event.stopPropagation();
+  };
+  const placeTies = () => {
+    const on = photo.mode === "correct" && ties && ties.frame === flight.chosen;
+    find(".ties").style.display = on ? "block" : "none";
+    if (!on) return;
+    const middle = lpn.through(tied() || [0, 0, 0, 0, 0, 0, 0, 0, 1], pixel([0.5, 0.5]));
+    all("[data-tie]").forEach((one) => {
+      const [left, top] = flight.map.toPixels(one.dataset.tie === "all" ? middle : ties.points[Number(one.dataset.tie)]);
+      one.style.left = left + "px";
+      one.style.top = top + "px";
+    });
+    find("[data-act=forget]").style.display = flight.followed.corrected ? "" : "none";
+  };
+
+  // From the photo's pixels to metres; nothing while the photo has no place.
+  const matrixOf = () => {
+    if (!here()) return null;
+    if (photo.mode !== "correct") return flight.followed.homography;
+    if (ties?.frame !== flight.chosen) startTies();
+    return tied();
+  };
+  // One projective transform of the page lays the photo.
+  const lay = () => {
+    const { mode } = photo, matrix = matrixOf(), laid = mode !== "off" && matrix;
+    const layer = find(".laid"), swipe = find(".swipe");
+    layer.style.opacity = mode === "correct" ? "0.6" : "1";
+    layer.style.display = laid ? "block" : "none";
+    layer.classList.toggle("blinks", mode === "blink");
+    swipe.style.display = laid && mode === "swipe" ? "block" : "none";
+    placeTies();
+    find("#lpn-flight-photo").title = matrix ? "Lay the registered photo over the map" : "This frame is not registered, so there is no photo to lay over the map";
+    all("[data-photo]").forEach((one) => one.classList.toggle("off", ["swipe", "blink"].includes(one.dataset.photo) && !flight.followed?.homography));
+    if (!laid) return;
+    const image = layer.querySelector("img"), source = flight.data.address + "photo/" + flight.chosen;
+    if (image.getAttribute("src") !== source) {
+      image.dataset.failures = "0";
+      image.onerror = () => flight.again(image);
+      image.setAttribute("src", source);
+    }
+    if (!image.naturalWidth) {
+      image.onload = flight.draw;
+      return;
+    }
+    const { x, y, scale } = flight.map.view(), [width, height] = flight.map.size(), { size } = flight.followed;
+    // From the edges of the served picture to the pixels of the photo, whose whole numbers are centres, to metres, to the view.
+    const pixels = [size[0] / image.naturalWidth, 0, -0.5, 0, size[1] / image.naturalHeight, -0.5, 0, 0, 1];
+    const look = [scale, 0, width / 2 - x * scale, 0, -scale, height / 2 + y * scale, 0, 0, 1];
+    image.style.width = image.naturalWidth + "px";
+    image.style.transform = lpn.transform(lpn.product(look, lpn.product(matrix, pixels)));
+    layer.style.clipPath = mode === "swipe" ? `inset(0 0 0 ${swipe.value}%)` : "none";
+  };
+
+  const photo = (flight.photo = {
+    mode: "off", // or "swipe", "blink", or "correct"
+    lay,
+    use: (mode) => {
+      if (mode !== photo.mode) ties = null;
+      photo.mode = mode;
+    },
+    // A saved or forgotten correction starts anew from what the server has.
+    followed: () => {
+      const saves = flight.followed?.saves;
+      if (ties && flight.followed && (ties.frame !== flight.chosen || (ties.saves !== undefined && ties.saves !== saves))) ties = null;
+    },
+    save: () => {
+      const h = ties && tied();
+      if (!h) return lpn.say("The tie points do not span a picture.");
+      const millimetres = (value) => Math.round(1000 * value) / 1000;
+      ties.saves = flight.followed.saves;
+      lpn.send("flight-correct", [ties.frame, CORNERS.map((corner) => lpn.through(h, pixel(corner)).map(millimetres))]);
+    },
+    forget: () => {
+      if (ties) ties.saves = flight.followed.saves;
+      lpn.send("flight-forget", flight.chosen);
+    },
+    attach: () => {
+      find(".swipe").addEventListener("input", lay);
+      for (const kind of ["pointerdown", "pointermove", "pointerup", "pointercancel", "keydown"]) find(".ties").addEventListener(kind, onTie);
+    },
+  });
+})();
