@@ -48,8 +48,8 @@ class RankedModel:
         name: to display.
         task: such as "drone-to-satellite".
         gallery_name: with its size, such as "full gallery, 951".
-        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder; no gallery pictures for an
-            index, which does not list them.
+        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder; of an index the names of
+            the true tiles, as it does not list the others.
         labels: the place of each query, (Q,).
         first: 0-based rank of each query's first true match, -1 without one, (Q,); the depth of a search beyond it.
         precision: average precision of each query, 0 .. 1, (Q,); NaN where a search does not tell all ranks.
@@ -258,7 +258,7 @@ def rank_model(
 def rank_task(task: Task, name: str, gallery: GalleryChoice = "full") -> RankedModel:
     """Rank an opened task, whatever it was opened from, under equal part weights.
 
-    Galleries of indexes are compared by their numbers of tiles alone.
+    Indexes count as one gallery if they hold the same number of tiles and the same true ones.
 
     Raises:
         InputError: when no query's truth is known, a picture occurs twice, or the gallery has no distractors to leave out.
@@ -281,7 +281,7 @@ def rank_task(task: Task, name: str, gallery: GalleryChoice = "full") -> RankedM
         task.name,
         f"index of {task.tiles:,} tiles",
         tuple(queries[kept].tolist()),
-        frozenset(),
+        frozenset(task.tile_name(i) for lists in task.truth or () for i in lists.good.tolist()),
         task.query_labels[kept],
         retrieval.first[kept],
         retrieval.precision[kept],

@@ -43,6 +43,18 @@ def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:
 
 def options(command: type[Any]) -> Iterator[str]:
     """Yield the options of a command as they are written, such as "--data"; those of its groups, too."""
+    for name, marks in _leaves(command):
+        if tyro.conf.Positional not in marks:
+            yield f"--{name.replace('_', '-')}"
+
+
+def _takes_words(command: type[Any]) -> bool:
+    """Return True if a command takes arguments without a name."""
+    return any(tyro.conf.Positional in annotations for _, annotations in _leaves(command))
+
+
+def _leaves(command: type[Any]) -> Iterator[tuple[str, tuple[Any, ...]]]:
+    """Yield the name and the annotations of each field of a command and of its groups."""
     hints = get_type_hints(command, include_extras=True)
     for field in fields(command):
         kind = hints[field.name]
@@ -51,15 +63,9 @@ def options(command: type[Any]) -> Iterator[str]:
         members = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
         groups = [member for member in members if isinstance(member, type) and is_dataclass(member)]
         for group in groups:
-            yield from options(group)
-        if not groups and tyro.conf.Positional not in annotations:
-            yield f"--{field.name.replace('_', '-')}"
-
-
-def _takes_words(command: type[Any]) -> bool:
-    """Return True if a command takes arguments without a name."""
-    hints = get_type_hints(command, include_extras=True).values()
-    return any(tyro.conf.Positional in getattr(hint, "__metadata__", ()) for hint in hints)
+            yield from _leaves(group)
+        if not groups:
+            yield field.name, annotations
 
 
 def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments: Sequence[str], program: str) -> None:

@@ -77,6 +77,36 @@ class ComparisonOfSources(ABC):
             yield rank_task(open_task(source), name)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ComparedModels:
+    """The compared models."""
+
+    models: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Models (.onnx, .safetensors, .pth, or a name of lpn models); of a data set also results of the published test code
+    (pytorch_result.mat)."""
+    kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
+    """Method of each model in their order: auto, or, for a published .pth whose entries do not tell it, such as dac; by default
+    auto for all (docs/models.md)."""
+    provider: ProviderName = "auto"
+    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+
+    def options(self) -> dict[str, ModelOptions]:
+        """The options of each model by a name that tells it from the others.
+
+        Raises:
+            InputError: if there are more or fewer kinds than models.
+        """
+        if self.kind and len(self.kind) != len(self.models):
+            raise InputError(
+                f"There are {len(self.kind)} kinds for {len(self.models)} models; give one for each in their order, or auto."
+            )
+        kinds: list[Kind | None] = [None if kind == "auto" else kind for kind in self.kind] or [None] * len(self.models)
+        return {
+            name: ModelOptions(model=file, kind=kind, provider=self.provider)
+            for name, file, kind in zip(distinct_names(self.models), self.models, kinds, strict=True)
+        }
+
+
 @dataclass(kw_only=True)
 class ComparisonOfPublished(ComparisonOfSources):
     """Compare results of the published test code on the same data set."""
@@ -104,6 +134,10 @@ class ComparisonOfArrays(ComparisonOfSources):
     """List of the pictures, a .csv with file, side, label (docs/data.md)."""
     order: Literal["parts-first", "parts-last"] = "parts-first"
     """Order of the axes: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
+    n_parts: int | None = None
+    """Number of parts of two-dimensional arrays; 1 by default."""
+    data: Path | None = None
+    """Folder that the list's paths are relative to; by default the list's."""
 
     def _ranked(self) -> Iterator[RankedModel]:
         if len(self.queries) != len(self.gallery):
@@ -111,7 +145,14 @@ class ComparisonOfArrays(ComparisonOfSources):
                 f"There are {len(self.queries)} files of queries and {len(self.gallery)} of galleries; give both for each model."
             )
         sources = [
-            Arrays(queries=queries, gallery=gallery, paths=self.paths, order=self.order)
+            Arrays(
+                queries=queries,
+                gallery=gallery,
+                paths=self.paths,
+                order=self.order,
+                n_parts=self.n_parts,
+                data=self.data,
+            )
             for queries, gallery in zip(self.queries, self.gallery, strict=True)
         ]
         return self._ranked_sources(list(zip(distinct_names(self.queries), sources, strict=True)))
@@ -138,21 +179,17 @@ class ComparisonOfIndexes(ComparisonOfSources):
 class ComparisonOfFlights(ComparisonOfSources):
     """Compare how several models find the windows of a map that the frames of a flight show."""
 
-    models: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Models (.onnx, .safetensors, .pth, or a name of lpn models)."""
+    models: Annotated[ComparedModels, tyro.conf.arg(name="")]
     map: Path
     """Map under the flight: a folder of lpn map, or a georeferenced picture."""
     flight: Path
     """Flight over the map: a folder of lpn flight, or one of photos."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
 
     def _ranked(self) -> Iterator[RankedModel]:
-        sources = [
-            Flown(map=self.map, flight=self.flight, model=ModelOptions(model=file, provider=self.provider))
-            for file in self.models
-        ]
-        return self._ranked_sources(list(zip(distinct_names(self.models), sources, strict=True)))
+        models = self.models.options()
+        return self._ranked_sources(
+            [(name, Flown(map=self.map, flight=self.flight, model=model)) for name, model in models.items()]
+        )
 
 
 @dataclass(kw_only=True)
@@ -166,8 +203,7 @@ class CompareCommand(ComparisonOfSources):
         Flown.WORD: ComparisonOfFlights,
     }
 
-    models: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Models (.onnx, .safetensors, .pth), or results of the published test code (pytorch_result.mat)."""
+    models: Annotated[ComparedModels, tyro.conf.arg(name="")]
     data: Path
     """Data set in any layout of docs/data.md."""
     task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
@@ -179,11 +215,6 @@ class CompareCommand(ComparisonOfSources):
     csls: int = 0
     """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
     (docs/evaluation.md); a row of its own. 0 for none."""
-    kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
-    """Method of each model in their order: auto, or, for a published .pth whose entries do not tell it, such as dac; by default
-    auto for all (docs/models.md)."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
 
     def _ranked(self) -> Iterator[RankedModel]:
         from lpn.analysis.model_table import rank_model, rank_task
@@ -194,35 +225,33 @@ class CompareCommand(ComparisonOfSources):
 
         if self.csls < 0:
             raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
-        if not self.models or (len(self.models) < 2 and not self.calibrate and not self.csls):
+        files = self.models.models
+        if not files or (len(files) < 2 and not self.calibrate and not self.csls):
             raise InputError(
-                f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(self.models)}."
+                f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(files)}."
             )
-        if self.kind and len(self.kind) != len(self.models):
-            raise InputError(
-                f"There are {len(self.kind)} kinds for {len(self.models)} models; give one for each in their order, or auto."
-            )
-        saved = [file.name for file in self.models if file.suffix.lower() == ".mat"]
+        models = self.models.options()
+        saved = [name for name, model in models.items() if model.model.suffix.lower() == ".mat"]
         if saved and (self.calibrate or self.csls):
             raise InputError(
                 f"{saved[0]} holds descriptors, not pictures, so it can be neither calibrated nor ranked anew; leave it, or "
                 "--calibrate and --csls, out."
             )
-        kinds: list[Kind | None] = [None if kind == "auto" else kind for kind in self.kind]
-        kinds = kinds or [None] * len(self.models)
         dataset = open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
-        for file, name, kind in zip(self.models, distinct_names(self.models), kinds, strict=True):
-            if file.suffix.lower() == ".mat":
-                if kind is not None:
-                    raise InputError(f"{name} holds descriptors and needs no kind; give auto in place of {kind}.")
-                result = published_task(load_saved(file), dataset)
+        for name, options in models.items():
+            if name in saved:
+                if options.kind is not None:
+                    raise InputError(
+                        f"{name} holds descriptors and needs no kind; give auto in place of {options.kind}."
+                    )
+                result = published_task(load_saved(options.model), dataset)
                 if result.name != task:
                     raise InputError(f"{name} is a result of {result.name}; expected {task}, so choose it with --task.")
                 yield rank_task(result, name, self.gallery)
             else:
-                model = ModelOptions(model=file, kind=kind, provider=self.provider).load()
+                model = options.load()
                 read = descriptor_reader(dataset.root)
                 rows = {name: (False, 0)}
                 if self.calibrate:
