@@ -410,10 +410,10 @@ def alterations(state: SessionState, cells: int) -> dict[str, str]:
         cells: of the query's feature map.
     """
     values = state.part_values()
-    shares = " : ".join(f"{100 * value / sum(values):.0f}" for value in values)
+    percents = " : ".join(f"{100 * value / sum(values):.0f}" for value in values)
     labels = {
         "region": f"search by {len(state.region)} of {cells} cells" if state.region else "",
-        "weights": f"part weights {shares} %" if state.altered_weights else "",
+        "weights": f"part weights {percents} %" if state.altered_weights else "",
         "rotation": Change(state.angle).describe(),
         "shift": Change(shift=state.shift, down=state.down).describe(),
         "zoom": Change(scale=state.zoom).describe(),

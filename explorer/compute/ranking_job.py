@@ -139,11 +139,11 @@ class RankingJob:
         return self.result
 
     def _result(self, ranking: Retrieval) -> TaskRanking:
-        shares: dict[str, float] = {}
+        errors_within: dict[str, float] = {}
         if self.task.geometry is not None:
             geometry = self.task.current().geometry
             assert geometry is not None
             errors = geometry.answer_errors_m(ranking.best)
             placed = ~np.isnan(errors)
-            shares = error_shares(errors[placed]) if placed.any() else {}
-        return TaskRanking(ranking, ranking.metrics(self.task.known) | shares)
+            errors_within = error_shares(errors[placed]) if placed.any() else {}
+        return TaskRanking(ranking, ranking.metrics(self.task.known) | errors_within)

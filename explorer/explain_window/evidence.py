@@ -27,7 +27,7 @@ class _Map:
     columns: int
     cells: list[float]
     correspondences: list[int]
-    shares: list[float]
+    terms: list[float]
     picture: str
 
 
@@ -81,7 +81,7 @@ def _map(
         columns,
         _rounded(cells),
         correspondences.cells.tolist(),
-        _rounded(correspondences.shares),
+        _rounded(correspondences.terms),
         overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 88),
     )
 

@@ -27,14 +27,14 @@ class Lead:
     """The lead of one tile over another, part by part: of the answer, or of the right picture over a wrong answer.
 
     Attributes:
-        shares: each part's term of the lead in d², (n,); positive where the part speaks for the leader.
+        terms: each part's term of the lead in d², (n,); positive where the part speaks for the leader.
         other: the tile that the answer is compared with, in words.
         index: that tile's position in the gallery.
         of_answer: the leader is the answer; otherwise it is the other tile.
         sure: one of the two is known to be the right picture, and is the leader.
     """
 
-    shares: FloatingArray
+    terms: FloatingArray
     other: str
     index: int
     of_answer: bool = True
@@ -43,21 +43,21 @@ class Lead:
     @property
     def total(self) -> float:
         """The lead in d²; below 0 for a wrong answer, which is nearer than the right picture."""
-        return float(self.shares.sum())
+        return float(self.terms.sum())
 
     @property
     def decisive(self) -> list[int]:
         """The parts that do most to put the answer before the other tile, see `verdicts.leading_parts`."""
-        return verdicts.leading_parts(self.shares if self.of_answer else -self.shares)
+        return verdicts.leading_parts(self.terms if self.of_answer else -self.terms)
 
     @property
     def leader(self) -> str:
-        """The tile that positive shares speak for, in words."""
+        """The tile that positive terms speak for, in words."""
         return _ANSWER if self.of_answer else self.other
 
     @property
     def follower(self) -> str:
-        """The tile that negative shares speak for, in words."""
+        """The tile that negative terms speak for, in words."""
         return self.other if self.of_answer else _ANSWER
 
 

@@ -135,7 +135,7 @@ def page(
         gap=analysis.matches[0].gap,
         bars=_bar_colours(lead),
         places=None if cells is None else float(cells.sum()),
-        full=0.0 if lead is None else max(float(abs(lead.shares).max()), 1e-9),
+        full=0.0 if lead is None else max(float(abs(lead.terms).max()), 1e-9),
         own_hint=answer_text.own_hint(workspace, rendered),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),

@@ -74,14 +74,14 @@ def draw_squared(draw: ImageDraw.ImageDraw, right: float, middle: float, text: s
 def draw_shares(
     draw: ImageDraw.ImageDraw,
     box: tuple[float, float, float, float],
-    shares: Float32Array,
+    contributions: Float32Array,
     full: float,
     palette: Palette = DARK,
 ) -> None:
     """Draw the parts' shares of a squared distance side by side; `full` is the distance that fills the box."""
     left, top, right, bottom = box
     draw.rectangle(box, fill=palette.track)
-    for part, share in enumerate(shares):
+    for part, share in enumerate(contributions):
         end = left + max(float(share), 0.0) / max(full, 1e-9) * (right - box[0])
         if end - left >= 0.5:
             draw.rectangle((left, top, min(end, right), bottom), fill=part_colour(part))

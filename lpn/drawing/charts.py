@@ -79,11 +79,11 @@ def part_colour(part: int) -> str:
     return theme.css(theme.part_colour(part))
 
 
-def share_bar(shares: FloatingArray, full: float, names: Sequence[str]) -> Markup:
+def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -> Markup:
     """Draw the parts' shares of a squared distance, (n,), side by side; `full` is the distance that fills the bar."""
     # Python numbers, because rounding and formatting numpy's is slow and a page draws many bars for each query.
     bars, start = [], 0.0
-    for part, (name, share) in enumerate(zip(names, shares.tolist(), strict=True)):
+    for part, (name, share) in enumerate(zip(names, contributions.tolist(), strict=True)):
         width = 100 * max(share, 0.0) / max(full, 1e-9)
         label = f"{share:.2f}" if width > _LABELLED else ""
         bars.append(_Bar(round(start, 2), round(width, 2), part_colour(part), f"part {name}: {share:.4f}", label))

@@ -96,14 +96,14 @@ def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], t
 
 def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int) -> None:
     """Draw the squared distance as the parts' contributions to it, side by side, each with its number where it fits."""
-    shares = scoring.contributions(evidence.cosines.astype(np.float32), evidence.weights)
-    left, right, y, total = 420, _WIDTH - 190, top + 8, float(shares.sum())
+    contributions = scoring.contributions(evidence.cosines.astype(np.float32), evidence.weights)
+    left, right, y, total = 420, _WIDTH - 190, top + 8, float(contributions.sum())
     pen.text((_MARGIN, y + 9), "contributions to the squared distance", TEXT, font(20), anchor="lm")
-    captions.draw_shares(pen, (left, y, right, y + 18), shares, total)
+    captions.draw_shares(pen, (left, y, right, y + 18), contributions, total)
     for part, (end, number) in enumerate(
-        zip(np.cumsum(np.maximum(shares, 0)), rounded_to_sum(shares.tolist()), strict=True)
+        zip(np.cumsum(np.maximum(contributions, 0)), rounded_to_sum(contributions.tolist()), strict=True)
     ):
-        width = (right - left) * max(float(shares[part]), 0.0) / max(total, 1e-9)
+        width = (right - left) * max(float(contributions[part]), 0.0) / max(total, 1e-9)
         text = fitted(pen, f"{number:.3f}", 15, width - 4, "")
         pen.text(
             (left + (right - left) * float(end) / max(total, 1e-9) - width / 2, y + 9),

@@ -188,8 +188,8 @@ def describe_reweighting(change: Reweighting | None, effect: Effect | None) -> s
     """State the smallest change of part weights that puts the positive first, and its effect on all queries."""
     if change is None:
         return "No choice of part weights would put the true tile first."
-    shares = " : ".join(f"{100 * weight:.0f}" for weight in change.weights)
-    text = f"The smallest change of part weights that puts the true tile first is {shares} %"
+    percents = " : ".join(f"{100 * weight:.0f}" for weight in change.weights)
+    text = f"The smallest change of part weights that puts the true tile first is {percents} %"
     return f"{text}." if effect is None else f"{text}; {describe_effect(effect)}."
 
 

@@ -177,11 +177,11 @@ class Correspondences:
 
     Attributes:
         cells: the matched cell of the other picture, (h w,); -1 for a cell outside all parts of positive weight.
-        shares: the pair's share of the score, (h w,).
+        terms: the pair's term of the score, (h w,).
     """
 
     cells: Int64Array
-    shares: Float32Array
+    terms: Float32Array
 
 
 def correspondences(query: Trace, tile: Trace, weights: Float32Array) -> tuple[Correspondences, Correspondences]:
@@ -207,8 +207,8 @@ def _take_best(correspondences: Correspondences, shares: Float32Array, rows: Boo
     candidates = np.where(columns, shares, -np.inf)
     best = candidates.argmax(axis=1)
     largest = candidates[np.arange(len(best)), best]
-    better = rows & ((correspondences.cells < 0) | (largest > correspondences.shares))
-    correspondences.cells[better], correspondences.shares[better] = best[better], largest[better]
+    better = rows & ((correspondences.cells < 0) | (largest > correspondences.terms))
+    correspondences.cells[better], correspondences.terms[better] = best[better], largest[better]
 
 
 def _part_cells(trace: Trace, part: int) -> BoolArray:

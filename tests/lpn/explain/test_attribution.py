@@ -181,9 +181,9 @@ def test_a_counterpart_is_the_other_picture_s_cell_of_the_same_part_that_agrees_
         part = labels[cell]
         shared = explain.cell_similarities(query.trace, tile.trace, part) * weights[part]
         assert labels[forth.cells[cell]] == labels[back.cells[cell]] == part
-        assert forth.shares[cell] == pytest.approx(shared[cell, labels == part].max())
-        assert back.shares[cell] == pytest.approx(shared[labels == part, cell].max())
-        assert forth.shares[cell] == pytest.approx(shared[cell, forth.cells[cell]])
+        assert forth.terms[cell] == pytest.approx(shared[cell, labels == part].max())
+        assert back.terms[cell] == pytest.approx(shared[labels == part, cell].max())
+        assert forth.terms[cell] == pytest.approx(shared[cell, forth.cells[cell]])
     forth, _ = explain.correspondences(query.trace, tile.trace, scoring.part_weights(2, [0, 1]))
     np.testing.assert_array_equal(forth.cells == -1, labels == 0)
 
