@@ -125,7 +125,7 @@ class FailureLabWindow:
         """Show what a state says of the laboratory, as soon as there is a table.
 
         Args:
-            whole: it says something of a closed laboratory, too, unlike an address.
+            whole: the state has the choices of a closed laboratory, too; an address has them only of an open one.
         """
         with self._lock:
             self._lab = state.for_task(self._lab, session.task)

@@ -75,7 +75,7 @@ class Controls:
         visible: bool = True,
         apply: Callable[[SessionState, bool], SessionState] | None = None,
     ) -> viser.GuiCheckboxHandle:
-        """Add a checkbox for a boolean of the state; `apply` is what it does, by default no more than to set the boolean."""
+        """Add a checkbox for a boolean of the state; `apply` changes the state, by default by setting the boolean."""
         change = apply or (lambda state, on: with_field(state, field, on))
         handle = self._gui.add_checkbox(label, getattr(self._initial, field), visible=visible)
         self.bind(

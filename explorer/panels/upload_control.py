@@ -30,7 +30,7 @@ class UploadControl:
     ) -> None:
         self._take, self._notify_error, self._taking = take, notify_error, threading.Lock()
         self._forget_error = forget_error
-        # One picture, and the next of a batch, which may arrive before the thread of the one before has ended.
+        # Two may be read: the next picture of a batch may arrive before the thread of the last one has ended.
         self._reading = threading.BoundedSemaphore(2)
         self._button = gui.add_upload_button("Use my own picture", mime_type="image/jpeg,image/png,image/webp")
         self._button.on_upload(self._on_upload)

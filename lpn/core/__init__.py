@@ -1,6 +1,6 @@
 """Foundations: errors, views, files, pictures, tables, logging, and the machine's resources.
 
-It imports nothing else of `lpn`, and every package may import it. This face needs no installed package.
+It imports nothing else of `lpn`, and every package may import it. Importing it needs no installed package.
 """
 
 from lpn.core.errors import (

@@ -81,7 +81,7 @@ def no_folder(root: Path) -> DataError:
 
 
 def archives_alone(root: Path) -> DataError | None:
-    """Return the error about a folder whose only files are archives and what systems add, if it is one."""
+    """Return the error about a folder that holds archives alone, besides files that systems add; None for another folder."""
     archives = sorted(name for name in _names(root) if not hidden_name(name) and _ARCHIVE.search(name))
     if not archives:
         return None
@@ -158,7 +158,7 @@ def holds_pictures(root: Path) -> bool:
 
 
 def _recognised(folder: Path, marked: Marked) -> bool:
-    """Return whether a folder has a layout, and is more than a folder that happens to hold one named test."""
+    """Return whether a folder has a layout; a folder named train or test is not enough, as others have one, too."""
     try:
         if marked(folder) is None:
             return False
@@ -172,7 +172,7 @@ def _recognised(folder: Path, marked: Marked) -> bool:
 
 
 def _lists_of(folder: Path) -> str | None:
-    """Return the split, train or test, whose lists are the folders right in a folder."""
+    """Return the split, train or test, whose lists a folder holds; None if it holds neither's."""
     names = _folders(folder)
     if any(name in _TEST_LISTS for name in names):
         return "test"

@@ -56,7 +56,7 @@ _LOCATIONS = {"drone_loc_x_y": "GTA-UAV", "drone_loc_lat_lon": "UAV-VisLoc"}
 
 @dataclass(frozen=True)
 class _Pair:
-    """One object of a list: the drone picture's file, its position, and tiles with overlaps, true ones and all."""
+    """One object of a list: the drone picture's file, its position, and the overlaps of its true tiles and of all its tiles."""
 
     file: str
     place: tuple[float, float]
@@ -266,7 +266,7 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
 
 
 def _here(there: FilesBelow, pairs: list[_Pair], name: str) -> list[_Pair]:
-    """Return pairs whose drone pictures and folders of tiles are those that their paths name."""
+    """Return the pairs with the files and folders here that their paths name."""
     resolved = there.resolve((path for pair in pairs for path in (pair.file, pair.tiles)), name)
     return [
         replace(pair, file=resolved.get(pair.file, pair.file), tiles=resolved.get(pair.tiles, pair.tiles))

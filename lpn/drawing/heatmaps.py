@@ -100,7 +100,7 @@ def draw(
 def colour_bar(low: float, high: float) -> ColourBar:
     """Return the colours from `low` to `high` with labels at both ends, and in the middle if they are short.
 
-    Labels have up to six digits; values that are equal to so many have one label in the middle.
+    Labels have up to six digits. If both ends have the same label, there is one in the middle.
     """
     gradient = overlays.png_data_uri(overlays.heat_cells(np.linspace(low, high, 256)[None], low, high))
     largest = max(abs(low), abs(high))

@@ -4,7 +4,7 @@ Namespaces are told apart by URI, whose scheme, version, and last slash differ b
 declared is known by its prefix. DJI's names, which other makers copy, count in every namespace. Rows of one field stand best
 first. Names are compared without regard to case.
 
-A **convention** says how angles are meant, and holds those together that belong together:
+A **convention** says how angles are meant; angles are combined only within one:
 
 gimbal       yaw, pitch, roll of the camera against north, east, down; pitch 0 looks at the horizon, -90 down; roll about the
              optical axis
@@ -202,7 +202,7 @@ _TELLING = frozenset((
     "amsl", "msl", "yaw", "pitch", "roll", "heading", "bearing", "azimuth", "tilt", "direction", "orientation",
 ))  # fmt: skip
 _HEADING = frozenset(("yaw", "heading", "bearing", "azimuth", "direction", "orientation"))
-# Words of names that tell those of something else than the camera, or their quality.
+# Words in names of angles and positions that are not the camera's, or of their accuracy.
 _ELSEWHERE = frozenset((
     "accuracy", "error", "std", "dop", "speed", "velocity", "rate", "climb", "reverse", "home", "target", "lrf", "sun", "solar",
     "irradiance", "light", "gyro", "accel", "initial", "image", "full", "cropped", "area", "pixels", "ref",

@@ -34,7 +34,8 @@ _NAMED = 5
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
 _LEAST_EVERY = 0.04
-# A log whose positions are within so many metres of the photos' when swapped, and else beyond so many, is swapped.
+# A log has latitude and longitude swapped if it lies within the first number of metres of the photos after a swap, and beyond the
+# second without.
 _SWAPPED_NEAR, _SWAPPED_FAR = 5_000.0, 20_000.0
 
 
@@ -241,7 +242,7 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
 
 
 def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], list[str]]:
-    """Return photos with the values of a log, of the row that names the photo or of the moment it was taken; and notes."""
+    """Return photos with a log's values, and notes. A photo takes the row that names it, else that of its moment."""
     log, notes = _turned_as_photos(log, photos)
     rows = logs.rows_by_name(log)
     how, why_not = "by name", ""
@@ -283,7 +284,7 @@ def _at_moment(photo: Photo, telemetry: Telemetry, fit: ClockFit, utc: bool) -> 
 
 
 def _row_of(photo: Photo, rows: dict[str, list[LogRow]]) -> tuple[LogRow, list[LogRow]] | None:
-    """Return the row that names a photo, and all that do alike; None without one.
+    """Return the row that names a photo, and all rows that name it equally well; None without one.
 
     Among several, those whose folders agree most with the photo's count; then the nearest to its own position, else the first.
     """

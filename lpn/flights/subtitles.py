@@ -112,7 +112,7 @@ _TELLING = re.compile(r"GPS|RTK|HOME|LAT|LON|\b[NS] ?:? ?[0-9]", re.IGNORECASE)
 _MOST_LETTERS = 120
 # Zooms from 100 on are in ten-thousandths: [dzoom_ratio: 10000, delta:0].
 _LEAST_SCALED, _ZOOM_SCALE = 100.0, 10_000.0
-# HOME and D decide the order of GPS(a, b, c) from this many metres on, by this factor of the error.
+# HOME and D decide the order of GPS(a, b, c) at this many metres from HOME or more, if the errors differ by this factor.
 _FAR, _CLEAR = 50.0, 3.0
 
 
@@ -253,7 +253,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
 
 
 def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
-    """Return the end of a sentence with one line of subtitles, such as tells most about a position."""
+    """Return the end of a sentence that quotes a line of the subtitles, the one that most likely has a position."""
     lines = [line.strip() for text, _, _ in texts for line in text.splitlines()]
     lines = [
         line

@@ -27,7 +27,7 @@ from lpn.flights.telemetry import Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 SUBTITLES = (".srt", ".ass", ".vtt")
-# Seconds from which the sharpest picture is chosen, and how many pictures of them are compared.
+# The sharpest picture of a window of this many seconds is kept; so many of its pictures are compared.
 _WINDOW, _CANDIDATES = 1.0, 12
 # Pictures are compared at this width.
 _COMPARED_WIDTH = 640
@@ -205,7 +205,7 @@ def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, t
 
 
 def beside(video: Path, files: Sequence[Path]) -> Path | None:
-    """Return the subtitles of a video: of its stem among `files`, else of its stem beside it; None if there are none."""
+    """Return the subtitle file that has a video's name: from `files`, else from the video's folder; None if there is none."""
     for file in files:
         if file.stem.casefold() == video.stem.casefold():
             return file

@@ -13,7 +13,7 @@ from lpn.locate.located import LocatedFrame, StageRecord
 TAG_RADIUS = 5.0
 # Answers contradict each other beyond this multiple of their common 1-sigma radius.
 SIGMAS = 3.0
-# A camera of unknown tilt looks this many degrees away from straight down at most, and nearly always.
+# A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
 _TILT = 15.0
 
 

@@ -20,7 +20,7 @@ _KERNELS = (3, 3, 5, 3, 5, 5, 3)
 _EXPANSIONS = (1, 6, 6, 6, 6, 6, 6)
 _STRIDES = (1, 2, 2, 2, 1, 2, 1)
 _STEM, HEAD_CHANNELS = 32, 1280
-# Stages of the network that is cut before the stride of the last stages, and that ends at 1/16 by itself.
+# Stages up to the last one at 1/16: the network is cut before the last stride.
 _CUT = 5
 # Channels and blocks of each stage. Depth and width of Lite1 are those of Lite0 times 1.1 and 1.0, of Lite2 times 1.2 and 1.1.
 STAGES: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {

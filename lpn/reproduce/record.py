@@ -38,7 +38,7 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     """A row of a measured table.
 
     Attributes:
-        label: with which claims name it.
+        label: the name by which claims refer to the row.
         mean: for each column; empty if the row was not run.
         spread: half of the distance between the lowest and the highest network, for each column.
         paper: the paper's values, empty if it has no such row.

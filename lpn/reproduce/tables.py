@@ -38,7 +38,7 @@ class TableRow:
     """A network, and how it is measured.
 
     Attributes:
-        label: as in the paper's table, with which claims name it.
+        label: as in the paper's table; claims refer to the row by it.
         training: the network; None for the pretrained backbone's features without training.
         paper: the paper's values, empty if it has no such row.
         note: what differs here, printed after the label.

@@ -126,8 +126,8 @@ def load_arrays(
     Args:
         query, gallery: files of arrays, see the module; they may be the same `.npz` or `.mat`.
         paths: the list; without it, rows are numbered, their places are unknown, and pictures are placeholders.
-        n_parts: number of parts of two-dimensional arrays, 1 by default; those of others must have as many, and without it no
-            more than numbers of a part.
+        n_parts: number of parts. Two-dimensional arrays are cut into so many, 1 by default; others must have so many. Without
+            it, a three-dimensional array must not have more parts than numbers of a part, as it may be in the other order.
         order: "parts-first" for (N, n, D), and for rows that are n parts one after the other; "parts-last" for (N, D, n).
         root: the folder that the list's paths are relative to; by default the list's.
 
@@ -397,7 +397,7 @@ def _position(row: Mapping[str, str], where: str) -> Position | None:
 
 
 def _label_numbers(labels: Sequence[str]) -> dict[str, int]:
-    """Return a number for each label: itself where all are different whole numbers; -1 for junk; one of its own for none."""
+    """Return a number for each label: its own value if all are distinct whole numbers. Junk has -1, and "" has a free number."""
     distinct = list(dict.fromkeys(label for label in labels if label and label != str(JUNK)))
     whole = all(label.removeprefix("-").isdecimal() and len(label) < 18 for label in distinct)
     values = [int(label) for label in distinct] if whole else []

@@ -307,7 +307,7 @@ def source(recipe: str, setting: str, method: str | None = None) -> str:
     """Return the source of a setting: "paper, ...", a file and line of released code, or "ours: ...".
 
     Args:
-        recipe: one of `lpn.training.recipes.RECIPES`; the others than the published ones are ours.
+        recipe: one of `lpn.training.recipes.RECIPES`; those that are not published are ours.
         method: one of `lpn.training.recipes.METHODS`, for which the released code may have another value.
     """
     if recipe not in _CHAINS:

@@ -35,7 +35,7 @@ from lpn.models.adapters.published import (
 )
 from lpn.models.partition import Partition
 
-# The names of the option `backbone` by those of timm, each with an entry that those behind it lack, and its shape.
+# Backbones by timm's name, tried in this order: an entry, and its shape, that no later one has.
 _BACKBONES: dict[str, tuple[str, tuple[int, ...]]] = {
     "deit_small_distilled_patch16_224": ("dist_token", (1, 1, 384)),
     "legacy_seresnet50": ("layer0.conv1.weight", (64, 3, 7, 7)),
@@ -69,7 +69,7 @@ class _Head(NamedTuple):
     Attributes:
         names: of its parts.
         level: the arguments of a contract that say how exact its evidence is.
-        blocks: the option `block`, by whose root the released code divides several parts.
+        blocks: the option `block`; the released code divides several parts by its root.
     """
 
     branch: PartBranch
@@ -171,7 +171,7 @@ def _rings(entries: Entries, head: Entries, trunk: Any, rings: int) -> _Head:
     names = [f"{_RINGS}{number + 1}" for number in range(rings)]
     partition = Partition("rings", rings)
     weights = torch.from_numpy(partition.weights(*trunk.grid)).flatten(1)
-    # The names of a partition have numbers, which `by_view` gives as well.
+    # Numbers are cut off the partition's names, as `by_view` adds its own.
     parts = [name.partition(" ")[2] or "ring" for name in partition.names()]
     if _GLOBAL not in head.state:
         if trunk.prefix:
@@ -195,7 +195,7 @@ def _class_token(trunk: Any, heads: tuple[Tensor, Tensor], count: int) -> _Head:
 
 
 def _mean(trunk: Any, heads: tuple[Tensor, Tensor], count: int) -> _Head:
-    """Return a head on the mean of all tokens but the class token; that of a distilled network takes part in it."""
+    """Return a head on the mean of all tokens but the class token. A distillation token counts."""
     first = min(trunk.prefix, 1)
     weights = FixedWeights(nn.functional.pad(torch.full((1, count - first), 1.0 / (count - first)), (first, 0)))
     level = {"level": "exact, with held", "held": "the distillation token"} if trunk.prefix > 1 else {"level": "exact"}

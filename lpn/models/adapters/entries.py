@@ -56,7 +56,7 @@ class Entries:
         return number
 
     def count_heads(self, name: str) -> int:
-        """Return how many heads there are in a row of `name` and a number from 1."""
+        """Count the heads `name`1, `name`2, ... up to the first that is missing."""
         number = 0
         while f"{name}{number + 1}.add_block.0.weight" in self.state:
             number += 1
