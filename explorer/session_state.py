@@ -146,7 +146,7 @@ class SessionState:
 
     @property
     def windows(self) -> tuple[bool, ...]:
-        """Each window, and what else ends where it was begun, the map and pulled rings: True if it is open."""
+        """Everything that can be closed again: each window, the map, and the pulled rings; True for each that is open."""
         return self.why, self.lab, self.flight, self.map, self.exploded
 
     @property

@@ -17,7 +17,7 @@ from lpn.tasks.task import Task
 
 # A ranking of up to this many multiplications (half a second on two cores) is computed before the app starts.
 QUICK_COST = 20_000_000_000
-# An index is searched query by query: so many searches are made before the app starts, if they are of that cost.
+# An index takes a search for each query: a ranking of up to this many is made before the app starts, if a search is quick.
 QUICK_SEARCHES = 200
 # A ranking by searches of a higher cost (minutes) starts when somebody opens the failure laboratory.
 AUTOMATIC_COST = 100 * QUICK_COST

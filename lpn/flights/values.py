@@ -43,7 +43,7 @@ _FACTORS = {"ft": FOOT, "feet": FOOT, "foot": FOOT, "mm": 0.001, "cm": 0.01, "km
 _PLAIN_UNITS = ("", "m", "meter", "meters", "metre", "metres", "°", "deg", "degree", "degrees", "s", "sec")
 _GROUPED = re.compile(r"[-+]?\d{1,3}(?:,\d{3})+(?:\.\d+)?")
 _GROUPED_BY_POINTS = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d+")
-# Positions in radians lie within these limits, which in degrees are a stretch of sea, and within this span.
+# Positions in radians are within these limits (in degrees a stretch of sea), and spread over no more than this span.
 _RADIANS, _RADIANS_SPAN = (1.5708, 3.1416), 0.001
 _LONGEST = 100
 

@@ -260,7 +260,7 @@ class DatabaseTiles:
         file_name = printable(str(self.path))
         if not self.path.stat().st_size:
             raise DataError(f"{file_name} is empty; copy or download it again.")
-        # Nothing here is a database: the first question says so, in its own words.
+        # A file that is no database is refused by the first query, with a message of its own.
         tables = {str(name) for (name,) in self._rows("SELECT name FROM sqlite_master")}
         schema = next((schema for schema in _SCHEMAS if self._has(schema)), None)
         if schema is None:

@@ -95,7 +95,7 @@ def _without_groups(files: list[str]) -> list[str]:
 
 
 def _without_parts(files: list[str]) -> list[str]:
-    """Return the files with the first alone of each model that is split over several."""
+    """Return the files without the second and later parts of models that are split over several files."""
     firsts = {part_of(name): name for name in reversed(files)}
     return [name for name in files if part_of(name) is None or firsts[part_of(name)] == name]
 
