@@ -124,9 +124,9 @@ def _losses(
 
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("Covering", total=occlusion.SQUARES**2)
-        for done_losses in occlusion.occlude(model, query.picture, view, tile.descriptor):
-            bar.update(task, completed=done_losses[0])
-    return done_losses[1]
+        for progress in occlusion.occlude(model, query.picture, view, tile.descriptor):
+            bar.update(task, completed=progress[0])
+    return progress[1]
 
 
 def _show(

@@ -55,7 +55,7 @@ class ReproduceCommand:
     queries: tuple[str, ...] = ()
     """Queries shown in figures 7 (a) and 8, by name."""
     settings: tyro.conf.OmitArgPrefixes[RecipeChanges] = field(default_factory=RecipeChanges)
-    set_recipe: tyro.conf.Suppress[tuple[str, ...]] = ()
+    changed: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> None:
         import_module("torch")
@@ -69,7 +69,7 @@ class ReproduceCommand:
             )
         if not self.seeds:
             raise InputError("--seeds is empty; give at least one seed.")
-        if fixed := [name for name in self.set_recipe if name in ROW_SETTINGS]:
+        if fixed := [name for name in self.changed if name in ROW_SETTINGS]:
             other = (
                 "give --seeds" if fixed[0] == "seed" else "train that network with lpn train and give it with --model"
             )
@@ -84,7 +84,7 @@ class ReproduceCommand:
                 "--data names a rendered world and others; say with --recipe whether it is paper, released, or reduced."
             )
         name = self.recipe if self.recipe != "auto" else "reduced" if True in rendered else "paper"
-        scale = replace(SCALES[name], changes={name: getattr(self.settings, name) for name in self.set_recipe})
+        scale = replace(SCALES[name], changes={name: getattr(self.settings, name) for name in self.changed})
         made = Reproduction(
             self.data,
             self.out,
@@ -105,7 +105,7 @@ class ReproduceCommand:
 
 
 def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
-    """Parse the options of a reproduction; `set_recipe` names the settings of the recipes that are among them.
+    """Parse the options of a reproduction; `changed` names the settings of the recipes that are among them.
 
     Raises:
         InputError: if the recipe is unknown.
@@ -119,7 +119,7 @@ def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
     )
     flags = {argument.partition("=")[0] for argument in arguments if argument.startswith("--")}
     names = {flag.removeprefix("--").replace("-", "_").removeprefix("no_") for flag in flags}
-    return replace(command, set_recipe=tuple(field.name for field in fields(Recipe) if field.name in names))
+    return replace(command, changed=tuple(field.name for field in fields(Recipe) if field.name in names))
 
 
 def _by_name(texts: Sequence[str]) -> dict[str, Path]:

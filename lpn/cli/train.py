@@ -159,10 +159,10 @@ def flag_value(arguments: Sequence[str], flag: str) -> str | None:
     """Return the value of a flag, written with hyphens or underscores, before the other flags are parsed."""
     value = None
     for position, argument in enumerate(arguments):
-        name, has_equals, after = argument.partition("=")
+        name, equals, after = argument.partition("=")
         if name.replace("_", "-") != flag:
             continue
-        if has_equals:
+        if equals:
             value = after
         elif position + 1 < len(arguments):
             value = arguments[position + 1]

@@ -486,15 +486,15 @@ def _counts_satellites(triple: _Triple) -> bool:
 
 
 def _order(
-    triples: list[_Triple], entries: Sequence[TelemetryEntry], order_wanted: GpsOrder | None, name: str
+    triples: list[_Triple], entries: Sequence[TelemetryEntry], chosen: GpsOrder | None, name: str
 ) -> tuple[GpsOrder, str]:
     """Return the order of GPS(a, b, c), and a note if it is a guess.
 
     Degrees beyond 90 are longitudes. Otherwise positions of the same file in brackets decide, then the distance to HOME. The
     third value is a guess: where it counts satellites, the known cameras write the longitude first.
     """
-    if order_wanted is not None:
-        return order_wanted, ""
+    if chosen is not None:
+        return chosen, ""
     a, b = (np.array(values) for values in zip(*((t.a, t.b) for t in triples), strict=True))
     if (np.abs(a) > 90).any() != (np.abs(b) > 90).any():
         return ("lon-lat" if (np.abs(a) > 90).any() else "lat-lon"), ""

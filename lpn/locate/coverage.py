@@ -68,9 +68,9 @@ def corners_of(homography: Float64Array, width: int, height: int) -> Float64Arra
 
 def seen_by(outlines: Sequence[Outline | None], x: float, y: float) -> list[int]:
     """Return the positions of the outlines that hold a spot, in metres of the map's frame; a border belongs to its outline."""
-    frames_of = []
+    holding = []
     for i, one in enumerate(outlines):
         # Corners are taken relative to the spot, because OpenCV computes in single precision.
         if one is not None and cv2.pointPolygonTest((one.corners - (x, y)).astype(np.float32), (0.0, 0.0), False) >= 0:
-            frames_of.append(i)
-    return frames_of
+            holding.append(i)
+    return holding

@@ -98,10 +98,10 @@ def _of_part(path: Path, listed: dict[str, Corners]) -> Corners | None:
         return None
     sizes = {}
     for part in path.parent.iterdir():
-        match_of_part = _PART.fullmatch(part.name)
-        if match_of_part and (match_of_part[1], match_of_part[4]) == (match[1], match[4]):
+        part_match = _PART.fullmatch(part.name)
+        if part_match and (part_match[1], part_match[4]) == (match[1], match[4]):
             with _gdal.opened(part) as file:
-                sizes[int(match_of_part[2]), int(match_of_part[3])] = int(file.width), int(file.height)
+                sizes[int(part_match[2]), int(part_match[3])] = int(file.width), int(file.height)
     row, column = int(match[2]), int(match[3])
     widths = {c: width for (r, c), (width, _) in sizes.items() if r == row}
     heights = {r: height for (r, c), (_, height) in sizes.items() if c == column}

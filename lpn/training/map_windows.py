@@ -299,9 +299,9 @@ def _ground(
 ) -> GroundPyramid:
     mask = valid.astype(np.uint8) * np.uint8(255)
     picture = _filled(picture, mask)
-    levels_made = []
+    pyramid = []
     for _ in range(levels):
-        levels_made.append((picture, mask))
+        pyramid.append((picture, mask))
         # An odd row or column at the end is left out, so that pixels of all levels have common edges.
         rows, columns = (side // 2 * 2 for side in mask.shape)
         if min(rows, columns) < 2:
@@ -310,7 +310,7 @@ def _ground(
             cast(UInt8Array, cv2.resize(of[:rows, :columns], (columns // 2, rows // 2), interpolation=how))
             for of, how in ((picture, cv2.INTER_AREA), (mask, cv2.INTER_NEAREST))
         )
-    return GroundPyramid(window, pixels, levels_made)
+    return GroundPyramid(window, pixels, pyramid)
 
 
 def _filled(picture: UInt8Array, mask: UInt8Array) -> UInt8Array:

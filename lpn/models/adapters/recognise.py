@@ -81,13 +81,13 @@ def unwrapped(state: Mapping[str, Tensor], name: str) -> tuple[Kind, dict[str, T
     Raises:
         ModelFileError: as for `recognise`.
     """
-    state_without, inner = dict(state), dict(state)
+    whole, inner = dict(state), dict(state)
     while True:
         if (kind := _kind(inner)) is not None:
             return kind, inner
         prefix = _wrapper(inner)
         if prefix is None:
-            return recognise(state_without, name), state_without
+            return recognise(whole, name), whole
         inner = {key.removeprefix(prefix): value for key, value in inner.items()}
 
 
@@ -146,9 +146,7 @@ def _kind(keys: Collection[str]) -> Kind | None:
 
 def title_of_other(kind: Kind, keys: Collection[str]) -> str | None:
     """Return the title of the method by whose signature names fit; None if it is `kind`, or if there is none."""
-    own = next(
-        ((kind_of_names, signature) for kind_of_names, signature in SIGNATURES if _share(signature, keys) == 1), None
-    )
+    own = next(((other, signature) for other, signature in SIGNATURES if _share(signature, keys) == 1), None)
     return None if own is None or own[0] == kind else own[1].title
 
 
