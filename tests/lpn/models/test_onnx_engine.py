@@ -11,7 +11,7 @@ import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.core.images import normalise
 from lpn.models.checkpoints import TorchModel, load_torch, save
-from lpn.models.export import Storage, export
+from lpn.models.export import WeightType, export
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
@@ -75,7 +75,7 @@ def assert_equal(model: TorchModel, engine: Engine, spec: ModelSpec) -> None:
 
 @pytest.mark.parametrize(("storage", "share", "error"), [("float16", 0.5, 5e-3), ("int8", 0.29, 5e-2)])
 def test_a_smaller_file_hardly_changes_the_answer(
-    storage: Storage, share: float, error: float, model_file: Path, tmp_path: Path
+    storage: WeightType, share: float, error: float, model_file: Path, tmp_path: Path
 ) -> None:
     export(model_file.with_suffix(".safetensors"), tmp_path / "small.onnx", storage=storage)
     sizes = [file.stat().st_size for file in (tmp_path / "small.onnx", model_file)]
