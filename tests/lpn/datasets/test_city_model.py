@@ -40,14 +40,14 @@ def city(atlas: Atlas) -> City:
 
 
 @pytest.fixture(scope="module")
-def window(city: City) -> model3d.Extent:
+def window(city: City) -> model3d.PlanBounds:
     """Around the first building for testing."""
     x, y = next((b.x, b.y) for b in (city.buildings[t.building] for t in city.targets if t.split == "test"))
     return x - 180, y - 200, x + 200, y + 180
 
 
 @pytest.fixture(scope="module")
-def data(atlas: Atlas, window: model3d.Extent) -> bytes:
+def data(atlas: Atlas, window: model3d.PlanBounds) -> bytes:
     return model3d.city_model(atlas.city, atlas.site, window)
 
 
@@ -79,14 +79,14 @@ def test_the_model_is_small_whole_and_says_where_it_stands(atlas: Atlas, data: b
 
 
 @pytest.mark.slow
-def test_the_same_city_gives_the_same_file(atlas: Atlas, window: model3d.Extent) -> None:
+def test_the_same_city_gives_the_same_file(atlas: Atlas, window: model3d.PlanBounds) -> None:
     again = make_atlas(atlas.settings)
     one, other = (model3d.city_model(city, atlas.site, window, 300_000) for city in (atlas.city, again.city))
     assert one == other
 
 
 def test_buildings_stand_where_and_as_high_as_they_were_planned(
-    city: City, window: model3d.Extent, data: bytes
+    city: City, window: model3d.PlanBounds, data: bytes
 ) -> None:
     built = np.concatenate([places for name, places in parts(data).items() if name.startswith(("walls", "plain"))])
     west, south, east, north = window
@@ -111,7 +111,9 @@ def _box(ring: Points) -> Points:
     return np.array([(west, south), (east, south), (east, north), (west, north)])
 
 
-def test_the_ground_lies_at_its_height_and_fills_the_window(city: City, window: model3d.Extent, data: bytes) -> None:
+def test_the_ground_lies_at_its_height_and_fills_the_window(
+    city: City, window: model3d.PlanBounds, data: bytes
+) -> None:
     ground = parts(data)["ground"]
     np.testing.assert_allclose(ground[:, 2], city.terrain(ground[:, :2]), atol=0.1)
     west, south, east, north = window
@@ -127,7 +129,7 @@ def test_what_the_explorer_s_map_covers_is_every_test_tile_and_no_other(atlas: A
         assert inside == (target.split == "test")
 
 
-def test_trees_have_roots_in_the_ground_and_their_height(city: City, window: model3d.Extent, data: bytes) -> None:
+def test_trees_have_roots_in_the_ground_and_their_height(city: City, window: model3d.PlanBounds, data: bytes) -> None:
     crowns = parts(data)["trees"].reshape(-1, 6, 3)  # lowest point, four around, top
     west, south, east, north = window
     trees = city.trees
@@ -153,7 +155,7 @@ def test_the_ground_is_painted_north_up_and_light_enough_to_see(city: City) -> N
 
 
 @pytest.mark.slow
-def test_less_room_is_less_detail_and_too_little_is_said(atlas: Atlas, window: model3d.Extent) -> None:
+def test_less_room_is_less_detail_and_too_little_is_said(atlas: Atlas, window: model3d.PlanBounds) -> None:
     full = model3d.city_model(atlas.city, atlas.site, window)
     limit = len(full) // 2
     smaller = model3d.city_model(atlas.city, atlas.site, window, limit)
