@@ -56,6 +56,18 @@ def _session_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _one_core() -> Iterator[None]:
+    """Let ONNX Runtime and OpenCV use one core, as OMP_NUM_THREADS=1 lets PyTorch.
+
+    Their threads spin while they wait for each other, which takes the cores from the tests that run beside.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if os.environ.get("OMP_NUM_THREADS") == "1":
+            patch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Give each test a cache, and a folder of the user's own files."""
