@@ -27,7 +27,7 @@ interface PanZoom {
 }
 interface PanZoomOptions {
   limits(): [number, number]; // of pixels per unit
-  bounds(): number[]; // west, south, east, north: the middle stays within
+  bounds(): number[]; // west, south, east, north: some of it stays in sight
   ready(): boolean; // whether there is a view
   changed(): void; // the person has moved the map
   home(): void; // show all

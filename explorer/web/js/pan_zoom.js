@@ -5,8 +5,9 @@
   if (lpn.panZoom) return;
   // Pixels that a press moves before it is a drag.
   const STILL = 4;
-  // The factors of one key or button and of a double click, and the share of the map by which an arrow moves it.
-  const STEP = 1.5, DOUBLE = 2, ARROW = 1 / 6;
+  // The factors of one key or button and of a double click; shares of the map: by which an arrow moves it, and by which its middle
+  // may lie beyond the bounds.
+  const STEP = 1.5, DOUBLE = 2, ARROW = 1 / 6, BEYOND = 0.4;
   const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   // The pixels of a wheel's line and page, the most that count at once, and the logarithm of the factor of one pixel: a pinch on a
   // touchpad comes as a wheel with Ctrl, in small steps.
@@ -41,7 +42,7 @@
       stepOut: () => ready() && map.zoom(1 / STEP),
       key: ({ key }) => {
         if (!ready()) return false;
-        if (key in ARROWS) pan(...size().map((side, axis) => ARROWS[key][axis] * side * ARROW));
+        if (key in ARROWS) pan(ARROWS[key][0] * ARROW * element.clientWidth, ARROWS[key][1] * ARROW * element.clientHeight);
         else if (["+", "="].includes(key)) map.stepIn();
         else if (["-", "\u2212"].includes(key)) map.stepOut();
         else if (key === "0") home();
@@ -49,11 +50,12 @@
         return true;
       },
     };
-    // The middle stays within the bounds, so that no map is lost.
-    const pan = (right = 0, down = 0) => {
+    // Some of the bounds stays in sight, so that no map is lost.
+    const pan = (right, down) => {
       const { view } = map, [west, south, east, north] = bounds();
-      view.x = lpn.clamp(view.x - right / view.scale, west, east);
-      view.y = lpn.clamp(view.y + down / view.scale, south, north);
+      const [across, up] = size().map((side) => (BEYOND * side) / view.scale);
+      view.x = lpn.clamp(view.x - right / view.scale, west - across, east + across);
+      view.y = lpn.clamp(view.y + down / view.scale, south - up, north + up);
       changed();
     };
 
