@@ -83,6 +83,7 @@ interface Lpn {
     axes(): number[] | undefined;
     shaded(): boolean | null;
   };
+  onChange(period: number, look: () => void): () => void;
   every(period: number, look: () => void): number;
 
   // viewport.js

@@ -331,7 +331,7 @@
     lists.get(id).update(data);
   };
   // viser may put another element in a list's place, without its script, while the page is being built.
-  lpn.every(500, () => {
+  lpn.onChange(100, () => {
     for (const [id, data] of newest) {
       const root = document.getElementById(id);
       if (root && root !== lists.get(id)?.root) lpn.list(id, data);

@@ -51,8 +51,11 @@
     waiting.push([kind, value]);
     if (!sending) next();
   };
-  lpn.every(500, () => {
-    if (sizes.size && !sending && lpn.viser.field(lpn.bridge)) sizes.forEach((value, kind) => lpn.send(kind, value));
+  lpn.onChange(100, () => {
+    if (!sizes.size || !lpn.viser.field(lpn.bridge)) return;
+    const ready = [...sizes];
+    sizes.clear();
+    ready.forEach(([kind, value]) => lpn.send(kind, value));
   });
 
   const sized = (map) => map.dataset.size.split(",").map(Number);

@@ -73,7 +73,7 @@
   const draw = () => {
     const bar = document.getElementById("lpn-told") || build();
     const step = told.steps[at], last = at === told.steps.length - 1, alone = free(step);
-    bar.className = (step.points_at ? "card" : "") + (alone ? " free" : "") + (waiting ? " waiting" : "");
+    bar.className = (step.points_at ? "card" : "") + (alone ? " free" : "") + (late ? " waiting" : "");
     bar.setAttribute("aria-label", told.name);
     document.documentElement.classList.toggle("lpn-telling", !step.points_at);
     const caption = bar.querySelector(".caption"), lines = step.caption.split("\n");
@@ -124,13 +124,17 @@
 
   // A step of another query begins with the picture of the one before: its caption waits until the server has drawn it.
   const LONGEST_WAIT = 5000;
-  let waiting = 0;
+  let stopWaiting = () => {}, late = 0; // late: what shows the caption anyway, while it waits
   const drawn = () => document.getElementById("lpn-status")?.dataset.name;
   const wait = (query) => {
-    clearInterval(waiting);
-    const end = performance.now() + LONGEST_WAIT, over = () => query === null || drawn() === query || performance.now() > end;
-    waiting = over() ? 0 : lpn.every(100, () => over() && wait(null));
-    document.getElementById("lpn-told")?.classList.toggle("waiting", waiting !== 0);
+    stopWaiting();
+    clearTimeout(late);
+    late = 0;
+    if (query !== null && drawn() !== query) {
+      stopWaiting = lpn.onChange(50, () => drawn() === query && wait(null));
+      late = setTimeout(() => wait(null), LONGEST_WAIT);
+    }
+    document.getElementById("lpn-told")?.classList.toggle("waiting", late !== 0);
   };
 
   const go = (to) => {

@@ -74,7 +74,7 @@
   });
 
   // viser shades the panels while the connection is lost, and reconnects by itself.
-  lpn.every(1000, () => {
+  lpn.onChange(1000, () => {
     const now = lpn.viser.shaded();
     if (now && !lost) lpn.say("The server does not answer. Start it again: the page goes on with what you see.", 0);
     if (lost && now === false) lpn.say("The server answers again.");
@@ -154,25 +154,38 @@
   const panelOf = (target) => target.closest(SELECTORS.scrolled);
   const belowTop = (target) => target.getBoundingClientRect().top - panelOf(target).getBoundingClientRect().top;
   const scrollPanel = (target) => panelOf(target)?.scrollBy({ top: belowTop(target), behavior: "smooth" });
-  // A part of the sheet that opens lies below its visible part: scroll to it. Its contents come later and move it, so it is
-  // followed until the person acts.
-  const ACTS = ["pointerdown", "wheel", "keydown"];
-  let following = 0;
-  const stopFollowing = () => clearInterval(following);
+  // A part of the sheet that opens lies below its visible part: scroll to it. What comes later around it moves it, so it is followed
+  // until the person acts, or has let it lie for a time.
+  const ACTS = ["pointerdown", "wheel", "keydown"], FOLLOWED = 60000, GLIDE = 250; // ms
+  let stopFollowing = () => {};
   // The page itself sends such events to viser's tabs and windows.
   for (const act of ACTS) window.addEventListener(act, ({ isTrusted }) => isTrusted && stopFollowing(), { capture: true, passive: true });
   lpn.reveal = (selector) => {
     stopFollowing();
     if (!phone.matches) return;
-    const end = performance.now() + 60000;
-    following = lpn.every(500, () => {
-      const target = [...document.querySelectorAll(selector)].find((one) => one.offsetHeight);
-      if (performance.now() > end) return stopFollowing();
-      const panel = target && panelOf(target);
+    let gliding = 0, leaving = 0, before = -1;
+    const look = () => {
+      const target = [...document.querySelectorAll(selector)].find((one) => one.offsetHeight), panel = target && panelOf(target);
       if (!panel) return;
+      for (const moved of [panel, ...panel.children]) sizes.observe(moved); // again for what is observed already does nothing
+      if (panel.scrollTop !== before) {
+        before = panel.scrollTop;
+        clearTimeout(leaving);
+        leaving = setTimeout(stopFollowing, FOLLOWED);
+      }
       const below = belowTop(target), atEnd = panel.scrollTop + panel.clientHeight >= panel.scrollHeight - 1;
-      if (below < -20 || (below > 60 && !atEnd)) scrollPanel(target); // the tabs above it may stay
-    });
+      if (below > -2 && (below < 60 || atEnd)) return; // the tabs above it may stay
+      scrollPanel(target);
+      clearTimeout(gliding);
+      gliding = setTimeout(look, GLIDE);
+    };
+    const sizes = new ResizeObserver(look), stop = lpn.onChange(GLIDE, look);
+    stopFollowing = () => {
+      stop();
+      sizes.disconnect();
+      clearTimeout(gliding);
+      clearTimeout(leaving);
+    };
   };
   // A window that takes a phone's whole screen, or gives it back, is what one goes on to read.
   document.addEventListener("click", ({ target }) => {
@@ -205,7 +218,7 @@
   lpn.once = (key) => !done.has(key) && Boolean(done.add(key));
   // Tell the server which tab a person opened: a link opens it, too.
   const selected = (one) => one.ariaSelected === "true";
-  let keeping = 0;
+  let stopKeeping = () => {};
   const told = ({ target, type, isTrusted }) => {
     const tab = isTrusted && target.closest?.(SELECTORS.tab);
     if (!tab) return;
@@ -221,13 +234,12 @@
   // viser draws all windows anew, each with its first tab, and takes its time on a busy machine.
   const KEPT = 5000; // ms
   phone.addEventListener("change", () => {
-    const end = performance.now() + KEPT;
-    clearInterval(keeping);
-    keeping = lpn.every(300, () => {
-      if (performance.now() > end) return clearInterval(keeping);
+    stopKeeping();
+    const stop = (stopKeeping = lpn.onChange(300, () => {
       lpn.watch();
       const again = tabs().filter((one) => one.textContent.trim() === newest);
       if (again.length && !again.some(selected)) lpn.tab(newest);
-    });
+    }));
+    setTimeout(stop, KEPT);
   });
 })();

@@ -95,6 +95,24 @@
       return shade ? parseFloat(shade.style.opacity) < 1 : null;
     },
   };
-  // Look every so many milliseconds, as viser tells of few changes. Return what `clearInterval` ends.
+  // Look so many milliseconds after the page's elements or their styles have changed, and now. Return a function that ends it.
+  lpn.onChange = (period, look) => {
+    let waiting = 0;
+    const soon = () => {
+      waiting ||= setTimeout(() => {
+        waiting = 0;
+        look();
+      }, period);
+    };
+    const changes = new MutationObserver(soon);
+    changes.observe(document.body, { childList: true, subtree: true, attributeFilter: ["style"] });
+    soon();
+    return () => {
+      changes.disconnect();
+      clearTimeout(waiting);
+      waiting = Infinity;
+    };
+  };
+  // Look every so many milliseconds at what changes without an event, as the camera does. Return what `clearInterval` ends.
   lpn.every = (period, look) => setInterval(look, period);
 })();
