@@ -150,6 +150,36 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
 
 
 @pytest.mark.slow
+def test_the_map_is_zoomed_about_a_place_and_brought_home(window: FlightPage) -> None:
+    place = (25.0, 15.0)  # away from all frames
+    where, mouse = window.at(*place), window.page.mouse
+
+    def span() -> float:
+        return window.at(20.0, 0.0)[0] - window.at(-20.0, 0.0)[0]
+
+    def expect_span(least: float, most: float) -> None:
+        def check() -> None:
+            assert least <= span() / whole <= most
+
+        window.eventually(check)
+        assert window.at(*place) == pytest.approx(where, abs=0.5)
+
+    whole = span()
+    mouse.move(*where)
+    mouse.wheel(0, -100)
+    expect_span(1.2, 1.4)
+    mouse.dblclick(*where)
+    expect_span(2.4, 2.8)
+    window.map.press("ArrowRight")
+    assert window.at(*place)[0] == pytest.approx(where[0] - box(window.map)["width"] / 6, abs=0.5)
+    window.map.press("0")
+    expect_span(1, 1)
+    window.page.locator("[data-act=in]").dblclick()  # two presses of the button, and no double click on the map
+    assert span() / whole == pytest.approx(1.5**2)
+    expect(window.verdict_of_frame).to_have_attribute("data-frame", "0")
+
+
+@pytest.mark.slow
 def test_axe_finds_nothing_serious_in_the_flight_window(window: FlightPage) -> None:
     expect(window.page.locator(".entry").first).to_be_visible()
     expect_accessible(window.page)
