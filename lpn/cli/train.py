@@ -22,6 +22,7 @@ MethodName = Literal[
     "triplet-0.3",
     "triplet-0.5",
     "soft-margin",
+    "lpn-sequential",
     "lpn-cvusa",
     "lpn-strips",
     "safa",
@@ -44,8 +45,9 @@ class TrainCommand:
     twice what the network's input shows at the map's resolution."""
     recipe: RecipeName = recipes.DEFAULT
     """Recipe: as the paper states (paper, cvusa-paper, safa-paper), as the released code does (released, cvusa-released,
-    safa-released), for some hundred places (small), the same for all headings (world), or for a map alone (map, the default with
-    --map); see docs/recipes.md."""
+    cvusa-released-resnet50, cvact-released, safa-released, and metric-released, the default with --protocol released), for some
+    hundred places (small), the same for all headings (world), or for a map alone (map, the default with --map); see
+    docs/recipes.md."""
     method: MethodName | None = None
     """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
     another loss, strips, or SAFA."""
@@ -144,11 +146,17 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
     """Parse the options of a training; recipe and method set the defaults of the other flags.
 
     Raises:
-        InputError: if the recipe or the method is unknown.
+        InputError: if the recipe or the method is unknown, or the recipe does not fit the protocol.
     """
     default = recipes.DEFAULT if flag_value(arguments, "--map") is None else "map"
+    released = flag_value(arguments, "--protocol") == "released"
+    default = "metric-released" if released else default
     name, chosen = flag_value(arguments, "--recipe") or default, flag_value(arguments, "--method")
     settings = recipes.find(name, chosen)
+    if released and settings.protocol != "released":
+        raise InputError(
+            f"--protocol released has a recipe of its own, metric-released, in place of {name}; leave --recipe out."
+        )
     # A comparison of recipes needs no folder.
     folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
     named = TrainCommand(folder, recipe=cast(Any, name), method=cast(Any, chosen), settings=settings)

@@ -23,8 +23,8 @@ from lpn.training.training_set import trainable
 _RECIPES = {
     "University-1652": ("paper", "released", "small", "world"),
     "world": ("world", "small", "paper", "released"),
-    "CVUSA": ("cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
-    "CVACT": ("cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
+    "CVUSA": ("cvusa-paper", "cvusa-released", "cvusa-released-resnet50", "safa-paper", "safa-released"),
+    "CVACT": ("cvact-released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
     **dict.fromkeys(("SUES-200", "DenseUAV", "GTA-UAV", "UAV-VisLoc", "pairs"), ("small", "paper", "released")),
     "VIGOR": ("cvusa-paper", "cvusa-released"),
 }

@@ -120,7 +120,7 @@ def check_trainings(jobs: Sequence[TrainingJob], uses: Sequence[NetworkUse]) -> 
         InputError: when there are fewer places than a batch has, or a measured view is not trained.
     """
     for job in jobs:
-        places, batch = job.source.places(job.recipe.google), job.recipe.batch
+        places, batch = job.source.places(job.recipe.sets), job.recipe.batch
         held = round(job.held_out * len(places))
         left = len(places) - held
         if not job.done and (left < batch or (job.held_out and held < 2)):

@@ -177,7 +177,7 @@ class CrossValidation:
             for trial in trials
         ]
         for job in self.jobs:
-            copy.copy(self.source.places(job.recipe.google)).hold_out(_fold(job), 0)
+            copy.copy(self.source.places(job.recipe.sets)).hold_out(_fold(job), 0)
             job.check_same()
 
     def run(self, table: Path) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class CrossValidation:
         runs = {trial.name: [(job, self._measured(job)) for job in self.jobs if job.training.name == trial.name and job.done]
                  for trial in self.trials}  # fmt: skip
         first = self.trials[0].name
-        places = self.source.places(self.jobs[0].recipe.google)
+        places = self.source.places(self.jobs[0].recipe.sets)
         return {
             "format": FORMAT,
             "command": here().command,
@@ -247,7 +247,7 @@ class CrossValidation:
                 return file
         except (OSError, ValueError, InputError):
             pass  # not measured yet, or stopped meanwhile
-        places = copy.copy(self.source.places(job.recipe.google))
+        places = copy.copy(self.source.places(job.recipe.sets))
         file = _measure(lpn.load(job.model), places.hold_out(_fold(job), 0), model)
         write_atomic(path, msgspec.json.encode(file) + b"\n")
         # The state that a run is resumed from takes three times the space of its model.

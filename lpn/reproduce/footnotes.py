@@ -103,6 +103,6 @@ def _places(jobs: Sequence[TrainingJob]) -> str:
     of: dict[str, dict[str, None]] = {}
     for job in jobs:
         full = job.source.dataset.published_sizes.get("train/satellite")
-        count = counted(len(job.source.places(job.recipe.google)), full.places if full else None)
+        count = counted(len(job.source.places(job.recipe.sets)), full.places if full else None)
         of.setdefault(f"{count} places", {})[job.training.name] = None
     return "; ".join(f"{places} ({', '.join(names)})" if len(of) > 1 else places for places, names in of.items())

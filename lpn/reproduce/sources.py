@@ -37,7 +37,7 @@ class Source:
     dataset: Dataset
     rendered: bool
     _digests: dict[str, str] = field(default_factory=dict, init=False)
-    _places: dict[bool, TrainingSet] = field(default_factory=dict, init=False)
+    _places: dict[tuple[str, ...], TrainingSet] = field(default_factory=dict, init=False)
 
     @property
     def name(self) -> str:
@@ -54,15 +54,15 @@ class Source:
         """True if there are train/google pictures."""
         return bool(self.dataset.train("google"))
 
-    def places(self, google: bool) -> TrainingSet:
-        """Return the training set, read once.
+    def places(self, sets: tuple[str, ...]) -> TrainingSet:
+        """Return the training set with some picture sets, see `Recipe.sets`, read once.
 
         Raises:
             DataError: when there are no training places.
         """
-        if google not in self._places:
-            self._places[google] = TrainingSet(self.dataset, Console(quiet=True), google)
-        return self._places[google]
+        if sets not in self._places:
+            self._places[sets] = TrainingSet(self.dataset, Console(quiet=True), sets)
+        return self._places[sets]
 
     def sizes(self, measure: Measure) -> str:
         """Count queries and gallery pictures of each task, with the counts of the complete data set where they are known."""
@@ -79,11 +79,10 @@ class Source:
             counts_by_task.append(f"{task} {counts[0]} queries, {counts[1]} pictures in the gallery")
         return ", ".join(counts_by_task)
 
-    def training_digest(self, google: bool) -> str:
+    def training_digest(self, sets: tuple[str, ...]) -> str:
         """Hash the list of training pictures; a trained network is reused for the same list only."""
-        names = ("satellite", "drone", "street", *(("google",) if google else ()))
-        if (key := " ".join(names)) not in self._digests:
-            lists = {name: self.dataset.train(name) for name in names}
+        if (key := " ".join(sets)) not in self._digests:
+            lists = {name: self.dataset.train(name) for name in sets}
             self._digests[key] = _digest(self.dataset.root, lists, None)
         return self._digests[key]
 

@@ -137,7 +137,7 @@ class TrainingJob:
         """Everything that decides the result of the training."""
         return {
             **json.loads(self.recipe.to_json()),
-            "pictures": self.source.training_digest(self.recipe.google),
+            "pictures": self.source.training_digest(self.recipe.sets),
             "start": fingerprint(self.start) if self.start else None,
             "held_out": self.held_out,
             "fold": list(self.fold) if self.fold else None,

@@ -73,7 +73,7 @@ class Learner:
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
                 outputs = self.multi_view(batch.sets)
-            loss = total_loss(self.group.gather(outputs), batch.labels, self.recipe, batch.overlaps)
+            loss = total_loss(self.group.gather(outputs), batch.labels, self.recipe, batch.overlaps, step)
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.

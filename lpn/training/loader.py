@@ -31,8 +31,8 @@ from lpn.training.training_set import TrainingSet
 _PREFETCH = 2
 _MAX_WORKERS = 16
 
-# Draws one picture of each set of a row, or one picture of one set.
-_Row = Callable[[], dict[str, UInt8Array]]
+# Draws the pictures of each set of a row, or one picture of one set.
+_Row = Callable[[], dict[str, list[UInt8Array]]]
 # The class of each row of a batch, by set.
 _Labels = dict[str, Int64Array]
 
@@ -60,9 +60,9 @@ class TrainingBatch:
 class Loader:
     """The batches of a training in order, sampled as the recipe says.
 
-    With `sampling = places` a row of a batch is one place in each set. A place without a picture in a set leaves its row of that
-    set to another place, drawn anew each epoch, under that place's own label; `lpn.training.losses` compares rows of one label
-    only.
+    With `sampling = places` a row of a batch is one place in each set, with one picture, or `positives` drone pictures. A place
+    without a picture in a set leaves its row of that set to another place, drawn anew each epoch, under that place's own label;
+    `lpn.training.losses` compares rows of one label only.
 
     Each place of an epoch, or each picture with `sampling = pictures`, has its own random seed, so the number of workers
     changes no result.
@@ -133,7 +133,7 @@ class Loader:
             PictureError: when a picture cannot be read.
         """
         pool = ThreadPoolExecutor(self.workers, "lpn-loader")
-        ahead: deque[tuple[_Labels, BoolArray | None, list[Future[dict[str, UInt8Array]]]]] = deque()
+        ahead: deque[tuple[_Labels, BoolArray | None, list[Future[dict[str, list[UInt8Array]]]]]] = deque()
         try:
             for epoch in range(first, end):
                 for labels, overlaps, rows in self._batches(epoch):
@@ -151,7 +151,7 @@ class Loader:
         labels: _Labels
         if isinstance(self.places, MapWindows):
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
-                rows = [partial(self.places.draw, int(place), epoch) for place in places[self.share]]
+                rows = [partial(self._draw_window, self.places, int(place), epoch) for place in places[self.share]]
                 yield dict.fromkeys(self.places.views, places), self.places.overlapping(places, epoch), rows
             return
         if self.recipe.sampling == "places":
@@ -169,7 +169,7 @@ class Loader:
                     )
                     for row in range(len(places))[self.share]
                 ]
-                yield labels, None, rows
+                yield {name: np.repeat(of, self._per_place(name)) for name, of in labels.items()}, None, rows
             return
         orders = [
             self._chunks(len(pictures), [self.recipe.seed, epoch, number])
@@ -193,13 +193,21 @@ class Loader:
         batch = self.recipe.batch
         return [order[start : start + batch] for start in range(0, count - batch + 1, batch)]
 
+    def _draw_window(self, windows: MapWindows, window: int, epoch: int) -> dict[str, list[UInt8Array]]:
+        """Draw both views of a window of a map, (H, W, 3) uint8 each; runs in a worker."""
+        return {name: [view] for name, view in windows.draw(window, epoch).items()}
+
+    def _per_place(self, name: str) -> int:
+        """Pictures of a place in a batch of places."""
+        return self.recipe.positives if name == "drone" else 1
+
     def _draw_picture(
         self, places: TrainingSet, name: str, number: int, index: int, epoch: int
-    ) -> dict[str, UInt8Array]:
+    ) -> dict[str, list[UInt8Array]]:
         """Augment one picture of a set, (H, W, 3) uint8; runs in a worker."""
         # A zero in the last place would repeat the random numbers of the set's order.
         rng = np.random.default_rng([self.recipe.seed, epoch, number, index + 1])
-        return {name: self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)}
+        return {name: [self._augmented(places, self._pictures[name][index][0], name, rng, 0.0, False)]}
 
     def _labels_of(self, name: str, number: int, places: Int64Array, epoch: int) -> Int64Array:
         """Return the place that each row of a set shows: its own, or another one if that has no picture in the set.
@@ -216,15 +224,17 @@ class Loader:
 
     def _draw_place(
         self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]
-    ) -> dict[str, UInt8Array]:
-        """Draw and augment one picture of each set, (H, W, 3) uint8; runs in a worker."""
+    ) -> dict[str, list[UInt8Array]]:
+        """Draw and augment the pictures of each set, (H, W, 3) uint8 each; runs in a worker."""
         rng = np.random.default_rng([self.recipe.seed, epoch, place])
         angle, mirror = draw_place_pose(self.recipe, rng)
         drawn = {}
         for name, of in labels.items():
             files = self._files[name][of]
-            path = files[int(rng.integers(len(files)))]
-            drawn[name] = self._augmented(places, path, name, rng, angle, mirror)
+            count = self._per_place(name)
+            # Fewer files than pictures are drawn again in turn, as released.
+            chosen = [rng.integers(len(files))] if count == 1 else np.resize(rng.permutation(len(files)), count)
+            drawn[name] = [self._augmented(places, files[int(i)], name, rng, angle, mirror) for i in chosen]
         return drawn
 
     def _augmented(
@@ -234,10 +244,10 @@ class Loader:
         return augment(places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
 
     def _batch(
-        self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[dict[str, UInt8Array]]]
+        self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[dict[str, list[UInt8Array]]]]
     ) -> TrainingBatch:
         drawn = [task.result() for task in tasks]
-        sets = {name: self._network_input([row[name] for row in drawn if name in row]) for name in labels}
+        sets = {name: self._network_input([one for row in drawn for one in row.get(name, ())]) for name in labels}
         shared = None if overlaps is None else torch.from_numpy(overlaps).to(self.device)
         return TrainingBatch(sets, {name: torch.from_numpy(of).to(self.device) for name, of in labels.items()}, shared)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -111,6 +112,7 @@ def total_loss(
     labels: Mapping[str, Tensor],
     recipe: Recipe,
     overlaps: Tensor | None = None,
+    step: int = 0,
 ) -> Tensor:
     """Compute a recipe's loss for one step.
 
@@ -119,6 +121,7 @@ def total_loss(
         labels: class of each row of each set, (B,). The InfoNCE and the metric loss compare the rows of a set whose label is
             that of the satellite's; others show another place, for want of a picture.
         overlaps: see `infonce_loss`.
+        step: number of the step, from which the pool of the released metric losses is drawn.
     """
     loss = torch.zeros((), device=next(iter(labels.values())).device)
     if recipe.instance:
@@ -126,6 +129,8 @@ def total_loss(
             [instance_loss(s.float(), labels[name], recipe.label_smoothing) for name, (_, s) in outputs.items()]
         )
         loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
+    if recipe.protocol == "released":
+        return loss + _released_loss(outputs, labels, recipe, step)
     if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
         embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
         tiles = embeddings.pop("satellite")
@@ -140,6 +145,57 @@ def total_loss(
             pairs.append(_pair_loss(tiles[same], parts[same], recipe, shared))
         loss = loss + torch.stack(pairs).mean()
     return loss
+
+
+def hardest_scores(tiles: Tensor, drones: Tensor, places: Tensor, pool: Tensor) -> tuple[Tensor, Tensor]:
+    """Cosine of each satellite with the hardest of its own drone pictures, and with the hardest of other places in a pool.
+
+    Args:
+        tiles: descriptors of satellites, (B, F), of unit length.
+        drones: descriptors of the k drone pictures of each of their places, (B, k, F).
+        places: the place of each satellite, (B,).
+        pool: indices of drone pictures, from 0 to B k - 1.
+
+    Returns:
+        Two tensors (B,): the smallest cosine with an own picture, and the largest with another place's, 0 without any.
+    """
+    flat = drones.flatten(0, 1)[pool]
+    others = places.repeat_interleave(drones.shape[1])[pool][None, :] != places[:, None]
+    with torch.no_grad():
+        own = torch.einsum("bf,bkf->bk", tiles, drones).argmin(dim=1)
+        other = (tiles @ flat.T).masked_fill(~others, -torch.inf).argmax(dim=1)
+    positive = (tiles * drones[torch.arange(len(tiles)), own]).sum(dim=1)
+    negative = (tiles * flat[other]).sum(dim=1)
+    return positive, torch.where(others.any(dim=1), negative, 0.0)
+
+
+def released_metric_loss(positive: Tensor, negative: Tensor, recipe: Recipe) -> Tensor:
+    """Sum a released metric loss over a batch of cosines (B,) with true and with false matches.
+
+    Contrastive: (1 - s_p)^2 + (1 + s_n)^2. Triplet: max(0, s_n + margin - s_p). Soft margin: log(1 + exp(alpha (s_n - s_p))),
+    with alpha 1 as released (layumi/University1652-triplet-loss train-contrastive.py:251, train.py:250,
+    train-soft-margin.py:251, which lacks the sum).
+    """
+    if recipe.metric == "contrastive":
+        return (1 - positive).square().sum() + (1 + negative).square().sum()
+    if recipe.metric == "triplet":
+        return (negative + recipe.margin - positive).clamp_min(0).sum()
+    return F.softplus(recipe.alpha * (negative - positive)).sum()
+
+
+def _released_loss(
+    outputs: Mapping[str, tuple[Tensor, Tensor]], labels: Mapping[str, Tensor], recipe: Recipe, step: int
+) -> Tensor:
+    """Return the recipe's released metric loss; a satellite whose place has no drone picture is not counted."""
+    tiles, drones = (descriptors(outputs[name][0].float()) for name in ("satellite", "drone"))
+    drones = drones.unflatten(0, (len(tiles), recipe.positives))
+    same = labels["satellite"] == labels["drone"][:: recipe.positives]
+    order = np.random.default_rng([recipe.seed, step]).permutation(int(same.sum()) * recipe.positives)
+    if not len(order):
+        return 0 * (tiles.sum() + drones.sum())
+    pool = torch.from_numpy(order[: recipe.pool]).to(tiles.device)
+    scores = hardest_scores(tiles[same], drones[same], labels["satellite"][same], pool)
+    return released_metric_loss(*scores, recipe)
 
 
 def _pair_loss(tiles: Tensor, pictures: Tensor, recipe: Recipe, overlaps: Tensor | None) -> Tensor:

@@ -61,12 +61,16 @@ class ProcessGroup:
     def gather(self, outputs: Mapping[str, Tensors]) -> dict[str, Tensors]:
         """Gather the outputs of all processes in the order of the batch: each tensor (b, ...) becomes (b size, ...).
 
+        Sets may have several pictures of each place, one place after the other.
+
         Every process computes the loss of the whole batch from them. The gradient flows into the process's own rows only,
         multiplied by `size`, so that DistributedDataParallel's mean over processes is the gradient of that loss.
         """
         if self.size == 1:
             return dict(outputs)
-        flat = [tensor.float().flatten(1) for tensors in outputs.values() for tensor in tensors]
+        every = [tensor for tensors in outputs.values() for tensor in tensors]
+        places = min(map(len, every))
+        flat = [tensor.float().reshape(places, -1) for tensor in every]
         rows = cast(Tensor, _Gather.apply(torch.cat(flat, 1), self))  # type: ignore[no-untyped-call]
         columns = iter(torch.split(rows, [tensor.shape[1] for tensor in flat], 1))
         return {

@@ -88,8 +88,10 @@ def rate_factor(recipe: Recipe, step: int, steps: int) -> float:
     factor = _warmup_factor(recipe, step, steps) if recipe.warmup == "rate" else 1.0
     if recipe.schedule == "cosine":
         return factor * 0.5 * (1 + math.cos(math.pi * step / (recipe.epochs * steps)))
-    decayed = recipe.schedule == "step" and step >= recipe.decay_epoch * steps
-    return factor * (0.1 if decayed else 1.0)
+    if recipe.schedule == "step":
+        decays = [recipe.decay_epoch, *([recipe.second_decay_epoch] if recipe.second_decay_epoch else [])]
+        factor *= 0.1 ** sum(step >= epoch * steps for epoch in decays)
+    return factor
 
 
 def loss_factor(recipe: Recipe, step: int, steps: int) -> float:

@@ -21,7 +21,7 @@ _MAX = sys.float_info.max
 _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs at least two samples.
     **dict.fromkeys(("batch",), (2, _MAX, "2 or more")),
-    **dict.fromkeys(("n_parts", "epochs", "maps"), (1, _MAX, "1 or more")),
+    **dict.fromkeys(("n_parts", "epochs", "maps", "positives", "pool"), (1, _MAX, "1 or more")),
     "windows": (0, _MAX, "0 or more"),
     # The five pooling layers of VGG divide the size by 32.
     "size": (32, _MAX, "32 or more"),
@@ -52,6 +52,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
         (
             "backbone_ratio",
             "decay_epoch",
+            "second_decay_epoch",
             "warmup_epochs",
             "weight_decay",
             "instance",
@@ -84,6 +85,8 @@ class Recipe:
     last_layer: Literal["layer3", "layer4"] = "layer4"
     """Last layer of a ResNet or an EfficientNet-Lite: layer4 for the whole network, or layer3 for its first part, which takes
     about half the time. The map of both has 1/16 of the size."""
+    last_stride: Literal[1, 2] = 1
+    """Stride of a ResNet's layer4: 1 (the paper, the map keeps 1/16) or 2 (as ImageNet's weights were trained, 1/32)."""
     n_parts: int = 4
     """Parts of a descriptor; 1 is the baseline with global average pooling."""
     weighting: Weighting = "area"
@@ -92,17 +95,21 @@ class Recipe:
     activation: Activation = "relu"
     """Activation of the heads between BatchNorm and dropout: relu (as the paper draws it), none (as released), or leaky_relu
     (an option of the released code, with slope 0.1)."""
+    linear: bool = True
+    """Begin each head with a linear layer to 512 numbers; without it a part has as many numbers as the map has channels."""
     shared: bool = True
     """Share weights between the satellite and the drone branch."""
     layout: Layout = "university"
     """Partition of the maps: university (rings in every view), cvusa (rings of the satellite tile, outermost first, and rows
-    of the panorama), or strips (columns in every view, Figure 4)."""
+    of the panorama), or strips (columns in every view, the sequential partition of Figure 4)."""
     pooling: Pooling = "average"
     """Pooling of a part: average (mean, then a head) or safa (sums weighted by spatial-aware layers)."""
     maps: int = 8
     """Number of weighted sums per part with safa pooling (released: 8 with SAFA, 1 with SAFA + LPN)."""
     polar: bool = False
     """Unroll satellite tiles around their centre into the shape of a panorama."""
+    street: bool = True
+    """Train the street branch, if there are street pictures."""
     google: bool = True
     """Train the street branch also on the pictures in train/google, if that folder exists."""
     size: int = 256
@@ -113,6 +120,9 @@ class Recipe:
     """Probability of dropout in the heads."""
     backbone_dropout: float = 0.0
     """Dropout after conv4_1 to conv5_3 of a VGG-16 (0.2 in released SAFA)."""
+    class_init: Literal["kaiming", "normal"] = "kaiming"
+    """Initialisation of the class layers: kaiming (as the other layers of the classifier module, section IV-B) or normal
+    (N(0, 0.001), as released)."""
 
     windows: int = 0
     """Windows of a map in an epoch, each a place of its own that is drawn anew; 0 trains on the pictures of a data set."""
@@ -130,9 +140,12 @@ class Recipe:
     backbone_ratio: float = 0.1
     """Learning rate of the backbone relative to the heads'."""
     schedule: Literal["step", "cosine", "constant"] = "step"
-    """Learning rate schedule: step (x 0.1 after `decay_epoch`), cosine (down to 0 at the end), or constant."""
+    """Learning rate schedule: step (x 0.1 after `decay_epoch` and `second_decay_epoch`), cosine (down to 0 at the end), or
+    constant."""
     decay_epoch: int = 80
     """Epoch after which the step schedule decays."""
+    second_decay_epoch: int = 0
+    """Epoch after which the step schedule decays once more; 0 for never."""
     warmup_epochs: int = 0
     """Epochs of linear warm-up."""
     warmup: Literal["rate", "loss"] = "rate"
@@ -159,6 +172,13 @@ class Recipe:
     metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
     """Metric loss between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or weighted
     soft-margin triplet."""
+    protocol: Literal["ours", "released"] = "ours"
+    """Form of the metric loss: ours (distances within the batch, in both directions) or released (cosines of satellites with the
+    hardest of their drone pictures and of a pool of others', layumi/University1652-triplet-loss)."""
+    positives: int = 1
+    """Drone pictures of each place in a step, among which the released metric losses seek the hardest."""
+    pool: int = 96
+    """Drone pictures, drawn anew each step, among which the released metric losses seek the hardest negative."""
     metric_per_part: bool = False
     """Compute the metric loss on each part alone and average over the parts, instead of once on the whole descriptor."""
     margin: float = 0.3
@@ -170,7 +190,7 @@ class Recipe:
 
     rotation: float = 0.0
     """Random rotation of each picture on its own, up to this many degrees either way."""
-    satellite_rotation: float = 0.0
+    satellite_rotation: float = 90.0
     """Further random rotation of satellite tiles, up to this many degrees either way."""
     place_rotation: float = 0.0
     """Random rotation of all views of a place together, up to this many degrees either way."""
@@ -236,6 +256,11 @@ class Recipe:
                 f"The recipe has backbone = {printable(self.backbone[:80])}; expected one of {', '.join(BACKBONES)}, or timm: "
                 "and the name of a network of timm."
             )
+        if is_timm(self.backbone) and not self.linear:
+            raise InputError(
+                f"The recipe has linear = False with {self.backbone}, whose channels are known only once it is built; leave "
+                "--no-linear out, or use another backbone."
+            )
         if is_timm(self.backbone) and self.pooling == "safa":
             raise InputError(
                 f"The recipe has pooling = safa with {self.backbone}; SAFA is made for vgg16, so leave --backbone out, or use "
@@ -259,6 +284,13 @@ class Recipe:
             raise InputError(
                 f"The recipe has instance = {self.instance} with safa, which has no class layer; set it to 0 and choose a metric."
             )
+        if self.protocol == "released":
+            self._check_released()
+        elif self.positives != 1:
+            raise InputError(
+                f"The recipe has positives = {self.positives} with protocol = ours, which compares one picture of each place; "
+                "set it to 1, or use --protocol released."
+            )
         if self.polar and self.ground_ratio != 1:
             raise InputError(
                 f"The recipe has ground_ratio = {self.ground_ratio:g} with polar, but an unrolled tile has no zoom; set it to 1."
@@ -267,6 +299,25 @@ class Recipe:
             self._check_independent()
         if self.windows:
             self._check_windows()
+
+    def _check_released(self) -> None:
+        """Refuse settings that the released metric losses do not allow: they compare satellites with drone pictures alone."""
+        if self.metric == "none":
+            raise InputError(
+                "The recipe has protocol = released without a metric loss; choose contrastive, triplet-0.3, triplet-0.5, or "
+                "soft-margin with --method, or leave --protocol out."
+            )
+        needed: dict[str, tuple[object, object]] = {
+            "infonce": (self.infonce, 0.0),
+            "street": (self.street, False),
+            "google": (self.google, False),
+            "metric_per_part": (self.metric_per_part, False),
+        }
+        for name, (value, expected) in needed.items():
+            if value != expected:
+                raise InputError(
+                    f"The recipe has protocol = released with {name} = {value}; expected {name} = {expected}."
+                )
 
     def _check_windows(self) -> None:
         """Refuse settings that windows of a map do not allow: they have no classes, and are squares seen from above."""
@@ -305,6 +356,11 @@ class Recipe:
         """Height and width of the network's input in pixels."""
         return self.size, self.width or self.size
 
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """Names of the picture sets that are trained on, where there are such pictures."""
+        return ("satellite", "drone", *(["street"] if self.street else []), *(["google"] if self.google else []))
+
     def zoom(self, view: View) -> float:
         """Return the zoom of a view's pictures, by which drone pictures and tiles show the same ground; see `ground_ratio`."""
         ratio = {"drone": self.ground_ratio, "satellite": 1 / self.ground_ratio}.get(view, 1.0)
@@ -319,18 +375,18 @@ class Recipe:
 _AS_RELEASED: dict[str, Any] = {
     "weighting": "published",
     "activation": "none",
-    "satellite_rotation": 90.0,
+    "class_init": "normal",
 }
 _CVUSA: dict[str, Any] = {
     "backbone": "vgg16_bn",
-    "layout": "cvusa",
-    "n_parts": 8,
     "shared": False,
     "dropout": 0.5,
     "warmup_epochs": 5,
     "warmup": "loss",
     "warmup_start": 0.1,
 }
+_CVUSA_RELEASED = {**_CVUSA, **_AS_RELEASED, "layout": "cvusa", "n_parts": 8, "batch": 16, "lr": 0.1}
+_CVUSA_RESNET = {**_CVUSA_RELEASED, "backbone": "resnet50", "lr": 0.05}
 _SAFA: dict[str, Any] = {
     "layout": "university",
     "sampling": "places",
@@ -355,6 +411,7 @@ _SAFA_RECIPE = Recipe(
     backbone_ratio=1.0,
     schedule="constant",
     weight_decay=0.0,
+    satellite_rotation=0.0,
     flip="none",
     padding=0,
     precision="float32",
@@ -365,6 +422,7 @@ _SMALL = Recipe(
     weighting="published",
     activation="none",
     dropout=0.3,
+    class_init="normal",
     sampling="places",
     epochs=30,
     batch=32,
@@ -380,6 +438,7 @@ _SMALL = Recipe(
     label_smoothing=0.1,
     infonce=1.0,
     rotation=10.0,
+    satellite_rotation=0.0,
     place_rotation=15.0,
     black_corners=0.5,
     own_canvas=0.5,
@@ -392,9 +451,36 @@ _SMALL = Recipe(
     precision="auto",
 )
 
+# The triplet loss of the released metric losses, with which its README trains; `method` makes the others of it.
+_METRIC_RELEASED = Recipe(
+    last_stride=2,
+    n_parts=1,
+    activation="none",
+    linear=False,
+    street=False,
+    google=False,
+    dropout=0.0,
+    class_init="normal",
+    sampling="places",
+    epochs=70,
+    decay_epoch=40,
+    second_decay_epoch=60,
+    instance=0.0,
+    metric="triplet",
+    protocol="released",
+    positives=4,
+    alpha=1.0,
+    satellite_rotation=0.0,
+    padding=0,
+    precision="float32",
+)
+
 # paper: what the paper states for University-1652; where it is silent, the released code.
 # released: the released code for University-1652 (wtyhub/LPN run.sh and train.py).
 # cvusa-paper, cvusa-released: the same for CVUSA (wtyhub/LPN run_cvusa.sh and train_cvusa.py).
+# cvusa-released-resnet50: the block of run_cvusa.sh that is commented out.
+# cvact-released: the released code for CVACT (wtyhub/LPN run_cvact.sh and train_cvact.py).
+# metric-released: the baseline with a metric loss of Table I (layumi/University1652-triplet-loss).
 # safa-paper, safa-released: SAFA (Shi et al. 2019), with panoramas of 112 x 616 pixels (wtyhub/SAFA_LPN).
 # small: fine-tuning an ImageNet backbone on a few hundred places. All drone pictures have the same heading.
 # world: fine-tuning as in small. Drone pictures have any heading, as in a rendered world.
@@ -403,8 +489,11 @@ _SMALL = Recipe(
 RECIPES: dict[str, Recipe] = {
     "paper": Recipe(),
     "released": Recipe(batch=8, lr=0.001, **_AS_RELEASED),
-    "cvusa-paper": Recipe(**_CVUSA),
-    "cvusa-released": Recipe(batch=16, lr=0.1, **_CVUSA, **_AS_RELEASED),
+    "cvusa-paper": Recipe(**_CVUSA, layout="strips", n_parts=4),
+    "cvusa-released": Recipe(**_CVUSA_RELEASED),
+    "cvusa-released-resnet50": Recipe(**_CVUSA_RESNET),
+    "cvact-released": Recipe(**_CVUSA_RESNET),
+    "metric-released": _METRIC_RELEASED,
     "safa-paper": _SAFA_RECIPE,
     "safa-released": _SAFA_RECIPE,
     "small": _SMALL,
@@ -432,7 +521,18 @@ RECIPES: dict[str, Recipe] = {
     ),
 }
 RecipeName = Literal[
-    "paper", "released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released", "small", "world", "map"
+    "paper",
+    "released",
+    "cvusa-paper",
+    "cvusa-released",
+    "cvusa-released-resnet50",
+    "cvact-released",
+    "metric-released",
+    "safa-paper",
+    "safa-released",
+    "small",
+    "world",
+    "map",
 ]
 DEFAULT: RecipeName = "paper"
 
@@ -450,8 +550,9 @@ _METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0, "sampling": "place
 # lpn: LPN with square rings.
 # instance: the baseline, global average pooling with the instance loss.
 # contrastive, triplet-*, soft-margin: the baseline with a metric loss in place of the instance loss.
+# lpn-sequential: LPN with columns of the panorama and of the tile, as the paper's text has it.
 # lpn-cvusa: LPN with rings of the tile and rows of the panorama, as released.
-# lpn-strips: LPN with columns of the panorama and of the unrolled tile.
+# lpn-strips: LPN with columns of the panorama and of the unrolled tile; ours.
 # safa, safa-lpn: SAFA, alone and with strips.
 METHODS: dict[str, dict[str, Any]] = {
     "lpn": {**_INSTANCE_LOSS, "layout": "university"},
@@ -460,6 +561,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "triplet-0.3": {**_METRIC_LOSS, "metric": "triplet", "margin": 0.3},
     "triplet-0.5": {**_METRIC_LOSS, "metric": "triplet", "margin": 0.5},
     "soft-margin": {**_METRIC_LOSS, "metric": "soft_margin"},
+    "lpn-sequential": {**_INSTANCE_LOSS, "layout": "strips", "n_parts": 4, "shared": False},
     "lpn-cvusa": {**_INSTANCE_LOSS, "layout": "cvusa", "n_parts": 8, "shared": False},
     "lpn-strips": {**_INSTANCE_LOSS, "layout": "strips", "n_parts": 8, "shared": False, "polar": True},
     "safa": {**_SAFA, "n_parts": 1, "maps": 8},
@@ -467,11 +569,17 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 
+# The methods with a loss on distances or cosines.
+METRIC_LOSSES = ("contrastive", "triplet-0.3", "triplet-0.5", "soft-margin")
 # Methods of the baseline's network; they differ in their loss only.
-OF_BASELINE = ("instance", "contrastive", "triplet-0.3", "triplet-0.5", "soft-margin")
+OF_BASELINE = ("instance", *METRIC_LOSSES)
 # Settings that replace those of a recipe's run script of LPN, by recipe and method.
 _OF_METHOD: dict[tuple[str, str], dict[str, Any]] = {
     (recipe, name): {"lr": lr} for recipe, lr in (("released", 0.01), ("cvusa-released", 0.02)) for name in OF_BASELINE
+}
+# What tells the released metric losses from ours, on any recipe.
+RELEASED_METRIC: dict[str, Any] = {
+    name: getattr(_METRIC_RELEASED, name) for name in ("protocol", "positives", "pool", "alpha", "street", "google")
 }
 
 
@@ -485,6 +593,11 @@ def method(name: str, recipe: Recipe) -> Recipe:
         raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
     if recipe.windows:
         raise InputError(f"A map is trained on with the loss of its recipe; leave --method {name} out.")
+    if recipe.protocol == "released" and name not in METRIC_LOSSES:
+        raise InputError(
+            f"The released metric losses are {', '.join(METRIC_LOSSES)}; choose one of them with --method in place of {name}, or "
+            "leave --protocol and --recipe metric-released out."
+        )
     return replace(recipe, **METHODS[name])
 
 

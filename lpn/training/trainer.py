@@ -28,6 +28,7 @@ from lpn.models.network import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec, is_timm
+from lpn.training.initialise import initialise_heads
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.map_windows import MapWindows
@@ -103,8 +104,13 @@ class Trainer:
                 "The recipe trains on windows of a map; give --map in place of --data, or another --recipe."
             )
         else:
-            self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.google)
+            self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.sets)
             held = self.places.hold_out(validate, recipe.seed)
+            if recipe.protocol == "released" and "drone" not in self.places.views:
+                raise InputError(
+                    f"The released metric losses compare satellites with drone pictures, and {self.name} has none to train "
+                    "on; leave --protocol out."
+                )
             if recipe.ground_ratio != 1 and "drone" not in self.places.views:
                 raise InputError(
                     f"The recipe has ground_ratio = {recipe.ground_ratio:g}, and {self.name} has no drone pictures to train on; "
@@ -132,6 +138,7 @@ class Trainer:
         check_writable(out / "last.safetensors")
         torch.manual_seed(recipe.seed)
         network = LPN(_spec(recipe, self.places))
+        initialise_heads(network, recipe)
         if init is not None and not resume:
             self._load_init(network, init)
         self.learner = Learner(network, recipe, self.group, compiled)
@@ -407,6 +414,7 @@ def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
         backbone=recipe.backbone,
         # `last_layer` is defined for our own backbones only.
         last_layer="layer4" if is_timm(recipe.backbone) else recipe.last_layer,
+        last_stride=recipe.last_stride,
         views=places.views,
         shared=recipe.shared and "drone" in places.views,
         n_parts=recipe.n_parts,
@@ -424,4 +432,6 @@ def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
     )
     if recipe.pooling == "safa":
         return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])
+    if not recipe.linear:
+        return replace(spec, embedding=CHANNELS[spec.backbone, spec.last_layer])
     return spec

@@ -75,6 +75,9 @@ class TrainingSet:
     Broken pictures (see `lpn.datasets.integrity`) are left out, with one message. Places are left out as `trainable` says, and
     are named.
 
+    Args:
+        names: the sets that are trained on, see `Recipe.sets`.
+
     Attributes:
         labels: label of each place.
         files: for each set, the files of each place, which may be none.
@@ -85,8 +88,8 @@ class TrainingSet:
             pictures of two views.
     """
 
-    def __init__(self, dataset: Dataset, console: Console, google: bool = True) -> None:
-        sets = {name: dataset.train(name) for name in (*VIEWS, *(["google"] if google else []))}
+    def __init__(self, dataset: Dataset, console: Console, names: Sequence[str] = (*VIEWS, "google")) -> None:
+        sets = {name: dataset.train(name) for name in (*VIEWS, "google") if name in names}
         by_place = {name: _by_label(pictures) for name, pictures in sets.items() if pictures}
         if "google" in by_place and "street" not in by_place:
             del by_place["google"]

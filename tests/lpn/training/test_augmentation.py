@@ -10,7 +10,9 @@ from lpn.training.augmentation import augment
 from lpn.training.recipes import Recipe
 from tools.fixtures import small_worlds
 
-STILL = Recipe(backbone="resnet18", size=small_worlds.SIZE, padding=0, flip="none", interpolation="cubic")
+STILL = Recipe(
+    backbone="resnet18", size=small_worlds.SIZE, padding=0, flip="none", interpolation="cubic", satellite_rotation=0.0
+)
 
 
 def changed(recipe: Recipe, seed: int) -> UInt8Array:

@@ -136,3 +136,29 @@ def test_workers_suit_the_machine_and_can_be_given(data: Path) -> None:
     assert loader(data, workers=7).workers == 7
     with pytest.raises(InputError, match="number of workers is -1"):
         loader(data, workers=-1)
+
+
+def test_the_released_metric_losses_have_several_drone_pictures_of_each_place(tmp_path: Path) -> None:
+    """A place gives that many different pictures, and repeats them only if it has fewer."""
+    counts = {label: 6 if label < 5 else 2 for label in range(1, 7)}
+    for label, count in counts.items():
+        small_worlds.write(tmp_path / f"train/satellite/{label:04d}/a.png", small_worlds.place(label))
+        for number in range(count):
+            file = tmp_path / f"train/drone/{label:04d}/{number}.png"
+            small_worlds.write(file, small_worlds.place(100 * label + number))
+    recipe = replace(RECIPES["metric-released"], size=32, batch=6, flip="none")
+    made = loader(tmp_path, recipe)
+    known = {images.prepare(images.load_picture(f), (32, 32)).tobytes(): f for f in tmp_path.rglob("drone/*/*.png")}
+    for batch in made.stream(0, 3):
+        assert batch.labels["drone"].tolist() == batch.labels["satellite"].repeat_interleave(4).tolist()
+        assert (batch.pictures, len(batch.sets["drone"])) == (6 + 24, 24)
+        for place, of in zip(batch.labels["satellite"].tolist(), batch.sets["drone"].split(4), strict=True):
+            files = [nearest(known, picture.numpy()) for picture in of]
+            assert {file.parent.name for file in files} == {f"{place + 1:04d}"}
+            assert len(set(files)) == min(4, counts[place + 1])
+
+
+def nearest(known: dict[bytes, Path], picture: np.ndarray[Any, Any]) -> Path:
+    """Return the file whose network input a picture is; normalising on the device rounds otherwise."""
+    table = np.stack([np.frombuffer(data, np.float32) for data in known])
+    return list(known.values())[int(np.abs(table - picture.reshape(-1)).max(axis=1).argmin())]

@@ -13,8 +13,10 @@ from lpn.core.errors import InputError
 from lpn.training.losses import (
     contrastive_loss,
     descriptors,
+    hardest_scores,
     infonce_loss,
     instance_loss,
+    released_metric_loss,
     soft_margin_loss,
     total_loss,
     triplet_loss,
@@ -166,7 +168,62 @@ def test_every_method_has_the_loss_it_is_named_after() -> None:
     assert set(METHODS) >= set(expected)
 
 
-@pytest.mark.parametrize("recipe", [name for name, recipe in RECIPES.items() if not recipe.windows])
+def test_the_released_losses_by_hand() -> None:
+    """Cosines of each satellite with the hardest of its four drone pictures, and with the hardest of others in the pool."""
+    b, k = 5, 4
+    tiles = descriptors(drawn(1, b, 1, 16))
+    drones = descriptors(tiles.repeat_interleave(k, 0)[:, None] + 0.8 * drawn(2, b * k, 1, 16)).unflatten(0, (b, k))
+    places = torch.tensor([3, 3, 5, 7, 8])
+    pool = torch.randperm(b * k, generator=torch.Generator().manual_seed(3))[:12]
+    positive, negative = hardest_scores(tiles, drones, places, pool)
+    for i in range(b):
+        own = [float(tiles[i] @ drones[i, j]) for j in range(k)]
+        # Two satellites show place 3, and neither is the other's negative.
+        wrong = [float(tiles[i] @ drones[n // k, n % k]) for n in pool.tolist() if places[n // k] != places[i]]
+        assert float(positive[i]) == pytest.approx(min(own))
+        assert float(negative[i]) == pytest.approx(max(wrong))
+    p, n = positive.tolist(), negative.tolist()
+    sums = {
+        "contrastive": sum((1 - a) ** 2 + (1 + c) ** 2 for a, c in zip(p, n, strict=True)),
+        "triplet-0.3": sum(max(0.0, c + 0.3 - a) for a, c in zip(p, n, strict=True)),
+        "triplet-0.5": sum(max(0.0, c + 0.5 - a) for a, c in zip(p, n, strict=True)),
+        "soft-margin": sum(math.log(1 + math.exp(c - a)) for a, c in zip(p, n, strict=True)),
+    }
+    assert 0 < sums["triplet-0.3"] < sums["triplet-0.5"]
+    for name, expected in sums.items():
+        loss = released_metric_loss(positive, negative, method(name, RECIPES["metric-released"]))
+        assert float(loss) == pytest.approx(expected)
+
+
+def test_a_pool_without_another_place_has_no_negative() -> None:
+    tiles, drones = descriptors(drawn(1, 2, 1, 8)), descriptors(drawn(2, 8, 1, 8)).unflatten(0, (2, 4))
+    _, negative = hardest_scores(tiles, drones, torch.tensor([4, 9]), torch.tensor([0, 1, 3]))
+    assert float(negative[0]) == 0
+    assert float(negative[1]) == pytest.approx(max(float(tiles[1] @ drones[0, j]) for j in (0, 1, 3)))
+
+
+def test_the_released_losses_take_the_pictures_of_a_satellite_s_own_place() -> None:
+    recipe = replace(method("triplet-0.5", RECIPES["metric-released"]), positives=2, pool=100)
+    tiles, drones = drawn(1, 3, 1, 16), drawn(2, 6, 1, 16)
+    outputs = {"satellite": (tiles, drawn(3, 3, 1, 3)), "drone": (drones, drawn(4, 6, 1, 3))}
+    places = torch.arange(3)
+    whole = total_loss(outputs, {"satellite": places, "drone": places.repeat_interleave(2)}, recipe)
+    # The drone pictures of the last row show another place, for want of its own: the row is in no pair.
+    labels = {"satellite": places, "drone": torch.tensor([0, 0, 1, 1, 0, 0])}
+    less = total_loss(outputs, labels, recipe)
+    two = {name: (e[: len(e) * 2 // 3], s[: len(s) * 2 // 3]) for name, (e, s) in outputs.items()}
+    torch.testing.assert_close(less, total_loss(two, {n: of[: len(of) * 2 // 3] for n, of in labels.items()}, recipe))
+    assert float(less) < float(whole)
+    # Steps draw pools of their own.
+    some = replace(recipe, pool=2)
+    labels = {"satellite": places, "drone": places.repeat_interleave(2)}
+    assert len({float(total_loss(outputs, labels, some, step=step)) for step in range(9)}) > 1
+    assert float(total_loss(outputs, labels, some, step=4)) == float(total_loss(outputs, labels, some, step=4))
+
+
+@pytest.mark.parametrize(
+    "recipe", [name for name, recipe in RECIPES.items() if not recipe.windows and recipe.protocol == "ours"]
+)
 def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> None:
     baseline, safa = ("average", "university", False, 1), ("safa", "university", True)
     summed = {"safa": (8, False), "safa-lpn": (1, True)}
@@ -177,6 +234,7 @@ def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> N
         "triplet-0.3": (baseline, (0.0, "triplet")),
         "triplet-0.5": (baseline, (0.0, "triplet")),
         "soft-margin": (baseline, (0.0, "soft_margin")),
+        "lpn-sequential": (("average", "strips", False, 4), (1.0, "none")),
         "lpn-cvusa": (("average", "cvusa", False, 8), (1.0, "none")),
         "lpn-strips": (("average", "strips", True, 8), (1.0, "none")),
         "safa": ((*safa, 1), (0.0, "soft_margin")),

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from lpn.core.errors import InputError
 from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import Recipe
-from tests.lpn.training.two_processes import INDEPENDENT, RECIPE, trainer
+from tests.lpn.training.two_processes import INDEPENDENT, METRIC, RECIPE, trainer
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.trainings import losses
 
@@ -55,14 +55,14 @@ def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "recipe"), [("independent", INDEPENDENT), ("gaps", RECIPE)])
+@pytest.mark.parametrize(("name", "recipe"), [("independent", INDEPENDENT), ("gaps", RECIPE), ("metric", METRIC)])
 def test_two_processes_train_as_one_does_by_other_recipes(
     places: Path, shared: Path, tmp_path: Path, name: str, recipe: Recipe
 ) -> None:
     """Sets that are shuffled on their own, and places with gaps, where some rows of a batch show another place."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    data = places.with_name("gaps") if name == "gaps" else places
+    data = places if name == "independent" else places.with_name("gaps")
     trainer(data, tmp_path / "alone", recipe=recipe).run()
     torch.set_num_threads(threads)
     assert losses(shared / name) == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)

@@ -45,6 +45,12 @@ def test_schedules_end_as_they_are_named() -> None:
     assert last(RECIPES["small"]) < 0.001
 
 
+def test_the_released_metric_losses_decay_twice() -> None:
+    recipe = RECIPES["metric-released"]
+    factors = [rate_factor(recipe, epoch * STEPS, STEPS) for epoch in range(70)]
+    assert factors == pytest.approx([1.0] * 40 + [0.1] * 20 + [0.01] * 10)
+
+
 def test_a_factor_of_the_loss_scales_the_step_and_not_the_loss_that_is_told() -> None:
     spec = ModelSpec("resnet18", "layer3", n_parts=2, embedding=8, classes=4, input_size=(32, 32), dropout=0.0)
     generator = torch.Generator().manual_seed(0)

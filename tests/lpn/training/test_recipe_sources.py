@@ -1,18 +1,26 @@
 from __future__ import annotations
 
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import pytest
 
 from lpn.cli import main
 from lpn.cli.train import parse_train
+from lpn.core.errors import InputError
 from lpn.training import recipe_sources, recipes
 from lpn.training.recipe_sources import PAIRS, difference, source
 from lpn.training.recipes import RECIPES, Recipe, find
 
-PUBLISHED = [name for pair in PAIRS for name in pair]
-KINDS = ("paper, ", "wtyhub/LPN ", "wtyhub/SAFA_LPN script/", "layumi/University1652-Baseline ", "ours: ")
+PUBLISHED = list(recipe_sources._CHAINS)
+KINDS = (
+    "paper, ",
+    "wtyhub/LPN ",
+    "wtyhub/SAFA_LPN script/",
+    "layumi/University1652-Baseline ",
+    "layumi/University1652-triplet-loss ",
+    "ours: ",
+)
 
 
 @pytest.mark.parametrize("recipe", PUBLISHED)
@@ -23,14 +31,14 @@ def test_every_setting_of_a_published_recipe_has_a_source(recipe: str) -> None:
         found = source(recipe, setting)
         assert found.startswith(KINDS), (setting, found)
         # The released code never speaks for the paper without saying so.
-        assert not recipe.endswith("released") or not found.startswith("paper"), setting
+        assert recipe.endswith("paper") or not found.startswith("paper"), setting
         if recipe.endswith("paper") and found.startswith("wtyhub"):
             assert found.endswith("; the paper is silent"), setting
 
 
 def test_sources_name_recipes_that_exist() -> None:
     assert {name for of in recipe_sources._SOURCES.values() for name in of} <= {*PUBLISHED, "*"}
-    assert set(recipe_sources._CHAINS) == set(PUBLISHED) <= set(RECIPES)
+    assert {name for pair in PAIRS for name in pair} <= set(PUBLISHED) <= set(RECIPES)
 
 
 def test_a_paper_s_recipe_is_the_released_one_where_the_paper_is_silent() -> None:
@@ -74,9 +82,61 @@ def test_a_width_of_0_is_shown_as_the_height() -> None:
 
 def test_the_released_runs_have_their_numbers_of_updates() -> None:
     """University-1652 has 701 places with a satellite each, CVUSA 35,532 pairs."""
-    university, cvusa = RECIPES["released"], RECIPES["cvusa-released"]
+    university, cvusa, metric = (RECIPES[name] for name in ("released", "cvusa-released", "metric-released"))
     assert 701 // university.batch * university.epochs == 10_440
     assert 35_532 // cvusa.batch * cvusa.epochs == 266_400
+    assert 701 // metric.batch * metric.epochs == 1_470
+
+
+def test_the_recipes_of_the_text_are_what_it_states() -> None:
+    paper, cvusa = RECIPES["paper"], RECIPES["cvusa-paper"]
+    # Sections IV-B (classifier module) and IV-D (drone pictures alone are not rotated).
+    assert (paper.class_init, paper.satellite_rotation, paper.rotation) == ("kaiming", 90.0, 0.0)
+    # Sections III-B and IV-C: the sequential partition; IV-D: n = 4 by default.
+    assert (cvusa.layout, cvusa.n_parts, cvusa.polar, cvusa.backbone) == ("strips", 4, False, "vgg16_bn")
+    assert (cvusa.batch, cvusa.lr, cvusa.class_init) == (paper.batch, paper.lr, "kaiming")
+    assert all(find(paper).class_init == "kaiming" for paper in ("paper", "cvusa-paper"))
+
+
+def test_the_released_runs_of_cvusa_and_cvact_are_those_of_the_scripts() -> None:
+    """run_cvusa.sh:2-13, its block that is commented out (22-34), and run_cvact.sh:22-34."""
+    vgg, resnet, cvact = (
+        RECIPES[f"{name}"] for name in ("cvusa-released", "cvusa-released-resnet50", "cvact-released")
+    )
+    assert (vgg.layout, vgg.n_parts, vgg.lr, vgg.batch, vgg.warmup_epochs) == ("cvusa", 8, 0.1, 16, 5)
+    assert {name for name, value in asdict(resnet).items() if asdict(vgg)[name] != value} == {"backbone", "lr"}
+    assert (resnet.backbone, resnet.lr, resnet.last_stride) == ("resnet50", 0.05, 1)
+    assert cvact == resnet
+    assert "run_cvact.sh:31" in source("cvact-released", "lr")
+    assert "run_cvusa.sh:31 (commented out)" in source("cvusa-released-resnet50", "lr")
+    # Each line is of the scripts for the data set that the recipe is named after.
+    assert not any("cvusa" in source("cvact-released", field.name).replace("CVUSA", "") for field in fields(Recipe))
+
+
+def test_the_released_metric_losses_are_a_protocol_of_their_own() -> None:
+    given = ["--data", "places", "--out", "run", "--protocol", "released"]
+    settings = parse_train(given, "lpn train").settings
+    assert settings == RECIPES["metric-released"]
+    assert (settings.epochs, settings.decay_epoch, settings.second_decay_epoch) == (70, 40, 60)
+    assert (settings.batch, settings.positives, settings.pool, settings.padding) == (32, 4, 96, 0)
+    for method, loss in (
+        ("contrastive", ("contrastive", 1.0)),
+        ("triplet-0.3", ("triplet", 0.3)),
+        ("triplet-0.5", ("triplet", 0.5)),
+        ("soft-margin", ("soft_margin", 0.3)),
+    ):
+        made = parse_train([*given, "--method", method], "lpn train").settings
+        assert (made.metric, made.margin, made.protocol, made.alpha) == (*loss, "released", 1.0)
+    with pytest.raises(InputError, match="metric-released, in place of small; leave --recipe out"):
+        parse_train([*given, "--recipe", "small"], "lpn train")
+    with pytest.raises(InputError, match="choose one of them with --method in place of lpn"):
+        parse_train([*given, "--method", "lpn"], "lpn train")
+    with pytest.raises(InputError, match="protocol = released without a metric loss"):
+        replace(RECIPES["released"], protocol="released")
+    with pytest.raises(InputError, match="protocol = released with street = True; expected street = False"):
+        replace(RECIPES["metric-released"], street=True)
+    with pytest.raises(InputError, match="positives = 4 with protocol = ours"):
+        replace(RECIPES["metric-released"], protocol="ours")
 
 
 def test_the_difference_names_each_setting_that_differs_with_both_sources() -> None:
@@ -89,7 +149,7 @@ def test_the_difference_names_each_setting_that_differs_with_both_sources() -> N
         assert values == [str(first[setting]), str(second[setting])]
     flat = " ".join(text.split())
     assert "run.sh:15" in flat
-    assert "RandomAffine(90)" in flat
+    assert "model.py:23-27" in flat
     assert difference("safa-paper", "safa-released").endswith("have the same settings.")
 
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import shutil
 from contextlib import closing
 from dataclasses import replace
@@ -23,7 +24,7 @@ from lpn.models.checkpoints import load_torch, save
 from lpn.retrieval.evaluate import evaluate
 from lpn.training import optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
-from lpn.training.recipes import RECIPES, Recipe
+from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
@@ -453,6 +454,40 @@ def test_a_rate_that_never_decays_is_said(
     run._print_setup()
     told = "never decays, as --decay-epoch is 3 and the training has 3 epochs." in said.getvalue()
     assert told == never
+
+
+def test_class_layers_begin_as_the_text_or_the_released_code_says(places: Path, tmp_path: Path) -> None:
+    """Kaiming initialisation, fan_out over the places (section IV-B), or N(0, 0.001) (wtyhub/LPN model.py:23-27)."""
+    for name, expected in (("kaiming", math.sqrt(2 / 24)), ("normal", 0.001)):
+        run, _ = trainer(places, tmp_path / name, replace(QUICK, class_init=name))  # type: ignore[arg-type]
+        for head in run.network.heads:
+            weight = head.classifier[0].weight
+            assert weight.shape[0] == 24
+            assert float(weight.std()) == pytest.approx(expected, rel=0.1)
+            assert not head.classifier[0].bias.any()
+
+
+def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path, tmp_path: Path) -> None:
+    recipe = replace(
+        QUICK, epochs=1, n_parts=1, size=96, batch=12, instance=0.0, infonce=0.0, metric="soft_margin", ema=0.0
+    )
+    recipe = replace(recipe, **RELEASED_METRIC, linear=False, last_layer="layer4", last_stride=2)
+    run, said = trainer(places, tmp_path / "run", recipe)
+    assert lpn.load(run.run()).spec == run.network.spec
+    assert (run.network.spec.embedding, run.network.spec.last_stride) == (512, 2)
+    assert run.network.spec.views == ("satellite", "drone")
+    head = run.network.heads[0]
+    # The identity is not trained, BatchNorm behind it is.
+    assert torch.equal(head.add_block[0].weight, torch.eye(512))
+    assert not torch.equal(head.add_block[1].bias, torch.zeros(512))
+    pictures = torch.randn(2, 3, 96, 96)
+    run.network.eval()
+    with torch.inference_mode():
+        features = run.network.features(pictures, "drone")
+        assert features.shape == (2, 512, 3, 3)
+        expected = head.add_block[1](features.mean((2, 3)))
+        torch.testing.assert_close(run.network(pictures, "drone")[0][:, 0], expected)
+    assert "24 places in satellite, drone: 2 steps of 12 places an epoch, 1 epoch, so 2 updates." in said.getvalue()
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:

@@ -13,7 +13,7 @@ from torch import nn
 
 from lpn.datasets import open_dataset
 from lpn.training.multi_process import ProcessGroup, join
-from lpn.training.recipes import Recipe
+from lpn.training.recipes import RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tools.fixtures.trainings import QUICK
 
@@ -24,6 +24,10 @@ RECIPE = replace(QUICK, epochs=2, batch=8, optimizer="sgd", lr=0.01, dropout=0.0
 INDEPENDENT = replace(
     RECIPE, epochs=1, sampling="pictures", infonce=0.0, flip="picture", place_rotation=0.0, joint_views=False
 )
+
+# A released metric loss, with two drone pictures of each place and a pool that is drawn anew each step.
+METRIC = replace(RECIPE, epochs=1, instance=0.0, n_parts=1, linear=False, metric="triplet", infonce=0.0)
+METRIC = replace(METRIC, **{**RELEASED_METRIC, "positives": 2, "pool": 10})
 
 
 def trainer(
@@ -59,6 +63,7 @@ def main(data: Path, out: Path) -> None:
     torch.save(dict(run.network.named_parameters()), out / f"weights{group.rank}.pt")
     trainer(data, out / "independent", group, recipe=INDEPENDENT).run()
     trainer(data.with_name("gaps"), out / "gaps", group).run()
+    trainer(data.with_name("gaps"), out / "metric", group, recipe=METRIC).run()
     run = trainer(data, out / "cut", group)
     original = Trainer._epoch
 
