@@ -1,0 +1,26 @@
+"""The metric losses of Table I beside numbers of the released code, see `tools.fixtures.released_metric`."""
+
+from __future__ import annotations
+
+import pytest
+
+from lpn.training.recipes import METRIC_LOSSES
+from tools.fixtures import released_metric
+
+
+def test_network_losses_and_gradients_are_the_released_ones() -> None:
+    found = released_metric.differences()
+    assert {f"{name}.loss" for name in METRIC_LOSSES} <= set(found)
+    # Of each array's largest value.
+    assert max(found.values()) < 2e-5, found
+
+
+def test_the_numbers_tell_the_losses_apart() -> None:
+    released = released_metric.released()
+    assert len({round(float(released[f"{name}.loss"]), 3) for name in METRIC_LOSSES}) == len(METRIC_LOSSES)
+    # All eight triplets lie within both margins.
+    assert float(released["triplet-0.5.loss"] - released["triplet-0.3.loss"]) == pytest.approx(8 * 0.2, abs=1e-5)
+
+
+def test_the_released_test_scales_before_it_adds_the_mirror() -> None:
+    assert 1e-4 < released_metric.mirror_difference() < 1e-3
