@@ -10,6 +10,7 @@ import onnx
 import pytest
 import torch
 
+import lpn
 from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array
@@ -259,16 +260,15 @@ def test_a_part_whose_relu_passes_nothing_adds_nothing() -> None:
     assert not explain.cell_similarities(query.trace, tile.trace, 1).any()
 
 
-@pytest.mark.parametrize(("storage", "activation"), [("float32", "relu"), ("int8", "leaky")])
-def test_an_exported_model_accounts_without_torch_s_model(storage: str, activation: str, tmp_path: Path) -> None:
-    save(network(SPECS[activation]), tmp_path / "model.safetensors")
-    export(tmp_path / "model.safetensors", tmp_path / "model.onnx", storage)  # type: ignore[arg-type]
-    query, tile = pair(Engine(tmp_path / "model.onnx"))
-    found = evidence(query, tile)
-    np.testing.assert_allclose(found.query.cells.sum(axis=(1, 2)) + found.query.constants, found.cosines, atol=1e-5)
-    if storage == "float32":
-        original = evidence(*pair(TorchModel(network(SPECS[activation]))))
-        np.testing.assert_allclose(found.query.cells, original.query.cells, atol=1e-4)
+def test_an_exported_model_accounts_without_torch_s_model(relu_file: Path, tmp_path: Path) -> None:
+    save(network(replace(SPECS["leaky"], views=("satellite", "drone"))), tmp_path / "model.safetensors")
+    export(tmp_path / "model.safetensors", tmp_path / "int8.onnx", "int8")
+    for file in (relu_file, tmp_path / "int8.onnx"):
+        found = evidence(*pair(Engine(file)))
+        assert found.query.constants.any()
+        np.testing.assert_allclose(found.query.cells.sum(axis=(1, 2)) + found.query.constants, found.cosines, atol=1e-5)
+    found, original = (evidence(*pair(lpn.load(relu_file.with_suffix(end)))) for end in (".onnx", ".safetensors"))
+    np.testing.assert_allclose(found.query.cells, original.query.cells, atol=1e-4)
 
 
 def test_two_models_are_not_compared() -> None:

@@ -96,7 +96,9 @@ def test_calibration_pictures_are_spread_over_all_views(data: Path) -> None:
         calibration_pictures(dataset, ("street",), 5)
 
 
-def test_what_cannot_be_quantised_is_refused_in_words(data: Path, model_file: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_quantised_is_refused_in_words(
+    data: Path, model_file: Path, int8_file: Path, tmp_path: Path
+) -> None:
     dataset = open_dataset(data)
     with pytest.raises(InputError, match="the model itself"):
         quantize(model_file, dataset, model_file)
@@ -106,9 +108,8 @@ def test_what_cannot_be_quantised_is_refused_in_words(data: Path, model_file: Pa
         quantize(model_file, dataset, tmp_path / "small.onnx", 0)
     with pytest.raises(InputError, match=r"least cosine is 2; expected a number from -1 to 1"):
         quantize(model_file, dataset, tmp_path / "small.onnx", 2, least_cosine=2)
-    export(model_file.with_suffix(".safetensors"), tmp_path / "stored.onnx", "int8")
     with pytest.raises(InputError, match="--storage float32"):
-        quantize(tmp_path / "stored.onnx", dataset, tmp_path / "small.onnx", 2)
+        quantize(int8_file, dataset, tmp_path / "small.onnx", 2)
     quantize(model_file, dataset, tmp_path / "small.onnx", 2)
     with pytest.raises(InputError, match="already"):
         quantize(tmp_path / "small.onnx", dataset, tmp_path / "smaller.onnx", 2)
