@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
@@ -40,6 +40,9 @@ class ChangeOptions:
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     branch: View | None = None
     """Branch of the model that describes both queries and gallery (Table VI); by default the branch of each view."""
+    protocol: Literal["ours", "released"] = "ours"
+    """Protocol: ours, or as the released test code does: pictures without their EXIF orientation, queries turned to the nearest
+    pixel, and on Oxford5k and Paris6k means of the map of pictures of up to 1024 pixels; see docs/evaluation.md."""
 
 
 @dataclass(kw_only=True)
@@ -78,6 +81,7 @@ class RankingOptions:
             self.centre,
             calibrate,
             self.csls,
+            changed.protocol == "released",
         )
 
 

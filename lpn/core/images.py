@@ -52,14 +52,30 @@ def load_picture(path: str | Path) -> UInt8Array:
     Raises:
         PictureError: if the file does not exist or is not a readable picture.
     """
-    path = Path(path)
+    data, name = _read(Path(path))
+    return decode_picture(data, name)
+
+
+def load_without_orientation(path: str | Path) -> UInt8Array:
+    """Read a picture file as the released test code does: by Pillow, without its EXIF orientation; (H, W, 3) uint8 RGB.
+
+    Raises:
+        PictureError: as `load_picture`.
+    """
+    data, name = _read(Path(path))
+    if (found := header_error(io.BytesIO(data))) is not None:
+        raise PictureError(f"{name} {found}; expected a {KINDS} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
+    return _first_frame(data, name, KINDS)
+
+
+def _read(path: Path) -> tuple[bytes, str]:
+    """Return a file's bytes, and its name for messages."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes(), printable(str(path))
     except OSError as error:
         raise PictureError(
             f"The picture {printable(str(path))} cannot be read ({error.strerror or error}); check the path."
         ) from error
-    return decode_picture(data, printable(str(path)))
 
 
 def decode_picture(data: bytes, name: str, kinds: str = KINDS, side: int | None = None) -> UInt8Array:
@@ -193,6 +209,27 @@ def rotate(picture: UInt8Array, degrees: float) -> UInt8Array:
     height, width = picture.shape[:2]
     matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
     return cast(UInt8Array, cv2.warpAffine(picture, matrix, (width, height), flags=cv2.INTER_CUBIC))
+
+
+def rotate_nearest(picture: UInt8Array, degrees: float) -> UInt8Array:
+    """Rotate as `rotate` does, to the nearest pixel, as the released test code does (Pillow's default)."""
+    if degrees % 360 == 0:
+        return picture
+    return np.asarray(Image.fromarray(picture).rotate(degrees, Image.Resampling.NEAREST))
+
+
+def shrink_to(picture: UInt8Array, side: float, box: tuple[float, float, float, float] | None = None) -> UInt8Array:
+    """Crop a picture to its box, and shrink it, keeping its aspect ratio, as if the whole picture's longer side became `side`.
+
+    It is never enlarged. Pillow crops (black beyond the edge) and shrinks by Lanczos, as the released transfer does.
+    """
+    shown = Image.fromarray(picture)
+    longer = max(shown.size)
+    if box is not None:
+        shown = shown.crop(tuple(round(edge) for edge in box))
+    limit = side * max(shown.size) / longer
+    shown.thumbnail((limit, limit), Image.Resampling.LANCZOS)
+    return np.asarray(shown)
 
 
 def roll(panorama: UInt8Array, degrees: float) -> UInt8Array:

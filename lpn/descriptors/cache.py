@@ -62,6 +62,7 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     identity += [f"down {change.down}"] if change.down else []
     identity += ["around"] if change.around else []
     identity += ["cropped"] if any(boxes) else []
+    identity += ["released"] if change.released else []
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
     try:

@@ -69,6 +69,7 @@ class Manifest:
         down: pixels of the network's input by which the pictures were shifted down; written only if not zero.
         around: the pictures are panoramas, rotated by rolling their columns; written only if true.
         role: of the branch, where branches have roles; written only if there is one.
+        released: the pictures were read and rotated as the released test does; written only if true.
         checksums: None before the store is complete.
     """
 
@@ -84,6 +85,7 @@ class Manifest:
     down: int = 0
     around: bool = False
     role: Role | None = None
+    released: bool = False
     format: str = FORMAT
     checksums: Checksums | None = field(default=None, compare=False)
 
@@ -95,12 +97,14 @@ class Manifest:
         transform = (change.shift, change.scale, change.down, change.around)
         n, embedding = model.n_parts, model.embedding
         role = model.role(view) if model.contract.roles == "role" else None
-        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform, role)
+        return cls(
+            model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform, role, change.released
+        )
 
     @property
     def change(self) -> Change:
         """The transform of the pictures."""
-        return Change(self.rotate, self.shift, self.scale, self.down, self.around)
+        return Change(self.rotate, self.shift, self.scale, self.down, self.around, released=self.released)
 
     @property
     def cropped(self) -> bool:
@@ -126,7 +130,7 @@ class Manifest:
     def _values(self) -> dict[str, Any]:
         values = asdict(self)
         del values["checksums"]
-        for optional in ("down", "around", "role"):
+        for optional in ("down", "around", "role", "released"):
             if not values[optional]:
                 del values[optional]
         for row in values["rows"]:

@@ -26,6 +26,7 @@ class Change:
         down: pixels of the network's input downwards; negative: upwards.
         around: the picture is a panorama, rotated by rolling its columns: counter-clockwise is to the left.
         zoom: the picture's own zoom, by which `scale` is multiplied; see `Picture.zoom`.
+        released: as the released test reads and rotates pictures: without their EXIF orientation, and to the nearest pixel.
 
     Raises:
         InputError: if a number is not finite, a shift is not whole, or the scale is outside 1/16 .. 16.
@@ -37,6 +38,7 @@ class Change:
     down: int = 0
     around: bool = False
     zoom: float = 1.0
+    released: bool = False
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.rotate):
@@ -55,11 +57,16 @@ class Change:
 
     def __bool__(self) -> bool:
         """Return whether this is not the identity."""
-        return bool(self.rotate or self.shift or self.scale * self.zoom != 1 or self.down)
+        return bool(self.rotate or self.shift or self.scale * self.zoom != 1 or self.down or self.released)
 
     def apply(self, picture: UInt8Array) -> UInt8Array:
         """Rotate and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape, or smaller (`images.zoom`)."""
-        turned = images.roll(picture, self.rotate) if self.around else images.rotate(picture, self.rotate)
+        if self.around:
+            turned = images.roll(picture, self.rotate)
+        else:
+            turned = (
+                images.rotate_nearest(picture, self.rotate) if self.released else images.rotate(picture, self.rotate)
+            )
         return images.zoom(turned, self.scale * self.zoom)
 
     def for_picture(self, picture: Picture, zoom: float | None = None) -> Change:
@@ -87,7 +94,7 @@ class Change:
 
     def describe(self) -> str:
         """Describe the transform in words, such as "turned 30°, scaled by 1.2"; empty for the identity."""
-        how = " (columns moved around)" if self.around else ""
+        how = " (columns moved around)" if self.around else " (nearest pixel)" if self.released else ""
         words = [f"turned {self.rotate:g}°{how}"] if self.rotate else []
         words += [f"scaled by {self.scale:g}"] if self.scale != 1 else []
         words += [f"shifted {abs(self.shift)} px to the {'right' if self.shift > 0 else 'left'}"] if self.shift else []

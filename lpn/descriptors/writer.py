@@ -63,7 +63,8 @@ def describe(
     check_whole(files, "pictures")
 
     def prepare(row: int) -> Float32Array:
-        return prepare_row(model, images.load_picture(files[row]), rows[row], change, view)
+        load = images.load_without_orientation if change.released else images.load_picture
+        return prepare_row(model, load(files[row]), rows[row], change, view)
 
     return write_store(out, manifest, lambda partial: fill_store(model, partial, prepare, view, title))
 

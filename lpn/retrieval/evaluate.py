@@ -21,7 +21,7 @@ from lpn.datasets.base import PositionProtocol
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
-from lpn.retrieval import csls, field_metrics, metrics
+from lpn.retrieval import csls, field_metrics, metrics, transfer
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.protocol import Protocol, averaged, centred, sentence
 from lpn.retrieval.published_results import PublishedResult
@@ -221,10 +221,16 @@ def evaluate(
     positions = None if known is None else (known.of(queries), known.of(gallery))
     measured_by = None if protocol.average else dataset.measured_by
     where = None if measured_by is None else (dataset.coordinates(queries), dataset.coordinates(gallery))
-    change = protocol.change.for_picture(queries[0])
-    if protocol.calibrate and (protocol.branch or protocol.centre):
-        raise InputError("A calibration centres each view and takes its own branch; leave --branch and --centre out.")
-    sides = pictures.described(model, read, change, protocol.branch, protocol.calibrate)
+    change = replace(protocol.change, released=protocol.released).for_picture(queries[0])
+    if protocol.released and truth is not None and task == "street-to-street":
+        return _carried(model, pictures, truth, protocol, started)
+    if protocol.calibrate and (protocol.branch or protocol.centre or protocol.released):
+        raise InputError(
+            "A calibration centres each view, takes its own branch, and is ours; leave --branch, --centre, and --protocol out."
+        )
+    sides = pictures.described(
+        model, read, change, Change(released=protocol.released), protocol.branch, protocol.calibrate
+    )
     query, tiles, calibration = sides.query, sides.gallery, sides.calibration
     if protocol.centre:
         query, tiles = centred(query), centred(tiles)
@@ -261,6 +267,25 @@ def evaluate(
         measures=measures,
         calibration=calibration,
     )
+
+
+def _carried(
+    model: Model, pictures: TaskPictures, truth: Sequence[Truth], protocol: Protocol, started: float
+) -> Result:
+    """Measure features carried over to landmarks as released."""
+    if protocol.change or protocol.parts or protocol.average or protocol.centre or protocol.csls:
+        raise InputError(
+            "The released transfer takes whole descriptors of queries as they are; leave changes of queries, --parts, "
+            "--average-queries, --centre, and --csls out."
+        )
+    view = protocol.branch or "street"
+    query, tiles = (transfer.map_means(model, side, view) for side in (pictures.queries, pictures.gallery))
+    cropped = any(picture.box for picture in pictures.queries)
+    clauses = [transfer.SENTENCE, f"both sides described by the {view} branch"]
+    clauses += ["queries cropped to the part that is meant"] if cropped else []
+    labels = pictures.labels
+    result, _ = _measure(query, labels[0], tiles, labels[1], truth, pictures.name, protocol, clauses)
+    return replace(result, cropped=cropped, seconds=time.perf_counter() - started)
 
 
 def _check_csls(
@@ -411,10 +436,10 @@ def evaluate_descriptors(
     """
     started = time.perf_counter()
     protocol = protocol or Protocol()
-    if protocol.change or protocol.branch or protocol.whole or protocol.calibrate:
+    if protocol.change or protocol.branch or protocol.whole or protocol.calibrate or protocol.released:
         raise InputError(
-            "These are descriptors, not pictures: rotation, shift, scale, branch, whole queries, and calibration need a model "
-            "and a data set; leave them out."
+            "These are descriptors, not pictures: rotation, shift, scale, branch, whole queries, the released protocol, and "
+            "calibration need a model and a data set; leave them out."
         )
     query, tiles = (centred(side) for side in sides) if protocol.centre else sides
     stated = [*clauses, *([CENTRED] if protocol.centre else [])]
@@ -495,7 +520,9 @@ def _clauses(model: Model, protocol: Protocol, cropped: bool, change: Change) ->
     mirrored = "descriptors of picture and mirror added, " if model.contract.mirror == "sum" else ""
     clauses = [f"{mirrored}each part normalised"]
     clauses += ["queries cropped to the part that is meant"] if cropped else []
-    clauses += [f"queries {change.describe()}"] if change else []
+    clauses += ["pictures read by Pillow without their EXIF orientation, as released"] if protocol.released else []
+    bicubic = ", bicubic" if change.rotate and not change.around and not change.released else ""
+    clauses += [f"queries {change.describe()}{bicubic}"] if change.describe() else []
     clauses += [CENTRED] if protocol.centre else []
     clauses += [f"both sides described by the {protocol.branch} branch"] if protocol.branch else []
     return clauses

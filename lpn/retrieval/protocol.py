@@ -28,6 +28,8 @@ class Protocol:
         centre: subtract the mean of the queries' descriptors from each query, and that of the gallery's from each tile.
         calibrate: subtract the mean of each view, and choose the zoom, see `lpn.retrieval.calibration`.
         csls: the number of nearest queries by which CSLS re-ranks, see `lpn.retrieval.csls`; 0 for no re-ranking.
+        released: read and rotate pictures as the released test code does, see `Change.released`, and carry features over to
+            landmarks as released, see `lpn.retrieval.transfer`.
     """
 
     change: Change = UNCHANGED
@@ -38,6 +40,7 @@ class Protocol:
     centre: bool = False
     calibrate: bool = False
     csls: int = 0
+    released: bool = False
 
     def chosen(self, n_parts: int) -> tuple[int, ...]:
         """The 1-based parts to use, without duplicates, in the given order.

@@ -60,6 +60,7 @@ class TaskPictures:
         model: Model,
         read: descriptors.Reader,
         change: Change = UNCHANGED,
+        gallery_change: Change = UNCHANGED,
         branch: View | None = None,
         calibrated: bool = False,
     ) -> Sides:
@@ -68,9 +69,10 @@ class TaskPictures:
         Args:
             model: that of the task, see `Model.for_task`, unless there is a branch.
             read: returns descriptors.
-            change: applied to each query.
+            change, gallery_change: applied to each query, and to each gallery picture.
             branch: describes both sides; None for each view's own.
-            calibrated: calibrate the model on these pictures first, see `lpn.retrieval.calibration`.
+            calibrated: calibrate the model on these pictures first, see `lpn.retrieval.calibration`; gallery pictures stay as
+                they are.
 
         Raises:
             InputError: when a calibration is not possible.
@@ -79,7 +81,7 @@ class TaskPictures:
         if not calibrated:
             query_branch, gallery_branch = (branch or view for view in self.views)
             return Sides(
-                read(model, self.queries, query_branch, change), read(model, self.gallery, gallery_branch, UNCHANGED)
+                read(model, self.queries, query_branch, change), read(model, self.gallery, gallery_branch, gallery_change)
             )
         lists: dict[View, list[Sequence[Picture]]] = {}
         for view, pictures in zip(self.views, (self.queries, self.gallery), strict=True):

@@ -1,0 +1,55 @@
+"""Features carried over to landmarks (Table VI) as released: layumi/cnnimageretrieval-pytorch, test_My1652model.py.
+
+A picture keeps its aspect ratio; its longer side is shrunk to 1024 pixels, and a query is cropped to its box first, and shrunk by
+the same factor. Its descriptor is the mean over the last feature map, without head, mirror, or normalisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from lpn.core import images
+from lpn.core.arrays import Float32Array
+from lpn.core.errors import InputError
+from lpn.core.views import View
+from lpn.datasets import Picture
+from lpn.descriptors.writer import progress_bar
+from lpn.models.base import Model
+
+SIDE = 1024
+SENTENCE = (
+    f"pictures of at most {SIDE} pixels in their own aspect ratio, the mean over the last feature map, neither mirrored nor "
+    "normalised, as released"
+)
+
+
+def map_means(model: Model, pictures: Sequence[Picture], view: View, side: int = SIDE) -> Float32Array:
+    """Return the mean over a branch's last feature map of each picture, (N, 1, C) float32.
+
+    Args:
+        side: pixels of a whole picture's longer side.
+
+    Raises:
+        InputError: if the model is not an LPN in PyTorch, or lacks the view.
+        PictureError: if a picture cannot be read.
+    """
+    import torch
+
+    from lpn.models.checkpoints import TorchModel, exact_inference
+
+    if not isinstance(model, TorchModel) or model.spec.pooling != "average":
+        raise InputError(
+            "The released transfer describes pictures of any size by the mean of their map, which takes an LPN or a baseline as "
+            ".safetensors or .pth; give one, or leave --protocol out."
+        )
+    model.check_view(view)
+    means, device = [], next(model.network.parameters()).device
+    with progress_bar() as bar:
+        for picture in bar.track(pictures, description=f"Describing {view}, as released"):
+            shown = images.shrink_to(images.load_without_orientation(picture.path), side, picture.box)
+            batch = torch.from_numpy(images.normalise(shown)[None]).to(device)
+            with exact_inference():
+                means.append(model.network.features(batch, view).mean((2, 3)).cpu().numpy())
+    return np.stack(means).astype(np.float32)

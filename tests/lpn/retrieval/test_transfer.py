@@ -1,0 +1,95 @@
+"""Features carried over to landmarks as released, beside numbers of the released code; see `tools.fixtures.released_transfer`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core import images
+from lpn.core.errors import InputError
+from lpn.datasets import open_dataset
+from lpn.models.checkpoints import load_torch, save
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
+from tools.fixtures import layouts, released_transfer, small_worlds
+
+
+def test_vectors_and_ap_are_the_released_ones() -> None:
+    # Those of 1024 pixels are in docs/evaluation.md.
+    found = released_transfer.differences(160)
+    assert set(found) == {f"160.{name}" for name in ("map", "gallery", "queries", "scores")}
+    assert max(found.values()) < 2e-5, found
+
+
+def test_a_query_is_shrunk_by_the_factor_of_its_whole_picture() -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (300, 2048, 3), np.uint8)
+    assert images.shrink_to(picture, 1024).shape == (150, 1024, 3)
+    assert images.shrink_to(picture, 1024, (10.4, 0.0, 410.4, 200.0)).shape == (100, 200, 3)
+    # A small picture is never enlarged, and a box beyond the edge is filled with black.
+    assert images.shrink_to(picture, 4096, (2000.0, 0.0, 2100.0, 300.0)).shape == (300, 100, 3)
+    assert not images.shrink_to(picture, 4096, (2000.0, 0.0, 2100.0, 300.0))[:, 48:].any()
+
+
+def test_the_released_protocol_is_measured_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    root, file = layouts.oxford(tmp_path / "oxford"), tmp_path / "lpn.safetensors"
+    save(small_worlds.make_network(), file)
+    arguments = ["evaluate", "--data", str(root), "--model", str(file), "--branch", "satellite"]
+    assert main([*arguments, "--protocol", "released", "--json", str(tmp_path / "figures.json")]) == 0
+    said = capsys.readouterr().out
+    assert "the mean over the last feature map, neither mirrored nor normalised, as released" in " ".join(said.split())
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert figures["protocol"].startswith("Protocol: pictures of at most 1024 pixels")
+    assert figures["junk"] == "lists"
+    result = evaluate(load_torch(file), open_dataset(root), "street-to-street", Protocol(branch="satellite"))
+    assert "as released" not in result.sentence
+    assert main([*arguments, "--protocol", "released", "--parts", "1"]) == 2
+    assert "leave changes of queries, --parts, --average-queries" in capsys.readouterr().err
+
+
+def test_a_model_of_one_size_is_refused(tmp_path: Path) -> None:
+    root = layouts.oxford(tmp_path / "oxford")
+    model = small_worlds.make_model(tmp_path)
+    import lpn
+
+    with pytest.raises(InputError, match=r"give one, or leave --protocol out"):
+        evaluate(lpn.load(model), open_dataset(root), "street-to-street", Protocol(branch="satellite", released=True))
+
+
+def test_pictures_are_read_without_their_orientation_and_turned_to_the_nearest_pixel(tmp_path: Path) -> None:
+    picture = small_worlds.place(1)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # a camera that was held upright
+    Image.fromarray(picture).save(tmp_path / "a.png", exif=exif)
+    assert np.array_equal(images.load_without_orientation(tmp_path / "a.png"), picture)
+    assert np.array_equal(images.load_picture(tmp_path / "a.png"), np.rot90(picture, 3))
+    turned = images.rotate_nearest(picture, 45)
+    # Only values of the picture, and black corners; bicubic makes new ones.
+    known = {tuple(pixel) for pixel in picture.reshape(-1, 3).tolist()} | {(0, 0, 0)}
+    assert {tuple(pixel) for pixel in turned.reshape(-1, 3).tolist()} <= known
+    assert not {tuple(pixel) for pixel in images.rotate(picture, 45).reshape(-1, 3).tolist()} <= known
+    assert not turned[0, 0].any()
+    # Both turn counter-clockwise.
+    assert np.array_equal(images.rotate_nearest(picture, 90), np.rot90(picture))
+    assert np.abs(cv2.blur(turned, (5, 5)).astype(int) - cv2.blur(images.rotate(picture, 45), (5, 5))).mean() < 12
+
+
+def test_turned_queries_have_descriptors_of_their_own_in_the_released_protocol(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = small_worlds.make_dataset(tmp_path / "places", train=0, test=4)
+    file = small_worlds.make_model(tmp_path)
+    command = ["evaluate", "--data", str(root), "--model", str(file), "--rotate", "45", "--task", "satellite-to-drone"]
+    said = []
+    for protocol in ("ours", "released"):
+        assert main([*command, "--protocol", protocol]) == 0
+        said.append(" ".join(capsys.readouterr().out.split()))
+    assert "queries turned 45°, bicubic" in said[0]
+    assert "queries turned 45° (nearest pixel)" in said[1]
+    assert "without their EXIF orientation" in said[1]
+    assert "EXIF" not in said[0]
