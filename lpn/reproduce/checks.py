@@ -23,17 +23,19 @@ class NetworkUse:
         training: the network.
         used_by: the row or figure.
         views: the views that the network must describe.
+        carried: its features are carried over to landmarks (Table VI).
     """
 
     training: Training
     used_by: str
     views: frozenset[View]
+    carried: bool = False
 
     @staticmethod
     def of_row(table: PaperTable, row: TableRow, training: Training) -> NetworkUse:
         """Make the use of a table's row."""
         views = {row.branch} if row.branch else {view for task in TASKS[table.measure] for view in views_of(task)}
-        return NetworkUse(training, f"{table.title}, {row.label}", frozenset(views))
+        return NetworkUse(training, f"{table.title}, {row.label}", frozenset(views), table.measure == "landmarks")
 
     @staticmethod
     def of_figure(name: str, training: Training) -> NetworkUse:

@@ -21,6 +21,7 @@ from lpn.reproduce.record import Provenance, RowRecord, TableRecord, row_record
 from lpn.reproduce.sources import Sources, open_sources
 from lpn.reproduce.tables import DRAWN, SCALES, SHOWN, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.reproduce.trainings import TrainingJob
+from lpn.retrieval import transfer
 
 # All tables and figures that can be reproduced.
 KEYS = tuple(dict.fromkeys((*tables(SCALES["paper"]), *DRAWN)))
@@ -38,7 +39,7 @@ class Reproduction:
         seeds: seeds of each training; tables report the mean.
         scale: one of `SCALES`, with the user's changes of its recipes.
         train: train missing networks; otherwise their rows are not run.
-        queries: queries shown in figures 7 and 8.
+        queries: queries shown in figures 7 and 8; Figure 1 shows the first.
         from_scratch: train from random weights, without `init`.
         tune: choose the settings of Table I's losses on held-out training places first.
     """
@@ -67,7 +68,7 @@ class Reproduction:
             raise InputError(
                 "lpn reproduce is one process; train with torchrun -m lpn train, and give it with --model."
             )
-        wanted = [find(key, self.scale) for key in keys if key != "figure8"]
+        wanted = [find(key, self.scale) for key in keys if key in tables(self.scale) or key not in DRAWN]
         check_writable(self.out / "measured.json")
         with exclusive_lock(self.out, wait=True):
             self._store = MeasurementStore(self.out / "measured.json")
@@ -133,6 +134,8 @@ class Reproduction:
             if use.training.name in loaded:
                 recipe = self.scale.recipe(use.training, 0)
                 checks.check_fits(loaded[use.training.name], self.models[use.training.name], use, recipe)
+                if self.scale.released and use.carried:
+                    transfer.check_model(loaded[use.training.name])
         return loaded
 
     def _check(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:
@@ -156,7 +159,8 @@ class Reproduction:
         }
         self._jobs = self._planned(uses)
         ours = {job.recipe.backbone for job in self._jobs}
-        untrained = [self.scale.base.backbone for table in wanted for row in table.rows if row.training is None]
+        rows = [row for table in wanted for row in table.rows if row.training is None and not row.quoted]
+        untrained = [self.scale.base.backbone for _ in rows]
         checks.check_starts(self._starts, ours.union(untrained))
         trials = [trial.job for of_network in self._trials.values() for trial in of_network]
         for job in trials:
@@ -202,8 +206,12 @@ class Reproduction:
             )
             for job in left:
                 done = len(job.seconds())
-                begun = f", {done} done" if done else ""
-                self.console.print(f"  {job.name}: {job.recipe.epochs} epochs{begun}", markup=False, highlight=False)
+                begun = f", {done} epochs done" if done else ""
+                steps, epochs = job.steps, job.recipe.epochs
+                self.console.print(
+                    f"  {job.name}: {epochs} epochs of {steps} updates, {epochs * steps:,} in all{begun}", markup=False,
+                    highlight=False,
+                )  # fmt: skip
             if self.scale.changes:
                 changes = footnotes.changed(self.scale, [job.training for job in left])
                 self.console.print(changes, markup=False, soft_wrap=True)
@@ -231,6 +239,8 @@ class Reproduction:
 
     def _models(self, row: TableRow) -> dict[str, Model]:
         """Return the networks of a row by seed, or the given one."""
+        if row.quoted:
+            return {}
         if row.training is None:
             base = self.scale.base
             start = self._starts.get(base.backbone)
@@ -252,14 +262,15 @@ class Reproduction:
         protocols: dict[str, str] = {}
         for row in table.rows:
             figures_of = {
-                name: self._store.figures(row, table.measure, model, data) for name, model in self._models(row).items()
+                name: self._store.figures(row, table.measure, model, data, self.scale.released)
+                for name, model in self._models(row).items()
             }
             rows.append(self._row(row, figures_of))
             if figures_of:
                 protocols[row.label] = next(iter(figures_of.values())).protocol
         columns, beside, alone = self._columns(table)
         title = table.title if table.measure == "landmarks" else f"{table.title}, on {data[0].kind}"
-        notes = [footnotes.protocol(protocols), *footnotes.about(table, data), *self._of_networks(table)]
+        notes = [footnotes.protocol(protocols), *footnotes.about(table, data, self.scale), *self._of_networks(table)]
         record = TableRecord(table.key, title, columns, beside, tuple(rows), tuple(notes), alone)
         self._store.keep(record)
         return report.write(record, self.out)
@@ -270,7 +281,7 @@ class Reproduction:
             trained = {f"seed {job.seed}": job.made for job in self._own(row.training.name) if job.made}
         values = {name: figures.values for name, figures in figures_of.items()}
         made = {name: figures.made for name, figures in figures_of.items()}
-        return row_record(row.label, values, row.paper, row.note, trained, made)
+        return row_record(row.label, values, row.paper, row.note, trained, made, row.quoted)
 
     def _columns(self, table: PaperTable) -> tuple[tuple[str, ...], tuple[int | None, ...], dict[int, str]]:
         """Return the measured columns, each with its column of the paper, and the paper's others."""
@@ -310,7 +321,9 @@ class Reproduction:
             return None
         dataset = self._sources.role(SHOWN[name][0].role).dataset
         drawn = [(network, next(iter(networks.values()))) for network, networks in of.items()]
-        if name == "figure7a":
+        if name == "figure1":
+            data = paper_figures.heatmaps(drawn, dataset, "drone", self.queries[:1], count=1)
+        elif name == "figure7a":
             data = paper_figures.heatmaps(drawn, dataset, "drone", self.queries)
         elif name == "figure7b":
             data = paper_figures.heatmaps(drawn, dataset, "street")

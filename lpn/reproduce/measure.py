@@ -66,12 +66,17 @@ class MeasurementStore:
         self.path = path
         self._file = self._read()
 
-    def figures(self, row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> MeasuredFigures:
-        """Return a row's figures, measuring them if they are not cached."""
+    def figures(
+        self, row: TableRow, measure: Measure, model: Model, data: Sequence[Source], released: bool = False
+    ) -> MeasuredFigures:
+        """Return a row's figures, measuring them if they are not cached; see `Scale.released`."""
         digests = [source.test_digest(measure) for source in data]
-        key = json.dumps([model.fingerprint, measure, digests, row.rotate, row.parts, row.branch])
+        key = json.dumps(
+            [model.fingerprint, measure, digests, row.rotate, row.parts, row.branch]
+            + (["released"] if released else [])
+        )
         if key not in self._file.figures:
-            self._add(_measured(row, measure, model, data), key)
+            self._add(_measured(row, measure, model, data, released), key)
         return self._file.figures[key]
 
     def reload(self) -> None:
@@ -119,10 +124,10 @@ def _checksum(file: _MeasurementsFile) -> int:
     return crc_of_values(json.loads(msgspec.json.encode([file.figures, file.tables])))
 
 
-def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source]) -> MeasuredFigures:
+def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source], released: bool) -> MeasuredFigures:
     if measure == "centre":
         return MeasuredFigures(centre_shares(model, data[0].dataset), _CENTRE.format(_box(model)), here())
-    protocol = Protocol(Change(row.rotate), row.parts, row.branch)
+    protocol = Protocol(Change(row.rotate), row.parts, row.branch, released=released)
     results = [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
     return MeasuredFigures(
         tuple(value for result in results for value in _values(result, measure)), results[0].sentence, here()

@@ -1,4 +1,4 @@
-"""Figures 7 and 8 of the paper, heatmaps and retrieved pictures, as one PNG each."""
+"""Figures 1, 7, and 8 of the paper, heatmaps and retrieved pictures, as one PNG each."""
 
 from __future__ import annotations
 
@@ -19,19 +19,21 @@ from lpn.retrieval import scoring
 TRUE, FALSE = "#f2c200", "#2f6fdb"
 
 
-def heatmaps(models: Sequence[tuple[str, Model]], dataset: Dataset, view: View, names: Sequence[str] = ()) -> bytes:
-    """Draw Figure 7 as a PNG: query and satellite tile of some places under each network's channel sum.
+def heatmaps(
+    models: Sequence[tuple[str, Model]], dataset: Dataset, view: View, names: Sequence[str] = (), count: int = 4
+) -> bytes:
+    """Draw Figure 7, or for one place Figure 1, as a PNG: query and tile of some places under each network's channel sum.
 
     Args:
         models: name and network.
         view: view of the queries, drone for (a) and street for (b).
-        names: queries to show; without any, four spread over the list.
+        names: queries to show; without any, `count` spread over the list.
 
     Raises:
         InputError: when there is no such query.
     """
     tiles = {picture.label: picture for picture in dataset.gallery("satellite")}
-    chosen = named(dataset, view, names)
+    chosen = named(dataset, view, names, count)
     figure, axes = pyplot().subplots(
         2 * len(chosen),
         1 + len(models),
@@ -103,8 +105,8 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
     return png(figure, 100)
 
 
-def named(dataset: Dataset, view: View, names: Sequence[str] = ()) -> list[Picture]:
-    """Return queries of a view with a satellite tile by their names; without names, four spread over the list.
+def named(dataset: Dataset, view: View, names: Sequence[str] = (), count: int = 4) -> list[Picture]:
+    """Return queries of a view with a satellite tile by their names; without names, `count` spread over the list.
 
     Raises:
         InputError: when there is no such query, or it has no tile.
@@ -118,4 +120,4 @@ def named(dataset: Dataset, view: View, names: Sequence[str] = ()) -> list[Pictu
             raise InputError(f"There is no query {name} with a tile; names are such as {queries[0].name}.")
     if names or not pictures:
         return [by_name[name] for name in names]
-    return [pictures[len(pictures) * step // 4] for step in range(min(4, len(pictures)))]
+    return [pictures[len(pictures) * step // count] for step in range(min(count, len(pictures)))]

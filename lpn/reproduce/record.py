@@ -15,7 +15,7 @@ import msgspec
 import torch
 
 import lpn
-from lpn.reproduce.paper_values import Values
+from lpn.reproduce.paper_values import PrintedValues, Values
 
 
 class Provenance(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -43,6 +43,7 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         spread: half of the distance between the lowest and the highest network, for each column.
         paper: the paper's values, empty if it has no such row.
         note: printed after the label.
+        quoted: the paper quotes the row from other work, and nothing is measured.
         networks: number of networks that were measured.
         values: for each network, "seed 0" or "given", its value in each column.
         trained, measured: for each network, where it and its figures come from.
@@ -51,8 +52,9 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     label: str
     mean: Values = ()
     spread: Values = ()
-    paper: Values = ()
+    paper: PrintedValues = ()
     note: str = ""
+    quoted: bool = False
     networks: int = 1
     values: dict[str, Values] = {}
     trained: dict[str, Provenance] = {}
@@ -92,10 +94,11 @@ class TableRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 def row_record(
     label: str,
     values: Mapping[str, Values],
-    paper: Values = (),
+    paper: PrintedValues = (),
     note: str = "",
     trained: Mapping[str, Provenance] | None = None,
     measured: Mapping[str, Provenance] | None = None,
+    quoted: bool = False,
 ) -> RowRecord:
     """Make the record of a row from the values of its networks."""
     columns: list[Sequence[float]] = list(zip(*values.values(), strict=True))
@@ -105,6 +108,7 @@ def row_record(
         tuple((max(column) - min(column)) / 2 for column in columns),
         paper,
         note,
+        quoted,
         len(values),
         dict(values),
         dict(trained or {}),

@@ -44,9 +44,12 @@ def markdown(record: TableRecord) -> str:
         texts = []
         for here, index in cells:
             if here:
-                texts.append(_format(row.mean[index], row.spread[index]) if row.mean else "not run")
+                lacking = "quoted" if row.quoted else "not run"
+                texts.append(_format(row.mean[index], row.spread[index]) if row.mean else lacking)
             else:
-                texts.append(f"{row.paper[index]:.2f}" if index < len(row.paper) else "")
+                printed = row.paper[index] if index < len(row.paper) else None
+                # The paper prints a dash for what it does not know of a row.
+                texts.append(f"{printed:.2f}" if printed is not None else "-" if row.paper else "")
         lines.append(f"| {row.title} | " + " | ".join(texts) + " |")
     lines += ["", *(f"{sentence}  " for sentence in record.notes)]
     claims = verdicts(record)
@@ -64,7 +67,8 @@ def _csv(record: TableRecord) -> bytes:
     rows: list[list[object]] = [["row", "column", "paper", "mean", *names]]
     for row in record.rows:
         for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
-            paper = row.paper[beside] if beside is not None and beside < len(row.paper) else ""
+            printed = row.paper[beside] if beside is not None and beside < len(row.paper) else None
+            paper = "" if printed is None else printed
             values = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
             rows.append([row.title, title, paper, f"{row.mean[index]:.4f}" if row.mean else "", *values])
     return csv_bytes(rows)
@@ -80,9 +84,9 @@ def figure(record: TableRecord) -> bytes:
     for index, (column, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
         run = [(place, (row.mean[index], row.spread[index])) for place, row in enumerate(record.rows) if row.mean]
         paper = [
-            (place, row.paper[beside])
+            (place, value)
             for place, row in enumerate(record.rows)
-            if beside is not None and beside < len(row.paper)
+            if beside is not None and beside < len(row.paper) and (value := row.paper[beside]) is not None
         ]
         _draw(axes, steps, index, len(record.columns), column, _COLOURS[index % len(_COLOURS)], run, paper)
     if steps:

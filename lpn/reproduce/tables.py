@@ -25,12 +25,14 @@ class Training:
         method: one of `lpn.training.recipes.METHODS`.
         role: the training data: places seen by satellite, drone, and from the street, or pairs of panorama and tile.
         changes: the settings of the recipe that tell it from its method's other networks.
+        recipe: the recipe that its row is named after, at the scales of the paper and of the released code.
     """
 
     name: str
     method: str
     role: DataRole = "places"
     changes: Mapping[str, Any] = field(default_factory=dict)
+    recipe: RecipeName | None = None
 
 
 @dataclass(frozen=True)
@@ -45,15 +47,17 @@ class TableRow:
         rotate: rotation of the queries in degrees counter-clockwise.
         parts: 1-based parts used, None for all.
         branch: the branch that describes landmarks.
+        quoted: the paper quotes the row from other work; nothing is trained or measured.
     """
 
     label: str
     training: Training | None
-    paper: paper_values.Values = ()
+    paper: paper_values.PrintedValues = ()
     note: str = ""
     rotate: float = 0.0
     parts: tuple[int, ...] | None = None
     branch: View | None = None
+    quoted: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,7 @@ class Scale:
         note: one sentence for the table's notes.
         changes: the user's changes of every recipe.
         tuned: for networks tuned on held-out places, the settings that were chosen.
+        protocol: "released" for metric losses, turned queries, and the transfer to landmarks as their authors released them.
     """
 
     name: str
@@ -101,6 +106,12 @@ class Scale:
     note: str
     changes: Mapping[str, Any] = field(default_factory=dict)
     tuned: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    protocol: Literal["ours", "released"] = "ours"
+
+    @property
+    def released(self) -> bool:
+        """True if networks are measured as the released test code does."""
+        return self.protocol == "released"
 
     def recipe(self, training: Training, seed: int) -> Recipe:
         """Return the recipe of a training. What tells the rows apart comes after the user's changes.
@@ -132,6 +143,12 @@ class Scale:
         return tuple(name for name in self.changes if name in own)
 
     def _unchanged(self, training: Training) -> Recipe:
+        if self.released and training.method in recipes.METRIC_LOSSES:
+            if isinstance(self.places, str):
+                return recipes.find("metric-released", training.method)
+            return replace(recipes.method(training.method, self.places), **recipes.RELEASED_METRIC)
+        if training.recipe is not None and isinstance(self.panoramas, str):
+            return RECIPES[training.recipe]
         base = self.places if training.role == "places" else self.panoramas
         if training.method.startswith("safa") and self.safa is not None:
             base = self.safa
@@ -152,7 +169,8 @@ class Scale:
 _NETWORK = ("backbone", "last_layer", "size", "width")
 # Settings that tell the rows of the tables apart; the user cannot change them for all rows.
 ROW_SETTINGS = (
-    "n_parts", "layout", "pooling", "polar", "maps", "google", "instance", "metric", "metric_per_part", "margin", "seed"
+    "n_parts", "layout", "pooling", "polar", "maps", "street", "google", "linear", "instance", "metric", "positives", "pool",
+    "metric_per_part", "margin", "seed",
 )  # fmt: skip
 
 _REDUCED = replace(RECIPES["world"], epochs=30, infonce=0.0)
@@ -172,7 +190,8 @@ SCALES: dict[str, Scale] = {
         "cvusa-released",
         "safa-released",
         {size: size for size in paper_values.TABLE3},
-        "Recipes released, cvusa-released, and safa-released: as the released scripts train.",
+        "Recipes released, cvusa-released, safa-released, and metric-released: as the released scripts train.",
+        protocol="released",
     ),
     "reduced": Scale(
         "reduced",
@@ -192,19 +211,21 @@ _UNROLLED = {"shared": False, "polar": True, "size": 112, "width": 616}
 _LPN = Training("lpn", "lpn", changes={"n_parts": 4})
 _LPN_ONLY = Training("lpn-without-google", "lpn", changes={"n_parts": 4, "google": False})
 _BASELINE = Training("instance", "instance")
-_PANORAMA_LPN = Training("panorama-lpn", "lpn-cvusa", "panoramas")
+_SEQUENTIAL = Training("panorama-lpn-sequential", "lpn-sequential", "panoramas", recipe="cvusa-paper")
+_PANORAMA_LPN = Training("panorama-lpn", "lpn-cvusa", "panoramas", recipe="cvusa-released")
 _SAFA = Training("panorama-safa", "safa", "panoramas")
 _SAFA_LPN = Training("panorama-safa-lpn", "safa-lpn", "panoramas")
 
 # The networks that each drawn picture shows, by name of the file. The first is Figure 8's.
 SHOWN: dict[str, tuple[Training, ...]] = {
+    "figure1": (_BASELINE, _LPN),
     "figure7a": (_BASELINE, _LPN),
     "figure7b": (_SAFA, _SAFA_LPN),
     "figure8": (_LPN,),
-    "figure8-panoramas": (_PANORAMA_LPN,),
+    "figure8-panoramas": (_SAFA_LPN,),
 }
 # The pictures of each drawn figure.
-DRAWN = {"figure7": ("figure7a", "figure7b"), "figure8": ("figure8", "figure8-panoramas")}
+DRAWN = {"figure1": ("figure1",), "figure7": ("figure7a", "figure7b"), "figure8": ("figure8", "figure8-panoramas")}
 
 
 def _of_parts(n: int) -> Training:
@@ -222,6 +243,7 @@ def tables(scale: Scale) -> dict[str, PaperTable]:
     of_table1 += [("LPN without google", _LPN_ONLY), ("LPN", _LPN)]
     of_table2 = [
         ("Instance loss (baseline)", Training("panorama-instance", "instance", "panoramas", {"shared": False})),
+        ("LPN, sequential partition", _SEQUENTIAL),
         ("LPN, rings and rows", _PANORAMA_LPN),
         ("Instance loss, unrolled tiles", Training("panorama-instance-unrolled", "instance", "panoramas", _UNROLLED)),
         ("LPN, strips of unrolled tiles", Training("panorama-lpn-strips", "lpn-strips", "panoramas", _UNROLLED)),
@@ -263,7 +285,11 @@ def tables(scale: Scale) -> dict[str, PaperTable]:
         "Table II: ground to satellite",
         "ground",
         paper_values.GROUND,
-        tuple(TableRow(label, training, paper_values.TABLE2.get(label, ())) for label, training in of_table2),
+        tuple(TableRow(label, None, values, quoted=True) for label, values in paper_values.TABLE2_QUOTED.items())
+        + tuple(
+            TableRow(label, training, paper_values.TABLE2.get(label, ()), _own_recipe(training, scale))
+            for label, training in of_table2
+        ),
     )
     by_name["table6"] = PaperTable(
         "table6", "Table VI: features carried over to landmarks", "landmarks", paper_values.LANDMARKS, _carried()
@@ -276,6 +302,10 @@ def tables(scale: Scale) -> dict[str, PaperTable]:
         (TableRow("Baseline, n = 1", _BASELINE), TableRow("LPN, n = 4", _LPN)),
     )
     return dict(sorted(by_name.items(), key=lambda item: (item[0].startswith("figure"), item[0])))
+
+
+def _own_recipe(training: Training, scale: Scale) -> str:
+    return f"recipe {training.recipe}" if training.recipe and isinstance(scale.panoramas, str) else ""
 
 
 def _of_size(size: int, scale: Scale, values: paper_values.Values) -> TableRow:
@@ -303,5 +333,7 @@ def find(key: str, scale: Scale) -> PaperTable:
     """
     known = tables(scale)
     if key not in known:
-        raise InputError(f"There is no {key!r} to reproduce; choose one of {', '.join(known)}, figure8, or all.")
+        raise InputError(
+            f"There is no {key!r} to reproduce; choose one of {', '.join(known)}, figure1, figure8, or all."
+        )
     return known[key]

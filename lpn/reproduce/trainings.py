@@ -5,6 +5,7 @@ Several processes may work on the same trainings: each takes one that no other p
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 import shutil
@@ -27,6 +28,7 @@ from lpn.core.formats import decode_json
 from lpn.reproduce.record import Provenance, here
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
+from lpn.training.loader import steps_per_epoch
 from lpn.training.recipes import Recipe
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
@@ -107,6 +109,13 @@ class TrainingJob:
         """Relative cost of an epoch on the same pictures."""
         height, width = self.recipe.input_size
         return height * width * _COSTS.get(self.recipe.backbone, _UNKNOWN_COST) / 1e6
+
+    @property
+    def steps(self) -> int:
+        """Updates of an epoch."""
+        places = copy.copy(self.source.places(self.recipe.sets))
+        places.hold_out(self.fold or self.held_out, self.recipe.seed)
+        return steps_per_epoch(places, self.recipe)
 
     def seconds(self) -> list[float]:
         """Seconds of each epoch on disk."""

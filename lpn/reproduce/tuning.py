@@ -12,7 +12,7 @@ from lpn.reproduce.record import here
 from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Scale, Training
 from lpn.reproduce.trainings import TrainingJob
-from lpn.training.recipes import Recipe
+from lpn.training.recipes import METRIC_LOSSES, Recipe
 
 # Share of the training places that a trial does not train on.
 HELD_OUT = 0.2
@@ -40,12 +40,14 @@ class Trial:
 def plan(
     training: Training, scale: Scale, seed: int, out: Path, source: Source, starts: Mapping[str, Path]
 ) -> list[Trial]:
-    """Plan the trials of a network; empty if it is not tuned.
+    """Plan the trials of a network; empty if it is not tuned, as losses are not that are trained as released.
 
     Args:
         out: folder of all trials.
         starts: pretrained weights by backbone.
     """
+    if scale.released and training.method in METRIC_LOSSES:
+        return []
     recipe = scale.recipe(training, seed)
     short = _shortened(recipe)
     trials = []

@@ -81,7 +81,8 @@ class TaskPictures:
         if not calibrated:
             query_branch, gallery_branch = (branch or view for view in self.views)
             return Sides(
-                read(model, self.queries, query_branch, change), read(model, self.gallery, gallery_branch, gallery_change)
+                read(model, self.queries, query_branch, change),
+                read(model, self.gallery, gallery_branch, gallery_change),
             )
         lists: dict[View, list[Sequence[Picture]]] = {}
         for view, pictures in zip(self.views, (self.queries, self.gallery), strict=True):

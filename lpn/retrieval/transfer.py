@@ -7,6 +7,7 @@ the same factor. Its descriptor is the mean over the last feature map, without h
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +19,30 @@ from lpn.datasets import Picture
 from lpn.descriptors.writer import progress_bar
 from lpn.models.base import Model
 
+if TYPE_CHECKING:
+    from lpn.models.checkpoints import TorchModel
+
 SIDE = 1024
 SENTENCE = (
     f"pictures of at most {SIDE} pixels in their own aspect ratio, the mean over the last feature map, neither mirrored nor "
     "normalised, as released"
 )
+
+
+def check_model(model: Model) -> TorchModel:
+    """Return a model whose map of pictures of any size can be taken.
+
+    Raises:
+        InputError: if it is not an LPN or a baseline in PyTorch.
+    """
+    from lpn.models.checkpoints import TorchModel
+
+    if isinstance(model, TorchModel) and model.spec.pooling == "average":
+        return model
+    raise InputError(
+        "The released transfer describes pictures of any size by the mean of their map, which takes an LPN or a baseline as "
+        ".safetensors or .pth; give one, or leave --protocol out."
+    )
 
 
 def map_means(model: Model, pictures: Sequence[Picture], view: View, side: int = SIDE) -> Float32Array:
@@ -37,19 +57,15 @@ def map_means(model: Model, pictures: Sequence[Picture], view: View, side: int =
     """
     import torch
 
-    from lpn.models.checkpoints import TorchModel, exact_inference
+    from lpn.models.checkpoints import exact_inference
 
-    if not isinstance(model, TorchModel) or model.spec.pooling != "average":
-        raise InputError(
-            "The released transfer describes pictures of any size by the mean of their map, which takes an LPN or a baseline as "
-            ".safetensors or .pth; give one, or leave --protocol out."
-        )
+    network = check_model(model).network
     model.check_view(view)
-    means, device = [], next(model.network.parameters()).device
+    means, device = [], next(network.parameters()).device
     with progress_bar() as bar:
         for picture in bar.track(pictures, description=f"Describing {view}, as released"):
             shown = images.shrink_to(images.load_without_orientation(picture.path), side, picture.box)
             batch = torch.from_numpy(images.normalise(shown)[None]).to(device)
             with exact_inference():
-                means.append(model.network.features(batch, view).mean((2, 3)).cpu().numpy())
+                means.append(network.features(batch, view).mean((2, 3)).cpu().numpy())
     return np.stack(means).astype(np.float32)

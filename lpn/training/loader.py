@@ -57,6 +57,12 @@ class TrainingBatch:
         return sum(len(labels) for labels in self.labels.values())
 
 
+def steps_per_epoch(places: TrainingSet, recipe: Recipe) -> int:
+    """Return the steps of an epoch, which ends with the shortest set if sets are shuffled on their own."""
+    pictures = places.pictures() if recipe.sampling == "pictures" else {}
+    return min(map(len, pictures.values()), default=len(places)) // recipe.batch
+
+
 class Loader:
     """The batches of a training in order, sampled as the recipe says.
 

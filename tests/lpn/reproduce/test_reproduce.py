@@ -17,6 +17,7 @@ from safetensors.torch import save_file
 
 import lpn
 from lpn.cli.main import main
+from lpn.core import images
 from lpn.core.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
 from lpn.core.files import exclusive_lock
 from lpn.datasets import open_dataset
@@ -29,12 +30,13 @@ from lpn.reproduce import claims, footnotes, paper_values, report, sources, trai
 from lpn.reproduce.centre import centre_box, centre_share
 from lpn.reproduce.command import KEYS, Reproduction
 from lpn.reproduce.measure import read_measurements
+from lpn.reproduce.paper_figures import retrievals
 from lpn.reproduce.pretrained import features_alone
 from lpn.reproduce.record import TableRecord, here, row_record
 from lpn.reproduce.sources import TASKS, Source
-from lpn.reproduce.tables import SCALES, Scale, find, tables
+from lpn.reproduce.tables import SCALES, SHOWN, Scale, find, tables
 from lpn.retrieval.evaluate import evaluate
-from lpn.training.recipes import METHODS, Recipe
+from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tools.fixtures import layouts, small_worlds
 
@@ -77,7 +79,7 @@ def test_every_row_names_a_method_and_carries_the_paper_s_values() -> None:
             labels = {row.label for row in table.rows}
             for claim in paper_values.CLAIMS.get(table.key, ()):
                 assert {label for pair in claim.pairs for label in pair} <= labels
-    assert {f"table{i}" for i in range(1, 7)} | {"figure5", "figure7", "figure8"} == set(KEYS)
+    assert {f"table{i}" for i in range(1, 7)} | {"figure1", "figure5", "figure7", "figure8"} == set(KEYS)
 
 
 def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
@@ -88,7 +90,9 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert (recipes["lpn"].backbone, recipes["lpn"].n_parts, recipes["lpn"].google) == ("resnet50", 4, True)
     assert not recipes["lpn-without-google"].google
     assert (recipes["lpn-512-pixels"].size, recipes["lpn-8-parts"].n_parts) == (512, 8)
-    assert (recipes["panorama-lpn"].backbone, recipes["panorama-lpn"].n_parts) == ("vgg16_bn", 8)
+    # Table II has the LPN of the text and that of the released run, each by its own recipe.
+    assert recipes["panorama-lpn-sequential"] == RECIPES["cvusa-paper"]
+    assert recipes["panorama-lpn"] == RECIPES["cvusa-released"]
     assert (recipes["panorama-safa-lpn"].pooling, recipes["panorama-safa-lpn"].optimizer) == ("safa", "adam")
     assert recipes["panorama-safa-lpn"].input_size == (112, 616)
     released = SCALES["released"]
@@ -100,6 +104,8 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert rates["lpn"] == (8, 0.001)
     # wtyhub/LPN run.sh:36
     assert rates["instance"] == (8, 0.01)
+    # layumi/University1652-triplet-loss train.py:45, 48
+    assert {rates[name] for name in METRIC_LOSSES} == {(32, 0.01)}
     assert all(recipes[name].google for name in ("instance", "contrastive", "lpn-8-parts", "lpn-512-pixels"))
     small = replace(scale, changes={"backbone": "resnet18", "last_layer": "layer3"})
     for table in tables(small).values():
@@ -142,7 +148,8 @@ def test_rows_and_recipes_keep_the_settings_that_are_their_own() -> None:
     )
     changes = {"lr": 0.02, "last_layer": "layer3"}
     full = replace(SCALES["paper"], changes=changes)
-    assert (recipes(full)["panorama-safa"].lr, recipes(full)["panorama-lpn"].lr) == (1e-5, 0.02)
+    assert (recipes(full)["panorama-safa"].lr, recipes(full)["panorama-lpn-sequential"].lr) == (1e-5, 0.02)
+    assert recipes(full)["panorama-lpn"].lr == 0.1
     released = recipes(replace(SCALES["released"], changes={"lr": 0.02, "epochs": 3}))["panorama-lpn"]
     assert (released.lr, released.epochs) == (0.1, 3)
     assert {recipe.last_layer for recipe in recipes(full).values()} == {"layer4"}
@@ -158,7 +165,8 @@ def test_the_baseline_is_tuned_at_reduced_scale_only(places: Path, tmp_path: Pat
             if tuning.plan(training, scale, 0, tmp_path, source, {})
         }
         assert ("instance" in tuned) == (name == "reduced")
-        assert {"contrastive", "triplet-0.3", "triplet-0.5", "soft-margin"} <= tuned
+        assert (set(METRIC_LOSSES) <= tuned) == (name != "released")
+        assert name != "released" or not tuned
         assert "lpn" not in tuned
 
 
@@ -460,6 +468,55 @@ def test_a_command_is_recorded_without_a_machine_s_folders(monkeypatch: pytest.M
     )
 
 
+def test_table_2_quotes_eight_methods_as_the_paper_prints_them(places: Path, tmp_path: Path) -> None:
+    quoted = [row for row in find("table2", SCALES["paper"]).rows if row.quoted]
+    assert len(quoted) == len(paper_values.TABLE2_QUOTED) == 8
+    options = {"data": [str(layouts.cvusa(tmp_path / "cvusa"))], "train": False}
+    made = reproduction(places, tmp_path / "out", models={"panorama-instance": two_views(tmp_path, 1)}, **options)
+    made.run(["table2"])
+    text = (tmp_path / "out" / "table2.md").read_text(encoding="utf-8")
+    assert "| CVM-Net (CVPR'18, VGG16) | quoted | 18.80 | quoted | 44.42 | quoted | 57.47 | quoted | 91.54 |" in text
+    assert "| Regmi (ICCV'19, X-Fork) | quoted | 48.75 | quoted | - | quoted | 81.27 | quoted | 95.98 |" in text
+    assert text.count("| quoted | - | quoted | - | quoted | - | quoted |") == 4
+    assert "| LPN, sequential partition | not run | 78.48 |" in text
+    assert "| LPN, rings and rows | not run | 78.48 |" in text
+    with (tmp_path / "out" / "table2.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["row"].startswith("Regmi")]
+    assert [row["paper"] for row in rows] == ["48.75", "", "81.27", "95.98"]
+    assert {row["mean"] for row in rows} == {""}
+
+
+def test_the_released_protocol_is_a_table_s_own(places: Path, model_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    scale = replace(SCALES["reduced"], changes=QUICK, protocol="released")
+    options = {"models": {"lpn": model_file}, "train": False}
+    reproduction(places, out, **options).run(["table4"])
+    ours = (out / "table4.md").read_text(encoding="utf-8")
+    reproduction(places, out, **options, scale=scale).run(["table4"])
+    released = (out / "table4.md").read_text(encoding="utf-8")
+    for text, said, other in (
+        (ours, "protocol ours: bicubic", "nearest pixel"),
+        (released, "to the nearest pixel", "bicubic"),
+    ):
+        assert said in text
+        assert other not in text
+    # Both are kept side by side.
+    assert len(read_measurements(out / "measured.json").figures) == 2 * 5
+    # The metric losses of the same budget, with what makes them the released ones.
+    recipe = scale.recipe(find("table1", scale).trainings[1], 0)
+    assert {name: getattr(recipe, name) for name in RELEASED_METRIC} == RELEASED_METRIC
+    assert (recipe.metric, recipe.epochs, recipe.backbone) == ("contrastive", 1, "resnet18")
+
+
+def test_the_plan_says_the_updates_that_run(places: Path, tmp_path: Path) -> None:
+    made = reproduction(places, tmp_path, changes={**QUICK, "epochs": 2, "batch": 2})
+    made.run(["table5"])
+    assert "  lpn, seed 0: 2 epochs of 2 updates, 4 in all\n" in said(made)
+    assert "Training on 4 places in satellite, drone: 2 steps of 2 places an epoch, 2 epochs, so 4 updates." in said(
+        made
+    )
+
+
 @pytest.mark.slow
 def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tmp_path: Path) -> None:
     root = small_worlds.make_views(tmp_path / "views", 4)
@@ -525,6 +582,34 @@ def test_figures_are_drawn_with_the_networks_there_are(
     assert [file.name for file in made.run(["figure7", "figure8"])] == files[:3]
     assert "figure7a not drawn: there is no network instance or lpn; give it as --model instance=FILE" in said(made)
     assert said(made).count("figure8 not drawn") == 1
+
+
+def test_figure_1_has_its_own_name_and_figure_8_shows_what_safa_with_lpn_retrieves(
+    places: Path, model_file: Path, tmp_path: Path
+) -> None:
+    made = reproduction(places, tmp_path / "out", models={"lpn": model_file}, train=False)
+    assert [file.name for file in made.run(["figure1"])] == ["figure1.png"]
+    # One place: the drone picture and its tile, each without and with activation.
+    image = images.load_picture(tmp_path / "out" / "figure1.png")
+    assert image.shape[:2] == (420, 420)
+    assert "figure1 drawn with the others: there is no network instance" in said(made)
+    # Figure 8 (III), section IV-E: "our method with SAFA".
+    recipe = SCALES["paper"].recipe(SHOWN["figure8-panoramas"][0], 0)
+    assert (recipe.pooling, recipe.n_parts, recipe.polar) == ("safa", 8, True)
+    torch.manual_seed(0)
+    spec = ModelSpec(
+        "resnet18", "layer3", views=("satellite", "street"), shared=False, n_parts=8, pooling="safa", maps=1, polar=True,
+        embedding=256, input_size=(32, 128), classes=4,
+    )  # fmt: skip
+    save(LPN(spec), tmp_path / "safa-lpn.safetensors")
+    options = {"data": [str(places), str(layouts.cvusa(tmp_path / "cvusa"))], "train": False}
+    given = {"lpn": model_file, "panorama-safa-lpn": tmp_path / "safa-lpn.safetensors"}
+    scale = replace(SCALES["reduced"], changes=QUICK)
+    assert scale.recipe(SHOWN["figure8-panoramas"][0], 0).input_size == (112, 616)
+    with pytest.raises(InputError, match="needs input size 112 x 616 in figure8-panoramas"):
+        reproduction(places, tmp_path / "small", models=given, **options).run(["figure8"])
+    drawn = retrievals(lpn.load(given["panorama-safa-lpn"]), open_dataset(tmp_path / "cvusa"), ("street",), top=3)
+    assert drawn.startswith(b"\x89PNG")
 
 
 def test_what_backbones_start_from_is_said_before_training(places: Path, tmp_path: Path) -> None:
@@ -644,7 +729,7 @@ def test_a_gain_within_the_spread_of_the_seeds_is_said_to_be_so() -> None:
 @pytest.mark.parametrize("key", [key for key in paper_values.CLAIMS if key != "figure7"])
 def test_every_claim_holds_on_the_papers_own_values(key: str) -> None:
     table = find(key, SCALES["paper"])
-    rows = tuple(row_record(row.label, {"paper": row.paper}) for row in table.rows if row.paper)
+    rows = tuple(row_record(row.label, {"paper": row.paper}) for row in table.rows if row.paper and not row.quoted)
     found = claims.verdicts(TableRecord(key, table.title, table.columns, (), rows))
     # Figure 5 prints only a curve for the other n.
     assert all("**held**" in verdict or (key == "figure5" and "was not run" in verdict) for verdict in found), found
