@@ -17,13 +17,14 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError, LPNError
 from lpn.core.files import distinct_names, printable
+from lpn.core.progress import Progress
 from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.index.task import DEPTH
 from lpn.locate.located import LocatedFlight
-from lpn.locate.options import LocateOptions, Progress
+from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
 from lpn.models.adapters import Kind
 from lpn.models.base import Model

@@ -73,7 +73,7 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
     ]
     if (depth := analysis.task.depth) is not None:
         sentences.append(
-            f"A search tells {depth} ranks; a tile that it does not return is drawn as the {ordinal(depth + 1)}."
+            f"The index returns the {depth} nearest tiles; a tile beyond them is plotted at rank {depth + 1}."
         )
     if ranked.rank < best.rank:
         sentences.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")

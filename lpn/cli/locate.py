@@ -18,8 +18,9 @@ from lpn.models.adapters import Kind
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lpn.core.progress import Progress
     from lpn.locate.located import LocatedFlight
-    from lpn.locate.options import LocateOptions, Progress
+    from lpn.locate.options import LocateOptions
 
 
 @dataclass

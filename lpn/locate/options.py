@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from lpn.core.errors import InputError
 from lpn.locate.matchers import MatcherName
 
-Progress = Callable[[str, int, int], None]
 TOP = 5
 
 

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from lpn.core.errors import DataError, InputError
+from lpn.core.progress import Progress
 from lpn.flights import Flight
 from lpn.locate.audit import audit_tags
 from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import IndexedWindows
 from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.locate.options import LocateOptions, Progress
+from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import enter_retrieval, enter_sequence
 from lpn.locate.registered_stage import UNKNOWN, refuse_jumps, register_frames
 from lpn.locate.retrieval import retrieve

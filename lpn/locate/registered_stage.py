@@ -18,13 +18,14 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import PictureError
 from lpn.core.files import cache_folder
+from lpn.core.progress import Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
 from lpn.locate.camera_place import camera_place
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
-from lpn.locate.options import TOP, LocateOptions, Progress
+from lpn.locate.options import TOP, LocateOptions
 from lpn.locate.registration import (
     Expectation,
     Ground,

@@ -20,6 +20,7 @@ import numpy as np
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import cache_folder, write_atomic
+from lpn.core.progress import Progress
 from lpn.core.views import View
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
@@ -194,7 +195,7 @@ def retrieve(
     sizes: Sequence[float] | None = None,
     overlap: float = 0.75,
     centre: bool = True,
-    on_progress: Callable[[str, int, int], None] | None = None,
+    on_progress: Progress | None = None,
     indexed: IndexedWindows | None = None,
 ) -> MapRetrieval:
     """Describe windows and frames, from the user's cache where they were described before.
@@ -344,7 +345,7 @@ def _described(
     prepare: Callable[[Any], Float32Array],
     view: View,
     key: list[Any],
-    on_progress: Callable[[str, int, int], None] | None,
+    on_progress: Progress | None,
     what: str,
 ) -> tuple[Float32Array, dict[int, str]]:
     """Return descriptors (N, n, D) of items and the errors of broken ones, chunk by chunk from the cache or from the model."""

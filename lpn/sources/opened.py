@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.progress import Progress
 
 if TYPE_CHECKING:
     from lpn.locate.located import LocatedFlight
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
     from lpn.sources.sources import TaskSource
     from lpn.tasks.task import Task
-
-# Receives the stage, such as "frames", and the numbers of finished and of all its steps.
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)

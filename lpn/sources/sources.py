@@ -12,10 +12,11 @@ import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.progress import Progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
-from lpn.sources.opened import OpenedSource, Progress, query_positions, weighted
+from lpn.sources.opened import OpenedSource, query_positions, weighted
 
 if TYPE_CHECKING:
     from lpn.datasets import Dataset
