@@ -147,11 +147,12 @@ def baseline_app(data: Path, model_file: Path, one_part_model_file: Path, tmp_pa
         yield running
 
 
-@pytest.fixture
-def mapped_app(model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
+@pytest.fixture(scope="module")
+def mapped_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
     """The app on drawn places with known positions."""
-    data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places"))
-    with started(data, model_file, tmp_path / "cache") as running:
+    folder = tmp_path_factory.mktemp("mapped")
+    data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places"))
+    with started(data, model_file, folder / "cache") as running:
         yield running
 
 

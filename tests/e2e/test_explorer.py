@@ -301,7 +301,7 @@ def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_c
     expect(marks).to_have_count(0)
     explorer.key("m")
     expect(marks).to_have_attribute("data-metres", re.compile("^[125]0*$"))
-    expect(marks).to_have_attribute("data-turn", re.compile(r"^-?0\.00"), timeout=15_000)  # the view is from the south
+    expect(marks).to_have_attribute("data-turn", re.compile(r"^-?0\.00"))  # the view is from the south
     explorer.settle()
     box = explorer.page.locator("canvas[data-engine]").bounding_box()
     assert box is not None

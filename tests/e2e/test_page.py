@@ -451,9 +451,9 @@ def test_the_glossary_opens_over_the_page_and_closes(explorer: ExplorerPage) -> 
         lambda: explorer.page.keyboard.press("Escape"),
     ):
         explorer.page.locator("#lpn-header").get_by_text("Glossary", exact=True).click()
-        expect(term).to_be_visible(timeout=60_000)
+        expect(term).to_be_visible()
         close()
-        expect(term).to_have_count(0, timeout=60_000)
+        expect(term).to_have_count(0)
 
 
 @pytest.mark.slow
