@@ -39,6 +39,7 @@ FORMAT = "lpn-page/1"
 
 # Drawings of a run, and the pictures of the page.
 _DRAWINGS = {
+    "figure1": "figure1.jpg",
     "figure5": "figure5.png",
     "figure7a": "figure7.jpg",
     "figure7b": "figure7b.jpg",

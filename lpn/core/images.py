@@ -226,7 +226,8 @@ def shrink_to(picture: UInt8Array, side: float, box: tuple[float, float, float, 
     shown = Image.fromarray(picture)
     longer = max(shown.size)
     if box is not None:
-        shown = shown.crop(tuple(round(edge) for edge in box))
+        left, top, right, bottom = (round(edge) for edge in box)
+        shown = shown.crop((left, top, right, bottom))
     limit = side * max(shown.size) / longer
     shown.thumbnail((limit, limit), Image.Resampling.LANCZOS)
     return np.asarray(shown)

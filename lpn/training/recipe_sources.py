@@ -477,25 +477,26 @@ def _cell(setting: str, value: object) -> str:
     return "0 (as the height)" if setting == "width" and value == 0 else f"{value}"
 
 
-def table(first: str, second: str) -> str:
-    """Return a Markdown table of two recipes, with the source of each setting; those without effect in both stand below it.
+def table(first: str, second: str = "") -> str:
+    """Return a Markdown table of one or two recipes, with the source of each setting; those without effect stand below it.
 
     The table of two recipes that are ours has the settings in which they differ. Settings that they share stand below it.
     """
-    recipes = {name: asdict(find(name)) for name in (first, second)}
+    recipes = {name: asdict(find(name)) for name in (first, second) if name}
     if not {first, second} & set(_CHAINS):
         return _own_table(recipes)
-    rows, unused = [f"| setting | `{first}` | source | `{second}` | source |", "|---|---|---|---|---|"], []
+    titles = " | ".join(f"`{name}` | source" for name in recipes)
+    rows, unused = [f"| setting | {titles} |", "|---" * (1 + 2 * len(recipes)) + "|"], []
     for setting in recipes[first]:
         sources = {name: source(name, setting) for name in recipes}
         if all(of in (_OFF, _NOT_USED) for of in sources.values()):
             unused.append(f"`{setting}`")
             continue
-        if sources[first] == f"{sources[second]}; the paper is silent":
+        if second and sources[first] == f"{sources[second]}; the paper is silent":
             sources[first] = "silent: as released"
         cells = (cell for name, of in recipes.items() for cell in (_cell(setting, of[setting]), sources[name]))
         rows.append(f"| `{setting}` | {' | '.join(cells)} |")
-    return "\n".join([*rows, "", f"Off in both, or without effect: {', '.join(unused)}."])
+    return "\n".join([*rows, "", f"Off{' in both' if second else ''}, or without effect: {', '.join(unused)}."])
 
 
 def _own_table(recipes: dict[str, dict[str, object]]) -> str:
