@@ -109,6 +109,7 @@ def test_the_released_runs_of_cvusa_and_cvact_are_those_of_the_scripts() -> None
     assert cvact == resnet
     assert "run_cvact.sh:31" in source("cvact-released", "lr")
     assert "run_cvusa.sh:31 (commented out)" in source("cvusa-released-resnet50", "lr")
+    assert not any("SAFA" in source("cvact-released", name) for name in ("linear", "class_init"))
     # Each line is of the scripts for the data set that the recipe is named after.
     assert not any("cvusa" in source("cvact-released", field.name).replace("CVUSA", "") for field in fields(Recipe))
 
