@@ -188,11 +188,11 @@ def _released_loss(
 ) -> Tensor:
     """Return the recipe's released metric loss; a satellite whose place has no drone picture is not counted."""
     tiles, drones = (descriptors(outputs[name][0].float()) for name in ("satellite", "drone"))
-    drones = drones.unflatten(0, (len(tiles), recipe.positives))
+    drones = drones.reshape(len(tiles), recipe.positives, -1)
     same = labels["satellite"] == labels["drone"][:: recipe.positives]
     order = np.random.default_rng([recipe.seed, step]).permutation(int(same.sum()) * recipe.positives)
     if not len(order):
-        return 0 * (tiles.sum() + drones.sum())
+        return (tiles.sum() + drones.sum()).mul(0)
     pool = torch.from_numpy(order[: recipe.pool]).to(tiles.device)
     scores = hardest_scores(tiles[same], drones[same], labels["satellite"][same], pool)
     return released_metric_loss(*scores, recipe)
