@@ -18,14 +18,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from lpn import retrieval
-from lpn.core.arrays import Float32Array, Int64Array, UInt8Array
+from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.views import View
-from lpn.datasets import Truth
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.retrieval import Ranking, scoring
+from lpn.retrieval import Ranking
 
 # The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels
 # of the network's input. Zoom is a factor.
@@ -60,39 +59,6 @@ class SweepPoint:
     top_score: float
 
 
-def run_sweep(
-    model: Model,
-    picture: UInt8Array,
-    view: View,
-    gallery: Float32Array,
-    weights: Float32Array,
-    changes: Iterable[Change],
-    labels: Int64Array | None = None,
-    label: int | None = None,
-    truth: Truth | None = None,
-    follow: int | None = None,
-) -> Iterator[SweepPoint]:
-    """Yield a point for each change: describe the changed query and rank the gallery.
-
-    Args:
-        picture: the query, (H, W, 3) uint8.
-        gallery: descriptors, (G, n, D).
-        weights: part weights that sum to one, (n,).
-        changes: see `changes_over`.
-        labels, label, truth: true matches, as for `retrieval.rank`.
-        follow: gallery position of the tile to follow in place of the nearest positive.
-
-    Raises:
-        InputError: if the model lacks the view, all tiles are junk, the tile `follow` is not in the ranking, or a
-            change leaves an empty picture.
-    """
-
-    def ranked(descriptor: Float32Array) -> Ranking:
-        return retrieval.rank(scoring.part_cosines(descriptor, gallery), weights, labels, label, truth)
-
-    return sweep_points(model, picture, view, changes, ranked, follow)
-
-
 def sweep_points(
     model: Model,
     picture: UInt8Array,
@@ -101,10 +67,17 @@ def sweep_points(
     rank: Callable[[Float32Array], Ranking],
     follow: int | None = None,
 ) -> Iterator[SweepPoint]:
-    """Yield a point for each change, as `run_sweep` does, of a gallery that a function ranks.
+    """Yield a point for each change: describe the changed query and rank the gallery.
 
     Args:
+        picture: the query, (H, W, 3) uint8.
+        changes: see `changes_over`.
         rank: ranks the gallery for a descriptor, (n, D).
+        follow: gallery position of the tile to follow in place of the nearest positive.
+
+    Raises:
+        InputError: if the model lacks the view, all tiles are junk, the tile `follow` is not in the ranking, or a
+            change leaves an empty picture.
     """
     model.check_view(view)
     for change in changes:
@@ -137,7 +110,7 @@ class SweepResult:
     def __post_init__(self) -> None:
         if not self.points:
             raise InputError(
-                "A sweep result needs at least one point; take one from lpn.explain.sweeps.run_sweep first."
+                "A sweep result needs at least one point; take one from lpn.explain.sweeps.sweep_points first."
             )
         ordered = sorted(self.points, key=lambda point: swept_value(self.over, point.change))
         object.__setattr__(self, "points", tuple(ordered))

@@ -26,6 +26,7 @@ from lpn.index import create_index
 from lpn.index.base import DescriptorKind
 from lpn.report import Options, build
 from tools.fixtures import small_worlds
+from tools.fixtures.rankings import ranked_in
 from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel
 
 TASK = "drone-to-satellite"
@@ -86,9 +87,9 @@ def test_the_level_is_named_wherever_numbers_are(regions: Workspace, without_cel
     ):
         analysis = analysed(workspace)
         points = list(
-            sweeps.run_sweep(
-                RegionModel(), analysis.source, "drone", analysis.task.gallery_descriptors,
-                analysis.ranking.weights, sweeps.changes_over("rotation", 180),
+            sweeps.sweep_points(
+                RegionModel(), analysis.source, "drone", sweeps.changes_over("rotation", 180),
+                ranked_in(analysis.task.gallery_descriptors, analysis.ranking.weights),
             )
         )  # fmt: skip
         swept = sweeps.SweepResult("rotation", tuple(points))
@@ -148,9 +149,9 @@ def test_without_cells_there_is_a_reason_in_place_of_a_heatmap(without_cells: Wo
     # The ranking needs no cells.
     np.testing.assert_allclose(analysis.ranking.cosines, analysed(regions).ranking.cosines, atol=1e-5)
     points = list(
-        sweeps.run_sweep(
-            PartsModel(RegionModel()), analysis.source, "drone", analysis.task.gallery_descriptors,
-            analysis.ranking.weights, sweeps.changes_over("rotation", 90),
+        sweeps.sweep_points(
+            PartsModel(RegionModel()), analysis.source, "drone", sweeps.changes_over("rotation", 90),
+            ranked_in(analysis.task.gallery_descriptors, analysis.ranking.weights),
         )
     )  # fmt: skip
     assert len(points) == 4

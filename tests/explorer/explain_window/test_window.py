@@ -33,6 +33,7 @@ from lpn.drawing import verdicts
 from lpn.explain import counterfactual, sweeps
 from lpn.explain.counterfactual import Effect
 from tools.fixtures import small_worlds
+from tools.fixtures.rankings import ranked_in
 
 
 @pytest.fixture(scope="module")
@@ -151,10 +152,10 @@ def test_a_profile_is_drawn_from_its_first_point(workspace: Workspace) -> None:
     analysis = analysed(workspace)
     task = analysis.task
     changes = sweeps.changes_over("rotation", 45)
-    steps = sweeps.run_sweep(
-        workspace.model, analysis.source, "drone", task.gallery_descriptors, analysis.ranking.weights, changes,
-        task.gallery_labels, int(task.query_labels[0]),
-    )  # fmt: skip
+    ranked = ranked_in(
+        task.gallery_descriptors, analysis.ranking.weights, task.gallery_labels, int(task.query_labels[0])
+    )
+    steps = sweeps.sweep_points(workspace.model, analysis.source, "drone", changes, ranked)
     points = [next(steps)]
     one = sweep_page.page(analysis, "rotation", sweeps.SweepResult("rotation", tuple(points)), 8, workspace.part_names)
     assert 'data-done="1" data-of="8"' in one

@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,10 +22,11 @@ from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
 from lpn.explain import sweeps
-from lpn.explain.sweeps import SweepPoint, SweepResult, changes_over, run_sweep
+from lpn.explain.sweeps import SweepPoint, SweepResult, changes_over, sweep_points
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
+from tools.fixtures.rankings import ranked_in
 
 
 @pytest.fixture(scope="module")
@@ -78,8 +81,9 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
     picture, weights = small_worlds.from_drone(small_worlds.place(2), 3), scoring.part_weights(4, [1, 2, 1, 0])
     labels = np.array([5, 9, 2, 2, -1, 7])
     changes = [Change(rotate=90), Change(shift=9), Change(down=-7), Change(scale=1.5)]
-    points = list(run_sweep(model, picture, "drone", tiles, weights, changes, labels, 2))
-    by_list = run_sweep(model, picture, "drone", tiles, weights, changes, truth=Truth(np.array([2, 3]), np.array([4])))
+    points = list(sweep_points(model, picture, "drone", changes, ranked_in(tiles, weights, labels, 2)))
+    truth_list = Truth(np.array([2, 3]), np.array([4]))
+    by_list = sweep_points(model, picture, "drone", changes, ranked_in(tiles, weights, truth=truth_list))
     for change, point, listed in zip(changes, points, by_list, strict=True):
         shaped = change.move(model.to_input_size(change.apply(picture), "drone"))
         direct = model.descriptors(images.normalise(shaped)[None], "drone")[0]
@@ -96,18 +100,22 @@ def test_points_are_what_describing_and_ranking_gives(model: Model, tiles: Float
 
 
 def test_without_a_truth_a_chosen_tile_or_the_top_match_is_followed(model: Model, tiles: Float32Array) -> None:
-    given = (model, small_worlds.place(1), "satellite", tiles, scoring.part_weights(4), [Change(), Change(rotate=180)])
-    chosen, top = list(run_sweep(*given, follow=3)), list(run_sweep(*given))  # type: ignore[arg-type]
+    weights, changes = scoring.part_weights(4), [Change(), Change(rotate=180)]
+
+    def points(view: View = "satellite", follow: int | None = None, **truth: Any) -> Iterator[SweepPoint]:
+        return sweep_points(model, small_worlds.place(1), view, changes, ranked_in(tiles, weights, **truth), follow)
+
+    chosen, top = list(points(follow=3)), list(points())
     assert [(point.tile, point.true) for point in chosen] == [(3, None)] * 2
     assert [point.tile for point in top] == [point.top for point in top]
     assert {point.rank for point in top} == {1}
     assert (top[0].top, top[0].score) == (1, pytest.approx(1, abs=1e-5))
     with pytest.raises(InputError, match="Gallery picture 6 is not in the ranking"):
-        next(run_sweep(*given, follow=6))  # type: ignore[arg-type]
+        next(points(follow=6))
     with pytest.raises(InputError, match="no tile to rank"):
-        next(run_sweep(*given, labels=np.full(6, -1)))  # type: ignore[arg-type]
+        next(points(labels=np.full(6, -1)))
     with pytest.raises(InputError, match="no 'street' view"):
-        next(run_sweep(model, small_worlds.place(1), "street", *given[3:]))  # type: ignore[arg-type]
+        next(points("street"))
 
 
 def test_a_sweep_computes_no_further_than_it_is_asked(
@@ -122,7 +130,7 @@ def test_a_sweep_computes_no_further_than_it_is_asked(
 
     monkeypatch.setattr(retrieval, "describe_picture", counted)
     changes = changes_over("rotation", 30)
-    points = run_sweep(model, small_worlds.place(1), "drone", tiles, scoring.part_weights(4), changes)
+    points = sweep_points(model, small_worlds.place(1), "drone", changes, ranked_in(tiles, scoring.part_weights(4)))
     assert [point.change for point in islice(points, 3)] == changes[:3] == asked
 
 
@@ -165,7 +173,7 @@ def test_a_tile_turned_as_a_drone_of_some_heading_sees_it_has_that_heading(model
     seen = images.rotate(small_worlds.place(3), 90)
     labels = np.arange(6)
     turned = changes_over("rotation", 90)
-    points = tuple(run_sweep(model, seen, "satellite", tiles, scoring.part_weights(4), turned, labels, 3))
+    points = tuple(sweep_points(model, seen, "satellite", turned, ranked_in(tiles, scoring.part_weights(4), labels, 3)))
     found = SweepResult("rotation", points)
     assert found.heading() == 90
     assert found.best.score == pytest.approx(1, abs=1e-4)
@@ -183,7 +191,7 @@ def test_the_demo_s_headings_are_found_more_often_than_by_chance() -> None:
     errors = []
     for i in downward:
         picture, angles = images.load_picture(queries[i].path), changes_over("rotation", 45)
-        points = tuple(run_sweep(model, picture, "drone", tiles, scoring.part_weights(4), angles))
+        points = tuple(sweep_points(model, picture, "drone", angles, ranked_in(tiles, scoring.part_weights(4))))
         heading = SweepResult("rotation", points).heading()
         assert heading is not None
         errors.append(abs((heading - (known[i].heading or 0.0) + 180) % 360 - 180))
