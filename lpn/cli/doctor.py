@@ -41,18 +41,13 @@ class DoctorCommand:
         if self.data is None:
             return self._check_environment()  # works without any package
 
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        from lpn.core.consoles import wide_console
+        from lpn.core.consoles import counting_bar, wide_console
         from lpn.datasets import open_dataset
         from lpn.doctor.dataset_check import check_dataset, print_report
 
         console = wide_console()
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task("Reading pictures", total=None)
-            dataset = open_dataset(self.data)
-            report = check_dataset(dataset, not self.quick, lambda n, total: bar.update(task, completed=n, total=total))
+        with counting_bar("Reading pictures", console, transient=True) as progress:
+            report = check_dataset(open_dataset(self.data), not self.quick, progress)
         print_report(report, console)
         if self.json is not None:
             write_json(self.json, report.to_dict())

@@ -42,19 +42,18 @@ class IndexCommand:
 
     def run(self) -> None:
         import numpy as np
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+        from lpn.core.consoles import counting_bar
         from lpn.index import create_index
         from lpn.index.tiles import open_tiles
 
         tiles = open_tiles(self.descriptors, self.data)
-        added = 0
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        added = read = 0
         with (
             create_index(self.out, tiles.kind, self.engine, self.precision, self.codes, self.structure) as index,
-            Progress(*columns) as bar,
+            counting_bar("Indexing") as progress,
         ):
-            task = bar.add_task("Indexing", total=tiles.count)
+            progress(0, tiles.count)
             for chunk in tiles.chunks:
                 some = np.arange(len(chunk.names))
                 if not self.replace:
@@ -63,7 +62,8 @@ class IndexCommand:
                     chosen = [chunk.names[i] for i in some.tolist()]
                     index.add(chosen, chunk.rows(some), None if chunk.positions is None else chunk.positions[some])
                     added += len(some)
-                bar.advance(task, len(chunk.names))
+                read += len(chunk.names)
+                progress(read, tiles.count)
             print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
         if there := tiles.count - added:
             print(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -129,6 +127,7 @@ def locate_files(
     Raises:
         InputError: if the limit is below 1, a kind or an index is given without a model, or sizes are given beside an index.
     """
+    from lpn.core.consoles import stage_bars
     from lpn.flights import open_flight
     from lpn.locate import corrections
     from lpn.locate.index_windows import indexed_windows
@@ -148,7 +147,7 @@ def locate_files(
     kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
     network = None if model is None else lpn.load(model, provider, kind=kind)
     indexed = None if index is None or network is None else indexed_windows(index, network, basemap)
-    with _progress(console) as report:
+    with stage_bars(console) as report:
         return locate(basemap, flight, network, options, report, kept, indexed)
 
 
@@ -219,19 +218,3 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         findings.append(located.audit.sentence)
     for line in findings:
         console.print(printable(line), highlight=False, soft_wrap=True, markup=False)
-
-
-@contextmanager
-def _progress(console: Console) -> Iterator[Progress]:
-    """Show a bar for each stage."""
-    from rich.progress import Progress as Bars
-
-    with Bars(console=console, transient=True) as bars:
-        tasks: dict[str, int] = {}
-
-        def report(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done)  # type: ignore[arg-type]
-
-        yield report

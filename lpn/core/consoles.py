@@ -1,10 +1,45 @@
-"""Consoles for tables."""
+"""Consoles for tables, and progress bars."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+# Called with the numbers of things that are done, and of all.
+CountProgress = Callable[[int, int], None]
 
 
 def wide_console(least: int = 120) -> Console:
     """Return a console of at least so many columns, so that a narrow terminal or a pipe does not break the cells of a table."""
     return Console(width=max(least, Console().width))
+
+
+@contextmanager
+def counting_bar(title: str, console: Console | None = None, transient: bool = False) -> Iterator[CountProgress]:
+    """Show a bar with the number of things that are done and the remaining time; a `transient` one is deleted at its end."""
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=transient) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def stage_bars(console: Console, title: str = "{}") -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar for each stage, with the stage in place of the braces of `title`; all are deleted at the end."""
+    bars = Progress(console=console, transient=True)
+    stages: dict[str, TaskID] = {}
+
+    def report(stage: str, done: int, total: int) -> None:
+        bars.start()
+        if stage not in stages:
+            stages[stage] = bars.add_task(title.format(stage), total=total)
+        bars.update(stages[stage], completed=done)
+
+    try:
+        yield report
+    finally:
+        if stages:  # bars that never started would print an empty line
+            bars.stop()

@@ -1,28 +1,32 @@
-"""Describe windows of a map into a store, whose rows are named by where the windows are (`lpn.maps.named_window`)."""
+"""Describe windows of a map into a store: for an index, named by where they are, or for the localisation of a flight."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from lpn.core.arrays import Float32Array
+from lpn.core.consoles import CountProgress, counting_bar
 from lpn.core.views import View
-from lpn.descriptors.partial_store import reusable_store
+from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.store import Manifest, Precision, Row, Store
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.descriptors.writer import fill_store, write_store
-from lpn.maps import Map
-from lpn.maps.named_window import NamedWindow, WindowCut
+from lpn.maps import Map, Window
+from lpn.maps.named_window import WindowCut
 from lpn.models.base import Model
 
 
 def describe_windows(
     model: Model,
     basemap: Map,
-    windows: Sequence[NamedWindow],
+    windows: Sequence[Window],
     out: str | Path,
     view: View = "satellite",
     precision: Precision = "float32",
+    names: Sequence[str] | None = None,
+    bar: AbstractContextManager[CountProgress] | None = None,
 ) -> Store:
     """Describe windows of a map, mirror included, into a store; existing rows are not computed again.
 
@@ -34,6 +38,8 @@ def describe_windows(
         out: the store's folder.
         view: the branch that describes them.
         precision: precision of the numbers on disk; the computation is in float32.
+        names: of the rows, such as `lpn.maps.named_window` gives them; by default the numbers of each window.
+        bar: shows the progress; by default on the terminal.
 
     Raises:
         PictureError: if a file of the map is damaged where a window lies.
@@ -42,17 +48,17 @@ def describe_windows(
     """
     model.check_view(view)
     side = max(model.input_size)
+    if names is None:
+        names = [f"{window.x!r},{window.y!r},{window.size!r},{window.heading!r}" for window in windows]
     # A row tells its picture by name, size, and time: here the side in pixels, and a digest of the map in place of the time.
     version = int(basemap.digest()[:15], 16)
-    rows = tuple(Row(window.name, side, version) for window in windows)
+    rows = tuple(Row(name, side, version) for name in names)
     manifest = Manifest.for_model(model, view, UNCHANGED, rows, precision)
-    before = reusable_store(Path(out), manifest)
-    if before is not None and before.manifest == manifest:
-        return before
 
     def prepare(row: int) -> Float32Array:
-        return model.prepare(WindowCut(basemap, windows[row].on(basemap.frame), side)(), view)
+        return model.prepare(WindowCut(basemap, windows[row], side)(), view)
 
-    return write_store(
-        Path(out), manifest, lambda partial: fill_store(model, partial, prepare, view, "Describing windows")
-    )
+    def fill(partial: PartialStore) -> None:
+        fill_store(model, partial, prepare, view, bar or counting_bar("Describing windows"))
+
+    return write_store(Path(out), manifest, fill)

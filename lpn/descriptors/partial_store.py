@@ -71,6 +71,12 @@ class PartialStore:
         if time.monotonic() - self._saved >= _SAVE_SECONDS:
             self.save()
 
+    def rows(self) -> AnyArray:
+        """Return a copy of all rows, (N, n, D); those that are not finished are 0."""
+        rows = np.array(self._array)
+        rows[~self.good] = 0
+        return rows
+
     def save(self) -> None:
         """Write the rows to disk, then record them as finished."""
         self._array.flush()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
-from lpn.core.errors import DataError, StoreError
+from lpn.core.consoles import CountProgress, counting_bar
+from lpn.core.errors import DataError, PictureError, StoreError
 from lpn.core.files import exclusive_lock, printable, space_remedy, write_atomic
 from lpn.core.views import View
 from lpn.datasets import files_below, unread_below, warn_left_out
@@ -66,19 +66,20 @@ def describe(
         load = images.load_without_orientation if change.released else images.load_picture
         return prepare_row(model, load(files[row]), rows[row], change, view)
 
-    return write_store(out, manifest, lambda partial: fill_store(model, partial, prepare, view, title))
+    return write_store(out, manifest, lambda partial: fill_store(model, partial, prepare, view, counting_bar(title)))
 
 
-def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None]) -> Store:
+def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None], whole: bool = True) -> Store:
     """Write a store, or open the existing one.
 
     Args:
         out: the store's folder.
         manifest: the store's contents.
         fill: called to put every missing row.
+        whole: refuse a store without some rows; otherwise these are 0, and only the rows of a whole one are final on disk.
 
     Raises:
-        StoreError: if `out` cannot be written or holds other descriptors, or if `fill` leaves rows out.
+        StoreError: if `out` cannot be written or holds other descriptors, or if `fill` leaves rows of a whole store out.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -94,6 +95,8 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
                 finally:
                     partial.save()
                 if not partial.good.all():
+                    if not whole:
+                        return Store(manifest, partial.rows())
                     raise StoreError(
                         f"{int((~partial.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; run "
                         "this again to resume."
@@ -117,31 +120,37 @@ def _finish(out: Path, manifest: Manifest) -> None:
 
 
 def fill_store(
-    model: Model, partial: PartialStore, prepare: Callable[[int], Float32Array], view: View, title: str
+    model: Model,
+    partial: PartialStore,
+    prepare: Callable[[int], Float32Array],
+    view: View,
+    bar: AbstractContextManager[CountProgress],
+    broken: dict[int, PictureError] | None = None,
 ) -> None:
     """Describe the missing rows of a store.
 
     Args:
         prepare: returns the model's input (3, H, W) of a row.
-        title: the label of the progress bar.
+        bar: shows the progress.
+        broken: takes the error of each row that cannot be read; without it, the first one is raised.
 
     Raises:
         PictureError: the first that `prepare` raises.
     """
     missing = [row for row, good in enumerate(partial.good) if not good]
-    with progress_bar() as bar:
-        task = bar.add_task(title, total=len(partial.good), completed=len(partial.good) - len(missing))
+    total = len(partial.good)
+    done = total - len(missing)
+    with bar as report:
+        report(done, total)
         for batch in describe_each(model, missing, prepare, view):
             if batch.items:
                 partial.put([missing[i] for i in batch.items], batch.descriptors)
-            for _, error in batch.broken:
-                raise error
-            bar.advance(task, len(batch.items))
-
-
-def progress_bar() -> Progress:
-    """Return a bar for the terminal, with the number of described pictures and the remaining time."""
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+            for i, error in batch.broken:
+                if broken is None:
+                    raise error
+                broken[missing[i]] = error
+            done += len(batch.items) + len(batch.broken)
+            report(done, total)
 
 
 def prepare_row(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:

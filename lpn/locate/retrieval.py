@@ -8,9 +8,8 @@ of all sizes; where its heading is unknown or not certain, it is described at se
 from __future__ import annotations
 
 import hashlib
-import io
-import json
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,16 @@ from typing import Any
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
-from lpn.core.errors import InputError
-from lpn.core.files import cache_folder, write_atomic
+from lpn.core.consoles import CountProgress
 from lpn.core.progress import Progress
+from lpn.core.errors import InputError, PictureError
+from lpn.core.files import cache_folder
 from lpn.core.views import View
-from lpn.descriptors.parallel_inference import describe_each
+from lpn.descriptors.map_windows import describe_windows
+from lpn.descriptors.partial_store import PartialStore
+from lpn.descriptors.store import Manifest, Row
+from lpn.descriptors.transforms import UNCHANGED
+from lpn.descriptors.writer import fill_store, write_store
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, FrameReader, cut_size
 from lpn.locate.index_windows import IndexedWindows
@@ -30,8 +34,6 @@ from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 from lpn.retrieval import scoring
 
-# Windows and pictures of one file in the cache, which is what a killed run loses.
-_CHUNK = 256
 # Ratio of one size of the pyramid to the next, and the most sizes without a known width.
 _PYRAMID = 1.4
 _SIZES = 5
@@ -46,7 +48,6 @@ _AIRCRAFT_TURNS = (0.0, -10.0, 10.0, -20.0, 20.0)
 _OTHER_TURN = 1.5
 # Added to the variances that whitening divides by, as a share of their mean: few samples tell the small ones badly.
 _SHRINKAGE = 1.0
-_FORMAT = "lpn-locate-descriptors/1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,10 +223,6 @@ def retrieve(
             f"No window of {chosen[0]:.0f} m or more fits on the map {basemap.name}; give a smaller size of windows with --size."
         )
     side = max(model.input_size)
-
-    def of_window(window: Window) -> Float32Array:
-        return model.prepare(basemap.read(window, side)[0], "satellite")
-
     levels = np.full(len(flight.frames), np.nan)
     cut_shares = np.zeros(len(flight.frames))
     jobs: list[tuple[int, float, float]] = []
@@ -242,17 +239,27 @@ def retrieve(
 
     reader = FrameReader(side)
 
-    def of_frame(job: tuple[int, float, float]) -> Float32Array:
-        return model.prepare(reader(flight.frames[job[0]].file, *job[1:]), query)
+    def of_frame(job: int) -> Float32Array:
+        i, heading, share = jobs[job]
+        return model.prepare(reader(flight.frames[i].file, heading, share), query)
 
-    ground_key = [basemap.digest(), model.fingerprint, side, [(w.x, w.y, w.size) for w in windows]]
-    frame_key = [model.fingerprint, side, query, [(frame_identity(flight.frames[i]), h, s) for i, h, s in jobs]]
+    def bar(stage: str) -> AbstractContextManager[CountProgress]:
+        return nullcontext(lambda done, total: None if on_progress is None else on_progress(stage, done, total))
+
     if indexed is None:
-        tiles, _ = _described(model, windows, of_window, "satellite", ground_key, on_progress, "windows")
+        ground = _cached(basemap.digest(), model.fingerprint, side, windows)
+        tiles = np.array(describe_windows(model, basemap, windows, ground, bar=bar("windows")).float32)
     else:
         tiles, overlap = indexed.descriptors, indexed.overlap
-    queries, broken = _described(model, jobs, of_frame, query, frame_key, on_progress, "frames")
-    bad = {jobs[j][0]: reason for j, reason in broken.items()}
+    rows = tuple(_frame_row(flight.frames[i], heading, share) for i, heading, share in jobs)
+    manifest = Manifest.for_model(model, query, UNCHANGED, rows)
+    broken: dict[int, PictureError] = {}
+
+    def fill(partial: PartialStore) -> None:
+        fill_store(model, partial, of_frame, query, bar("frames"), broken)
+
+    queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
+    bad = {jobs[j][0]: str(error) for j, error in broken.items()}
     notes = _size_notes(flight.frames, levels)
     good = np.array([job[0] not in bad for job in jobs], bool)
     owner = np.array([job[0] for job in jobs], np.int64)
@@ -339,54 +346,15 @@ def frame_identity(frame: Frame) -> list[Any]:
     return [str(frame.file.resolve()), stat.st_size, stat.st_mtime_ns]
 
 
-def _described(
-    model: Model,
-    items: Sequence[Any],
-    prepare: Callable[[Any], Float32Array],
-    view: View,
-    key: list[Any],
-    on_progress: Progress | None,
-    what: str,
-) -> tuple[Float32Array, dict[int, str]]:
-    """Return descriptors (N, n, D) of items and the errors of broken ones, chunk by chunk from the cache or from the model."""
-    digest = hashlib.sha256(json.dumps([_FORMAT, key]).encode()).hexdigest()[:24]
-    folder = cache_folder() / "locate" / "descriptors" / digest
-    shape = (len(items), model.n_parts, model.embedding)
-    descriptors_read = np.zeros(shape, np.float32)
-    broken: dict[int, str] = {}
-    for start in range(0, len(items), _CHUNK):
-        chunk = items[start : start + _CHUNK]
-        file = folder / f"{start:07d}.npy"
-        values = _read_chunk(file, (len(chunk), *shape[1:]))
-        if values is None:
-            values = np.full((len(chunk), *shape[1:]), np.nan, np.float32)
-        # Broken items are not a number in the cache, and are tried again.
-        missing = np.flatnonzero(np.isnan(values[:, 0, 0]))
-        described = False
-        for batch in describe_each(model, [chunk[i] for i in missing.tolist()], prepare, view) if len(missing) else ():
-            values[missing[batch.items]] = batch.descriptors
-            described = described or len(batch.items) > 0
-            broken |= {start + int(missing[i]): str(error) for i, error in batch.broken}
-        if described:
-            _write_chunk(file, values)
-        descriptors_read[start : start + len(chunk)] = np.nan_to_num(values)
-        if on_progress is not None:
-            on_progress(what, min(start + _CHUNK, len(items)), len(items))
-    return descriptors_read, broken
+def _frame_row(frame: Frame, heading: float, share: float) -> Row:
+    """Return the row of a frame's square in a store."""
+    file, size, time = frame_identity(frame)
+    return Row(f"{file} {heading!r} {share!r}", size or 0, time or 0)
 
 
-def _read_chunk(file: Path, shape: tuple[int, ...]) -> Float32Array | None:
-    try:
-        values = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        return None
-    return values if values.shape == shape and values.dtype == np.float32 else None
-
-
-def _write_chunk(file: Path, values: Float32Array) -> None:
-    data = io.BytesIO()
-    np.save(data, values)
-    write_atomic(file, data.getvalue())
+def _cached(*key: object) -> Path:
+    """Return the folder of a store in the user's cache, by all that its descriptors depend on."""
+    return cache_folder() / "locate" / "descriptors" / hashlib.sha256(repr(key).encode()).hexdigest()[:24]
 
 
 def _distinct(described: Float32Array) -> int:

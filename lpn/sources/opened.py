@@ -93,25 +93,13 @@ def open_with_notes(
 def progress_bars() -> Iterator[Progress]:
     """Show a bar on the terminal for each stage of an opening."""
     from rich.console import Console
-    from rich.progress import Progress as Bars
-    from rich.progress import TaskID
+
+    from lpn.core.consoles import stage_bars
 
     # A notebook's console, which is no terminal, gets no animation.
     console = Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
-    bars = Bars(console=console, transient=True)
-    stages: dict[str, TaskID] = {}
-
-    def report(stage: str, done: int, total: int) -> None:
-        bars.start()
-        if stage not in stages:
-            stages[stage] = bars.add_task(f"Describing {stage}", total=total)
-        bars.update(stages[stage], completed=done)
-
-    try:
+    with stage_bars(console, "Describing {}") as report:
         yield report
-    finally:
-        if stages:  # bars that never started would print an empty line
-            bars.stop()
 
 
 class Named(Protocol):

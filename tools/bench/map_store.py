@@ -13,7 +13,7 @@ from pathlib import Path
 
 import lpn
 from lpn.descriptors.map_windows import describe_windows
-from lpn.maps import NamedWindow, open_map
+from lpn.maps import open_map
 from lpn.maps.named_window import WindowCut
 
 _WHOLE = 10_000
@@ -31,19 +31,19 @@ def main() -> None:
     overlap = 0.5
     while len(windows := town.pyramid([given.size], overlap)) < given.windows:
         overlap += (1 - overlap) / 4
-    named = NamedWindow.all_of(windows[: given.windows], town.frame)
+    chosen = windows[: given.windows]
     with tempfile.TemporaryDirectory() as folder:
         wall, processor = time.perf_counter(), time.process_time()
-        describe_windows(model, town, named, Path(folder) / "store")
+        describe_windows(model, town, chosen, Path(folder) / "store")
         wall, processor = time.perf_counter() - wall, time.process_time() - processor
     begun = time.process_time()
-    for window in named[:100]:
-        WindowCut(town, window.on(town.frame), max(model.input_size))()
-    cut = (time.process_time() - begun) / len(named[:100])
+    for window in chosen[:100]:
+        WindowCut(town, window, max(model.input_size))()
+    cut = (time.process_time() - begun) / len(chosen[:100])
     print(
-        f"{given.map.name}: {len(named)} windows of {given.size:g} m took {processor:.1f} s of processor time ({wall:.1f} s on "
-        f"the clock); {1000 * processor / len(named):.1f} ms a window, {1000 * cut:.1f} ms of them for cutting. {_WHOLE:,} "
-        f"windows: {processor / len(named) * _WHOLE:.0f} s of processor time, {processor / len(named) * _WHOLE / 120:.1f} "
+        f"{given.map.name}: {len(chosen)} windows of {given.size:g} m took {processor:.1f} s of processor time ({wall:.1f} s on "
+        f"the clock); {1000 * processor / len(chosen):.1f} ms a window, {1000 * cut:.1f} ms of them for cutting. {_WHOLE:,} "
+        f"windows: {processor / len(chosen) * _WHOLE:.0f} s of processor time, {processor / len(chosen) * _WHOLE / 120:.1f} "
         "minutes of two cores."
     )
 

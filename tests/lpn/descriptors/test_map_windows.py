@@ -10,7 +10,7 @@ import pytest
 import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
-from lpn.descriptors import open_store
+from lpn.descriptors import Store, open_store
 from lpn.descriptors.map_windows import describe_windows
 from lpn.index import open_index
 from lpn.maps import Map, NamedWindow, open_map
@@ -26,6 +26,11 @@ def town(tmp_path: Path) -> Map:
 
 def _windows(town: Map) -> list[NamedWindow]:
     return NamedWindow.all_of(town.pyramid([40.0], 0.5), town.frame)
+
+
+def _describe(model: Model, town: Map, windows: list[NamedWindow], out: Path) -> Store:
+    rounded, names = [window.on(town.frame) for window in windows], [window.name for window in windows]
+    return describe_windows(model, town, rounded, out, names=names)
 
 
 def test_windows_are_described_once_and_a_killed_run_resumes(
@@ -45,21 +50,21 @@ def test_windows_are_described_once_and_a_killed_run_resumes(
     resumed = False
     monkeypatch.setattr(type(model), "descriptors", counted)
     with pytest.raises(KeyboardInterrupt):
-        describe_windows(model, town, windows, tmp_path / "store")
+        _describe(model, town, windows, tmp_path / "store")
     before, resumed = described, True
     assert 10 <= before < len(windows)
-    store = describe_windows(model, town, windows, tmp_path / "store")
+    store = _describe(model, town, windows, tmp_path / "store")
     assert described == len(windows)
     for row in (0, before, len(windows) - 1):
         picture = WindowCut(town, windows[row].on(town.frame), max(model.input_size))()
         alone = original(model, model.prepare(picture, "satellite")[None], "satellite")[0]
         np.testing.assert_allclose(store.float32[row], alone, atol=1e-5)
     described = 0
-    describe_windows(model, town, windows, tmp_path / "store")
+    _describe(model, town, windows, tmp_path / "store")
     assert not described
     # Another map of the same windows is another matter.
     other = open_map(write_geotiff(tmp_path / "other.tif", smooth(200, 300, seed=1)))
-    describe_windows(model, other, windows, tmp_path / "store")
+    _describe(model, other, windows, tmp_path / "store")
     assert described == len(windows)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -110,6 +111,7 @@ class GridModel:
 
     views = ("satellite", "drone")
     fingerprint = "grid"
+    contract = SimpleNamespace(roles="view")
     input_size = (32, 32)
     n_parts = 2
     batch = 8

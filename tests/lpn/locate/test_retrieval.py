@@ -138,6 +138,24 @@ def test_a_broken_frame_leaves_the_others_in_the_cache(town: Map, tmp_path: Path
     np.testing.assert_array_equal(second.scores(2), found.scores(2))
 
 
+def test_a_stopped_retrieval_goes_on_where_it_was(town: Map, tmp_path: Path) -> None:
+    flight = _flight(tmp_path / "photos", [(-40.0, 10.0), (30.0, -35.0)])
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage == "windows" and done > total / 2:
+            raise KeyboardInterrupt
+
+    first, second = GridModel(), GridModel()
+    with pytest.raises(KeyboardInterrupt):
+        retrieve(first, town, flight, overlap=0.88, on_progress=stop)  # type: ignore[arg-type]
+    resumed = _retrieved(second, town, flight)
+    windows = len(resumed.windows)
+    assert windows / 2 < first.described < windows
+    assert second.described < windows / 2 + len(flight.frames)
+    np.testing.assert_array_equal(resumed.windows_described[:8], _retrieved(second, town, flight).windows_described[:8])
+    assert (np.linalg.norm(resumed.windows_described, axis=2) > 0.1).all()
+
+
 def test_the_heading_of_an_aircraft_is_left_only_for_a_clearly_better_one(town: Map, tmp_path: Path) -> None:
     flight = _flight(tmp_path / "wing", [(-40.0, 10.0)])
     frame = replace(flight.frames[0], heading_source="aircraft")
