@@ -16,7 +16,6 @@ from lpn.models.adapters import Kind
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lpn.core.progress import Progress
     from lpn.locate.located import LocatedFlight
     from lpn.locate.options import LocateOptions
 

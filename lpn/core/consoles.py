@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
 
-# Called with the numbers of things that are done, and of all.
-CountProgress = Callable[[int, int], None]
+from lpn.core.progress import CountProgress, Progress
 
 
 def wide_console(least: int = 120) -> Console:
@@ -21,15 +21,15 @@ def wide_console(least: int = 120) -> Console:
 def counting_bar(title: str, console: Console | None = None, transient: bool = False) -> Iterator[CountProgress]:
     """Show a bar with the number of things that are done and the remaining time; a `transient` one is deleted at its end."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=transient) as bar:
+    with Bars(*columns, console=console, transient=transient) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextmanager
-def stage_bars(console: Console, title: str = "{}") -> Iterator[Callable[[str, int, int], None]]:
+def stage_bars(console: Console, title: str = "{}") -> Iterator[Progress]:
     """Show a bar for each stage, with the stage in place of the braces of `title`; all are deleted at the end."""
-    bars = Progress(console=console, transient=True)
+    bars = Bars(console=console, transient=True)
     stages: dict[str, TaskID] = {}
 
     def report(stage: str, done: int, total: int) -> None:

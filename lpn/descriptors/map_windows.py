@@ -7,7 +7,8 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 
 from lpn.core.arrays import Float32Array
-from lpn.core.consoles import CountProgress, counting_bar
+from lpn.core.consoles import counting_bar
+from lpn.core.progress import CountProgress
 from lpn.core.views import View
 from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.store import Manifest, Precision, Row, Store

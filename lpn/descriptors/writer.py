@@ -9,9 +9,10 @@ from pathlib import Path
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
-from lpn.core.consoles import CountProgress, counting_bar
+from lpn.core.consoles import counting_bar
 from lpn.core.errors import DataError, PictureError, StoreError
 from lpn.core.files import exclusive_lock, printable, space_remedy, write_atomic
+from lpn.core.progress import CountProgress
 from lpn.core.views import View
 from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole

@@ -8,7 +8,7 @@ of all sizes; where its heading is unknown or not certain, it is described at se
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
-from lpn.core.consoles import CountProgress
-from lpn.core.progress import Progress
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import cache_folder
+from lpn.core.progress import CountProgress, Progress
 from lpn.core.views import View
 from lpn.descriptors.map_windows import describe_windows
 from lpn.descriptors.partial_store import PartialStore
