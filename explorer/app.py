@@ -15,7 +15,8 @@ from typing import Any
 import rich
 import viser
 
-from explorer.client_session import ClientSession, WorkspaceServices
+from explorer.client.services import WorkspaceServices
+from explorer.client.session import ClientSession
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway

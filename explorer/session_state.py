@@ -23,6 +23,8 @@ HeatKind = Literal["activation", "evidence"]
 Tab = Literal["table", "breakdown", "maps"]
 OutcomeFilter = Literal["all", "failed", "found", "only A", "only B"]
 MapKind = Literal["pca", "umap", "ground"]
+# What alters the ranking of a query.
+Alteration = Literal["region", "weights", "rotation", "shift", "zoom"]
 # Tabs of the explain window. "best" becomes the one that answers why the top match is first, when the pair is analysed.
 WhyTab = Literal["best", "evidence", "heatmaps", "comparison", "sweep", "region", "models"]
 
@@ -243,35 +245,21 @@ def number(value: Any, low: float, high: float, default: float) -> float:
     return min(max(float(value), low), high)
 
 
-def integer(value: Any, low: int, high: int) -> int | None:
-    """Return an untrusted value if it is an integer in low .. high, else None."""
-    valid = isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
-    return value if valid else None
-
-
-def check_cells(value: Any, count: int) -> tuple[int, ...] | None:
-    """Return an untrusted list of cells, sorted and without duplicates; None unless all are integers below `count`."""
-    if not isinstance(value, list) or len(value) > count:
-        return None
-    cells = [integer(cell, 0, count - 1) for cell in value]
-    return None if None in cells else tuple(sorted({cell for cell in cells if cell is not None}))
-
-
-def apply_point(state: SessionState, value: Any, size: tuple[int, int]) -> SessionState:
-    """Transform the query as an untrusted point of a sweep says: [degrees, right, down, factor].
+def apply_point(
+    state: SessionState, angle: float, right: float, down: float, zoom: float, size: tuple[int, int]
+) -> SessionState:
+    """Transform the query as a point of a sweep says, within the limits of the sliders.
 
     Args:
         size: (height, width) of the network's input in pixels, which limits the shifts.
     """
-    if not isinstance(value, list) or len(value) != 4:
-        return state
     height, width = size
     return replace(
         state,
-        angle=wrap(number(value[0], -360, 360, state.angle)),
-        shift=round(number(value[1], -width // 2, width // 2, state.shift)),
-        down=round(number(value[2], -height // 2, height // 2, state.down)),
-        zoom=number(value[3], 1 / MAX_ZOOM, MAX_ZOOM, state.zoom),
+        angle=wrap(angle),
+        shift=min(max(round(right), -(width // 2)), width // 2),
+        down=min(max(round(down), -(height // 2)), height // 2),
+        zoom=min(max(zoom, 1 / MAX_ZOOM), MAX_ZOOM),
     )
 
 
@@ -403,7 +391,7 @@ def equal_parts(state: SessionState) -> SessionState:
     return replace(state, weights=(), enabled=())
 
 
-def alterations(state: SessionState, cells: int) -> dict[str, str]:
+def alterations(state: SessionState, cells: int) -> dict[Alteration, str]:
     """Name what alters the ranking of the plain query under equal weights: a label for each argument of `undo`.
 
     Args:
@@ -411,7 +399,7 @@ def alterations(state: SessionState, cells: int) -> dict[str, str]:
     """
     values = state.part_values()
     percents = " : ".join(f"{100 * value / sum(values):.0f}" for value in values)
-    labels = {
+    labels: dict[Alteration, str] = {
         "region": f"search by {len(state.region)} of {cells} cells" if state.region else "",
         "weights": f"part weights {percents} %" if state.altered_weights else "",
         "rotation": Change(state.angle).describe(),
@@ -421,8 +409,8 @@ def alterations(state: SessionState, cells: int) -> dict[str, str]:
     return {kind: label for kind, label in labels.items() if label}
 
 
-def undo(state: SessionState, kind: Any) -> SessionState:
-    """Undo one of `alterations`; an unknown kind changes nothing."""
+def undo(state: SessionState, kind: Alteration) -> SessionState:
+    """Undo one of `alterations`."""
     match kind:
         case "region":
             return replace(state, region=())
@@ -434,7 +422,6 @@ def undo(state: SessionState, kind: Any) -> SessionState:
             return replace(state, shift=0, down=0)
         case "zoom":
             return replace(state, zoom=1.0)
-    return state
 
 
 def flip_dark(state: SessionState) -> SessionState:

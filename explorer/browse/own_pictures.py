@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
 
-import msgspec
 import viser
-from msgspec import Meta
 
 from explorer import session_state, uploads
 from explorer.browse.feeds import Feeds
+from explorer.browse.messages import MOST, MOST_NAMED, BeginBatch, BrowseMessage, CloseOwn, PickOwn, SkipFile
 from explorer.server.picture_route import EncodedPicture
 from explorer.session_state import SessionState, StateChange
 from explorer.web.html import Html
@@ -23,24 +21,11 @@ from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.drawing import overlays
 
-# Pictures that one browser holds, and files that one list names.
-MOST, MOST_NAMED = 200, 300
 # A picture is held as JPEG of this quality, unless its own file is small: 200 pictures take some 150 MB.
 _QUALITY, _SMALL = 95, 1_000_000
 _THUMBNAIL = 64
 # Bytes that the pictures of all browsers of the server take together.
 _MOST_BYTES = 1_000_000_000
-
-_Name = Annotated[str, Meta(max_length=400)]
-
-
-class _Batch(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
-    """Files that a page is about to send, and those that it leaves out with the reason's kind."""
-
-    files: Annotated[int, Meta(ge=0, le=MOST)]
-    refused: Annotated[list[tuple[_Name, _Name]], Meta(max_length=MOST_NAMED)]
-    unnamed: Annotated[int, Meta(ge=0, le=10**7)]
-
 
 _REASONS = {
     "large": "has more than 30 MB; make it smaller",
@@ -133,14 +118,17 @@ class OwnPictures:
         """Have the page run the scripts in the panel that is being filled: it runs none in a folded panel."""
         self._go = Html(gui)
 
-    def handlers(self) -> Mapping[str, Callable[[Any], None]]:
-        """Return a handler for each kind of message about one's own pictures."""
-        return {
-            "own-begin": self._begin,
-            "own-skip": self._skip,
-            "own-pick": self._pick,
-            "own-close": lambda _: self.close(),
-        }
+    def receive(self, message: BrowseMessage) -> None:
+        """Do what a message about one's own pictures asks for."""
+        match message:
+            case BeginBatch():
+                self._begin(message)
+            case SkipFile(number, name):
+                self._skip(number, name)
+            case PickOwn(_, index):
+                self._pick(index)
+            case CloseOwn():
+                self.close()
 
     def take(self, name: str, content: bytes) -> None:
         """Read an uploaded file; it becomes a query, or is named among those left out."""
@@ -214,12 +202,8 @@ class OwnPictures:
             self._held, self._left = [], True
         self._feeds.leave(self)
 
-    def _begin(self, value: Any) -> None:
-        """Ask for the first file of an untrusted batch."""
-        try:
-            batch = msgspec.convert(value, _Batch)
-        except (msgspec.ValidationError, UnicodeEncodeError):
-            return
+    def _begin(self, batch: BeginBatch) -> None:
+        """Ask for the first file of a batch."""
         with self._lock:
             room = MOST - len(self._held)
             self._read, self._files, self._first = 0, min(batch.files, room), len(self._held)
@@ -236,16 +220,14 @@ class OwnPictures:
             self._finish()
         self._draw()
 
-    def _skip(self, value: Any) -> None:
-        """Go on without the file that was asked for, by an untrusted [its number, its name]: the page cannot read it."""
-        match value:
-            case [int(number), str(name)] if not isinstance(number, bool):
-                with self._lock:
-                    if not number == self._read < self._files:
-                        return
-                    self._refused.append(f"{printable(name[:80])} {_REASONS['unread']}.")
-                self._next()
-                self._draw()
+    def _skip(self, number: int, name: str) -> None:
+        """Go on without the file that was asked for, by its number."""
+        with self._lock:
+            if not number == self._read < self._files:
+                return
+            self._refused.append(f"{printable(name[:80])} {_REASONS['unread']}.")
+        self._next()
+        self._draw()
 
     def _next(self) -> None:
         with self._lock:
@@ -279,14 +261,12 @@ class OwnPictures:
         self._asked += 1
         self._go.show(run(f"{call('say', f'{read}.{left_out}', 8)};/*{self._asked}*/"))
 
-    def _pick(self, value: Any) -> None:
-        """Show one of the pictures held, by an untrusted [anything, position]."""
-        match value:
-            case [_, int(index)] if not isinstance(index, bool):
-                with self._lock:
-                    picture = self._open(index) if 0 <= index < len(self._held) else None
-                if picture is not None:
-                    self._change(lambda state: own_query(state, picture))
+    def _pick(self, index: int) -> None:
+        """Show one of the pictures held."""
+        with self._lock:
+            picture = self._open(index) if index < len(self._held) else None
+        if picture is not None:
+            self._change(lambda state: own_query(state, picture))
 
     def _open(self, index: int) -> OwnPicture:
         """Decode a picture; only the last one stays decoded."""

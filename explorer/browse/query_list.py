@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import viser
 
 from explorer import session_state
 from explorer.browse.feeds import Feeds
+from explorer.browse.messages import PickQuery
 from explorer.compute.ranking_job import RankingJob
-from explorer.session_state import SessionState, StateChange
+from explorer.session_state import StateChange
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis, Workspace
@@ -36,10 +36,6 @@ class QueryList:
         self._listed, self._feed = np.zeros(0, np.int64), ""
         self._count, self._shell = Html(gui), Html(gui, render("browse/queries"))
         self._data = Html(gui)
-
-    def handlers(self) -> Mapping[str, Callable[[Any], None]]:
-        """Return a handler for each kind of message of the list."""
-        return {"pick": self._pick}
 
     def show(self, analysis: StateAnalysis) -> None:
         """Show the queries that the state's search text leaves, and mark the state's query."""
@@ -70,16 +66,15 @@ class QueryList:
         """Serve nothing more to a browser that left."""
         self._feeds.leave(self)
 
-    def _pick(self, value: Any) -> None:
-        """Choose an untrusted query: [task, position among its queries]."""
-        match value:
-            case [str(task), int(query)] if task in self._workspace.tasks:
-                queries = len(self._workspace.tasks[task].queries)
-
-                def choose(state: SessionState) -> SessionState:
-                    return session_state.choose_query(state, query, queries) if state.task == task else state
-
-                self._change(choose)
+    def pick(self, message: PickQuery) -> None:
+        """Choose a query, unless another task is shown by now."""
+        if message.task in self._workspace.tasks:
+            queries = len(self._workspace.tasks[message.task].queries)
+            self._change(
+                lambda state: (
+                    session_state.choose_query(state, message.query, queries) if state.task == message.task else state
+                )
+            )
 
 
 def publish(feeds: Feeds, owner: object, ranking: RankingJob, queries: Int64Array) -> str:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -13,17 +14,19 @@ import viser
 from explorer import reports, session_state
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
-from explorer.explain_window import activation, comparison, evidence, region, sweep_page
+from explorer.explain_window import activation, comparison, evidence, messages, region, sweep_page
+from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.reports import Reporter
-from explorer.session_state import SessionState, StateChange, WhyTab
+from explorer.session_state import StateChange, WhyTab
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison, effect_on
 from lpn.explain.counterfactual import Effect
+from lpn.explain.sweeps import SweptProperty
 from lpn.retrieval import Ranking
 
 _EVIDENCE, _HEATMAPS, _COMPARISON, _SWEEP = "Why", "Heatmaps", "True or wrong", "Turn, shift, zoom"
@@ -160,37 +163,60 @@ class ExplainWindow:
         self._models_worker = Worker(self._draw_models, on_error)
         viewport.watch(self._place)
 
-    def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Return the handler for each kind of message that the window's html sends; values are untrusted."""
-        return {
-            "close": lambda _: self._change(lambda state: replace(state, why=False)),
-            "tab": self._on_tab,
-            "part": self._choose_part,
-            "scale": self._choose_scale,
-            "second": lambda _: self.compare_models(),
-            "compare": self._compare,
-            "query": self._choose_query,
-            "weigh": self._use_weights,
-            "effect": self._request_effect,
-            "report": self._report,
-            "sweep": self._request_sweep,
-            "turns": lambda _: self._command(_SWEEP, self._request_sweep, "rotation")(),
-            "cancel": self._cancel_sweep,
-            "take": self._apply_sweep_point,
-            "region": self._search_region,
-        }
+    def receive(self, message: ExplainMessage) -> None:
+        """Do what a message of the window's HTML asks for; one that means nothing in this state changes nothing."""
+        match message:
+            case messages.CloseWhy():
+                self._change(lambda state: replace(state, why=False))
+            case messages.FollowTab(name):
+                self._follow_tab(name)
+            case messages.ShowPart(part) if part is None or part < self._workspace.contract.n_parts:
+                self._change(lambda state: replace(state, heat_part=part))
+            case messages.ShareScale(same):
+                self._change(lambda state: replace(state, same_scale=same))
+            case messages.CompareModels():
+                self.compare_models()
+            case messages.CompareTile(tile):
+                self._compare(tile)
+            case messages.ChooseQuery(query):
+                self._change(
+                    lambda state: session_state.choose_query(
+                        state, query, len(self._workspace.tasks[state.task].queries)
+                    )
+                )
+            case messages.UseWeights():
+                self._use_weights()
+            case messages.RequestEffect():
+                self._request_effect()
+            case messages.SaveAnalysis():
+                self._report()
+            case messages.RequestSweep(over):
+                self._request_sweep(over)
+            case messages.TryAllTurns():
+                self._reveal(_SWEEP)
+                self._request_sweep("rotation")
+            case messages.CancelSweep():
+                self._cancel_sweep()
+            case messages.TakePoint(angle, right, down, zoom):
+                size = self._workspace.contract.input_size
+                self._change(lambda state: session_state.apply_point(state, angle, right, down, zoom, size))
+            case messages.SearchRegion(cells):
+                self._search_region(cells)
 
     def commands(self) -> list[tuple[str, Callable[[], None]]]:
         """Return the window's commands for the palette: label and function."""
         if self._workspace.model is None:
             return []
         sweep_commands = [
-            (f"Sweep: {label.lower()}", self._command(_SWEEP, self._request_sweep, over))
+            (f"Sweep: {label.lower()}", self._command(_SWEEP, partial(self._request_sweep, over)))
             for over, label in sweep_page.CHOICES.items()
         ]
         heatmaps = [
             ("Heatmaps: activation part by part", self._command(_HEATMAPS)),
-            ("Heatmaps: same scale for query and tile, or each its own", self._command(_HEATMAPS, self._flip_scale)),
+            (
+                "Heatmaps: same scale for query and tile, or each its own",
+                self._command(_HEATMAPS, partial(self._change, session_state.flip_same_scale)),
+            ),
         ]
         second = self._workspace.second
         return [
@@ -203,7 +229,7 @@ class ExplainWindow:
                 self._command(_COMPARISON, self._request_effect),
             ),
             ("Use the weights that put the true tile first", self._command(_COMPARISON, self._use_weights)),
-            ("Search by the whole query, not a region", self._command(_REGION, self._search_region, [])),
+            ("Search by the whole query, not a region", self._command(_REGION, partial(self._search_region, []))),
             ("Save a report of this query", self._command(_EVIDENCE, self._report)),
         ]
 
@@ -228,16 +254,15 @@ class ExplainWindow:
             self._tab_shown = tab
             self._open_tab(_TABS[tab])
 
-    def _on_tab(self, value: Any) -> None:
-        """Follow a person who opened a tab; `value` is its name, untrusted, and may be a tab of another window."""
-        tab = next((key for key, name in _TABS.items() if name == value), None)
+    def _follow_tab(self, name: str) -> None:
+        tab = next((key for key, label in _TABS.items() if label == name), None)
         if self._open and tab is not None:
             self._tab_shown = tab
             self._change(lambda state: replace(state, why_tab=tab))
 
     def leave(self) -> None:
         """Stop all computations; the browser has disconnected."""
-        self._cancel_sweep(None)
+        self._cancel_sweep()
         self._worker.stop()
         self._models_worker.stop()
 
@@ -255,7 +280,7 @@ class ExplainWindow:
         """Say in the open window why the pair could not be analysed."""
         if self._open:
             with self._lock:  # what is still being computed for the pair before is not drawn
-                self._cancel_sweep(None)
+                self._cancel_sweep()
                 self._content = None
             for tab in self._tabs:
                 tab.fail(text)
@@ -381,18 +406,16 @@ class ExplainWindow:
             self._content = replace(self._content, pair=new)
         self._comparison_tab.draw()
 
-    def _command(
-        self, tab: str, handler: Callable[[Any], None] = lambda _: None, value: Any = None
-    ) -> Callable[[], None]:
-        """Return a palette command that opens the window at a tab and calls a handler."""
+    def _command(self, tab: str, call: Callable[[], None] = lambda: None) -> Callable[[], None]:
+        """Return a palette command that opens the window at a tab and calls a function."""
 
         def run() -> None:
             self._reveal(tab)
-            handler(value)
+            call()
 
         return run
 
-    def _request_effect(self, _: Any) -> None:
+    def _request_effect(self) -> None:
         content = self._content
         pair = None if content is None else content.pair
         if content is None or pair is None or pair.comparison is None or content.analysis.state.region:
@@ -401,24 +424,22 @@ class ExplainWindow:
             self._replace_pair(pair, replace(pair, computing=True))
             self._worker.wake()
 
-    def _request_sweep(self, value: Any) -> None:
-        if value not in list(sweep_page.CHOICES):
-            return
+    def _request_sweep(self, over: SweptProperty) -> None:
         with self._lock:  # of two requests at once, the later one must cancel the earlier one
             if self._content is None:
                 return
-            self._cancel_sweep(None)
-            progress = SweepProgress(SweepRequest(value, self._content.analysis))
+            self._cancel_sweep()
+            progress = SweepProgress(SweepRequest(over, self._content.analysis))
             self._content = replace(self._content, sweep=progress)
         self._sweep_tab.draw()
         self._worker.wake()
 
-    def _cancel_sweep(self, _: Any) -> None:
+    def _cancel_sweep(self) -> None:
         content = self._content
         if content is not None and content.sweep is not None:
             content.sweep.request.cancelled.set()
 
-    def _report(self, _: Any) -> None:
+    def _report(self) -> None:
         content = self._content
         if content is not None:
             self._reporter.make(
@@ -426,35 +447,12 @@ class ExplainWindow:
                 control="Save as a report (HTML)",
             )
 
-    def _choose_part(self, value: Any) -> None:
-        part = session_state.integer(value, 0, self._workspace.contract.n_parts - 1)
-        if part is not None or value is None:
-            self._change(lambda state: replace(state, heat_part=part))
-
-    def _choose_scale(self, value: Any) -> None:
-        if isinstance(value, bool):
-            self._change(lambda state: replace(state, same_scale=value))
-
-    def _flip_scale(self, _: Any) -> None:
-        self._change(session_state.flip_same_scale)
-
-    def _compare(self, value: Any) -> None:
+    def _compare(self, tile: int) -> None:
         content = self._content
-        if content is None:
-            return
-        index = session_state.integer(value, 0, len(content.analysis.task.gallery) - 1)
-        if index is not None:
-            self._change(lambda state: session_state.compare(state, content.analysis.state, index))
+        if content is not None and tile < len(content.analysis.task.gallery):
+            self._change(lambda state: session_state.compare(state, content.analysis.state, tile))
 
-    def _choose_query(self, value: Any) -> None:
-        def choose(state: SessionState) -> SessionState:
-            queries = len(self._workspace.tasks[state.task].queries)
-            query = session_state.integer(value, 0, queries - 1)
-            return state if query is None else session_state.choose_query(state, query, queries)
-
-        self._change(choose)
-
-    def _use_weights(self, _: Any) -> None:
+    def _use_weights(self) -> None:
         pair = None if self._content is None else self._content.pair
         if pair is not None and pair.comparison is not None and pair.comparison.change is not None:
             new = pair.comparison.change.weights
@@ -464,17 +462,13 @@ class ExplainWindow:
             weights = tuple(float(weight) for weight in scaled)
             self._change(lambda state: replace(state, weights=weights, enabled=()))
 
-    def _apply_sweep_point(self, value: Any) -> None:
-        self._change(lambda state: session_state.apply_point(state, value, self._workspace.contract.input_size))
-
-    def _search_region(self, value: Any) -> None:
+    def _search_region(self, cells: Sequence[int]) -> None:
         content = self._content
         if content is None:
             return
         rows, columns = self._workspace.map_sizes[content.analysis.task.query_view]
-        cells = session_state.check_cells(value, rows * columns)
-        if cells is not None:
-            self._change(lambda state: replace(state, region=cells))
+        if len(cells) <= rows * columns and all(cell < rows * columns for cell in cells):
+            self._change(lambda state: replace(state, region=tuple(sorted(set(cells)))))
 
 
 def best_tab(analysis: StateAnalysis) -> WhyTab:

@@ -1,21 +1,17 @@
-"""The messages of the laboratory's html, validated by msgspec, and their effect on one browser's state.
-
-A message arrives as a kind and a JSON value: a list of the message's fields, or the field itself if there is only one.
-"""
+"""The messages of the laboratory's html, and their effect on one browser's state."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
 
 from explorer.failure_lab import state
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import Drawer, LabState, RowChange
 from explorer.session_state import MapKind, OutcomeFilter, Tab
-from explorer.web import messages
+from explorer.web.messages import Message
 
 QueryIndex = Annotated[int, Meta(ge=0)]
 # A place on a map, in units of half its longer side from its middle.
@@ -24,55 +20,55 @@ MAX_CORNERS = 300
 Work = Literal["table", "pca", "umap", "ground"]
 
 
-class LabMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+class LabMessage(Message):
     """A message of the laboratory's HTML. Its effect is in `apply`, or in the window where it needs more than the state."""
 
 
-class ShowTab(LabMessage):
+class ShowTab(LabMessage, tag="lab-tab"):
     tab: Tab
 
 
-class ShowOutcome(LabMessage):
+class ShowOutcome(LabMessage, tag="lab-outcome"):
     outcome: OutcomeFilter
 
 
-class SortBy(LabMessage):
+class SortBy(LabMessage, tag="lab-sort"):
     column: str
 
 
-class SearchNames(LabMessage):
+class SearchNames(LabMessage, tag="lab-find"):
     text: Annotated[str, Meta(max_length=200)]
 
 
-class SetFilter(LabMessage):
+class SetFilter(LabMessage, tag="lab-where"):
     text: Annotated[str, Meta(max_length=2000)]
 
 
-class ToggleColumn(LabMessage):
+class ToggleColumn(LabMessage, tag="lab-column"):
     column: str
 
 
-class ToggleDrawer(LabMessage):
+class ToggleDrawer(LabMessage, tag="lab-drawer"):
     drawer: Drawer
 
 
-class RemoveSelection(LabMessage):
+class RemoveSelection(LabMessage, tag="lab-unpick"):
     kind: str
 
 
-class ClearSelections(LabMessage): ...
+class ClearSelections(LabMessage, tag="lab-clear"): ...
 
 
-class SelectPart(LabMessage):
+class SelectPart(LabMessage, tag="lab-part"):
     part: QueryIndex
 
 
-class SelectPair(LabMessage):
+class SelectPair(LabMessage, tag="lab-pair"):
     place: int
     answered: int
 
 
-class ChooseRows(LabMessage):
+class ChooseRows(LabMessage, tag="lab-rows"):
     """Choose all rows of the table from one query's to another's, or toggle or drop them."""
 
     first: QueryIndex
@@ -80,62 +76,62 @@ class ChooseRows(LabMessage):
     how: RowChange
 
 
-class ChooseAllRows(LabMessage): ...
+class ChooseAllRows(LabMessage, tag="lab-rows-all"): ...
 
 
-class ChooseNoRows(LabMessage): ...
+class ChooseNoRows(LabMessage, tag="lab-rows-none"): ...
 
 
-class ShowChosenRows(LabMessage): ...
+class ShowChosenRows(LabMessage, tag="lab-rows-only"): ...
 
 
-class SelectBin(LabMessage):
+class SelectBin(LabMessage, tag="lab-bin"):
     column: str
     index: QueryIndex
     name: str
 
 
-class ShowMap(LabMessage):
+class ShowMap(LabMessage, tag="lab-map"):
     map: MapKind
 
 
-class ColourBy(LabMessage):
+class ColourBy(LabMessage, tag="lab-colour"):
     """Colour the map by a column; by the outcome for an empty name."""
 
     column: str
 
 
-class SelectLasso(LabMessage):
+class SelectLasso(LabMessage, tag="lab-lasso"):
     map: MapKind
     corners: Annotated[list[tuple[Coordinate, Coordinate]], Meta(min_length=3, max_length=MAX_CORNERS)]
 
 
-class OpenPoint(LabMessage):
+class OpenPoint(LabMessage, tag="lab-point"):
     map: MapKind
     row: QueryIndex
 
 
-class ShowTip(LabMessage):
+class ShowTip(LabMessage, tag="lab-tip"):
     map: MapKind
     row: QueryIndex
 
 
-class ToggleFullHeight(LabMessage): ...
+class ToggleFullHeight(LabMessage, tag="lab-tall"): ...
 
 
-class CancelWork(LabMessage):
+class CancelWork(LabMessage, tag="lab-stop"):
     work: Work
 
 
-class ResumeWork(LabMessage):
+class ResumeWork(LabMessage, tag="lab-go"):
     work: Work
 
 
-class OpenQuery(LabMessage):
+class OpenQuery(LabMessage, tag="lab-open"):
     row: QueryIndex
 
 
-class SaveNote(LabMessage):
+class SaveNote(LabMessage, tag="lab-note"):
     """Save tags and note of a query.
 
     Attributes:
@@ -149,7 +145,7 @@ class SaveNote(LabMessage):
     before: tuple[str, str] | None = None
 
 
-class TagChosen(LabMessage):
+class TagChosen(LabMessage, tag="lab-tag"):
     """Add tags to the chosen rows, or to all that are shown if none is chosen."""
 
     tags: Annotated[str, Meta(max_length=1000)]
@@ -158,74 +154,32 @@ class TagChosen(LabMessage):
 ViewName = Annotated[str, Meta(max_length=200)]
 
 
-class OpenView(LabMessage):
+class OpenView(LabMessage, tag="lab-view"):
     name: ViewName
 
 
-class SaveView(LabMessage):
+class SaveView(LabMessage, tag="lab-view-save"):
     name: ViewName
 
 
-class RemoveView(LabMessage):
+class RemoveView(LabMessage, tag="lab-view-remove"):
     name: ViewName
 
 
-class SaveCsv(LabMessage): ...
+class SaveCsv(LabMessage, tag="lab-csv"): ...
 
 
-class SaveReport(LabMessage): ...
+class SaveReport(LabMessage, tag="lab-report"): ...
 
 
-class OpenSecond(LabMessage): ...
+class OpenSecond(LabMessage, tag="lab-second"): ...
 
 
-class CloseLab(LabMessage): ...
+class CloseLab(LabMessage, tag="lab-close"): ...
 
-
-MESSAGES: dict[str, type[LabMessage]] = {
-    "lab-tab": ShowTab,
-    "lab-outcome": ShowOutcome,
-    "lab-sort": SortBy,
-    "lab-find": SearchNames,
-    "lab-where": SetFilter,
-    "lab-column": ToggleColumn,
-    "lab-drawer": ToggleDrawer,
-    "lab-tag": TagChosen,
-    "lab-view": OpenView,
-    "lab-view-save": SaveView,
-    "lab-view-remove": RemoveView,
-    "lab-unpick": RemoveSelection,
-    "lab-clear": ClearSelections,
-    "lab-part": SelectPart,
-    "lab-pair": SelectPair,
-    "lab-rows": ChooseRows,
-    "lab-rows-all": ChooseAllRows,
-    "lab-rows-none": ChooseNoRows,
-    "lab-rows-only": ShowChosenRows,
-    "lab-bin": SelectBin,
-    "lab-map": ShowMap,
-    "lab-colour": ColourBy,
-    "lab-lasso": SelectLasso,
-    "lab-point": OpenPoint,
-    "lab-tip": ShowTip,
-    "lab-tall": ToggleFullHeight,
-    "lab-stop": CancelWork,
-    "lab-go": ResumeWork,
-    "lab-open": OpenQuery,
-    "lab-note": SaveNote,
-    "lab-csv": SaveCsv,
-    "lab-report": SaveReport,
-    "lab-second": OpenSecond,
-    "lab-close": CloseLab,
-}
 
 # A click on a line of a chart.
 OF_CHARTS = SelectPart, SelectPair, SelectBin
-
-
-def decode(kind: str, value: Any) -> LabMessage | None:
-    """Return the message that a JSON value holds, None if it holds none of this kind."""
-    return messages.decode(MESSAGES, kind, value)
 
 
 def apply(message: LabMessage, lab: LabState, findings: Findings | None) -> LabState:

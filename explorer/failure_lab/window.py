@@ -6,8 +6,6 @@ import re
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any
 
 import numpy as np
 import viser
@@ -104,10 +102,6 @@ class FailureLabWindow:
         self._second_worker = Worker(self._follow_second, self._show_error)
         viewport.watch(self._resize)
 
-    def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Return a handler for each kind of message of the window's HTML."""
-        return {kind: partial(self._receive, kind) for kind in messages.MESSAGES}
-
     def show(self, analysis: StateAnalysis) -> None:
         """Open or close the window, and follow the query that the page shows."""
         session = analysis.state
@@ -158,12 +152,10 @@ class FailureLabWindow:
         self._feeds.leave(self)
         self._map.leave()
 
-    def _receive(self, kind: str, value: Any) -> None:
-        message = messages.decode(kind, value)
+    def receive(self, message: LabMessage) -> None:
+        """Do what a message of the window's HTML asks for."""
         findings = self._service.findings(self._lab.task)
         match message:
-            case None:
-                return
             case messages.OpenQuery(row):
                 self._open(row)
             case messages.OpenPoint() | messages.ShowTip() if findings is not None:

@@ -1,67 +1,62 @@
-"""The messages of the flight window's html, validated by msgspec; none of them is trusted."""
+"""The messages of the flight window's html; none of them is trusted."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
 
-from explorer.web import messages
+from explorer.web.messages import Message
 
 FrameIndex = Annotated[int, Meta(ge=0, le=10**7)]
-Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
+_FARTHEST = 1e6
+Metres = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
 Spot = tuple[Metres, Metres]
+_Corner = tuple[float | None, float | None]
 
 
-class FlightMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+class FlightMessage(Message):
     """A message of the flight window's HTML."""
 
 
-class ChooseFrame(FlightMessage):
+class ChooseFrame(FlightMessage, tag="flight-frame"):
     frame: FrameIndex
 
 
-class PaintScores(FlightMessage):
+class PaintScores(FlightMessage, tag="flight-paint"):
     """Paint the scores of all parts, of one part, or none."""
 
     part: FrameIndex | Literal["all", "off"]
 
 
-class ShowSpot(FlightMessage):
+class ShowSpot(FlightMessage, tag="flight-spot"):
     """List the frames that show a spot, in metres of the map's frame."""
 
     spot: Spot
 
 
-class CorrectFrame(FlightMessage):
-    """Keep the corners of a frame's picture, in metres of the map's frame, as a person has placed them."""
+class CorrectFrame(FlightMessage, tag="flight-correct"):
+    """Keep the corners of a frame's picture, in metres of the map's frame, as a person has placed them.
+
+    JSON has null for a corner at infinity.
+    """
 
     frame: FrameIndex
-    corners: tuple[Spot, Spot, Spot, Spot]
+    corners: tuple[_Corner, _Corner, _Corner, _Corner]
+
+    def spots(self) -> list[Spot] | None:
+        """Return the corners, None if one of them is at infinity, or far beyond the map."""
+        spots = [
+            (x, y) for x, y in self.corners if x is not None and y is not None and max(abs(x), abs(y)) <= _FARTHEST
+        ]
+        return spots if len(spots) == len(self.corners) else None
 
 
-class ForgetCorrection(FlightMessage):
+class ForgetCorrection(FlightMessage, tag="flight-forget"):
     frame: FrameIndex
 
 
-class ToggleHeight(FlightMessage): ...
+class ToggleHeight(FlightMessage, tag="flight-tall"): ...
 
 
-class CloseFlight(FlightMessage): ...
-
-
-MESSAGES: dict[str, type[FlightMessage]] = {
-    "flight-frame": ChooseFrame,
-    "flight-paint": PaintScores,
-    "flight-spot": ShowSpot,
-    "flight-correct": CorrectFrame,
-    "flight-forget": ForgetCorrection,
-    "flight-tall": ToggleHeight,
-    "flight-close": CloseFlight,
-}
-
-
-def decode(kind: str, value: Any) -> FlightMessage | None:
-    """Return the message that a JSON value holds, None if it holds none of this kind."""
-    return messages.decode(MESSAGES, kind, value)
+class CloseFlight(FlightMessage, tag="flight-close"): ...

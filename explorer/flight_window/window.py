@@ -15,6 +15,7 @@ import viser
 from explorer import session_state
 from explorer.compute.worker import Worker
 from explorer.flight_window import messages, page
+from explorer.flight_window.messages import FlightMessage
 from explorer.flight_window.page import Painted
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService, FlightView
@@ -103,10 +104,6 @@ class FlightWindow:
         viewport.watch(self._resize)
         service.watch(self._worker.wake)
 
-    def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Return a handler for each kind of message of the window's HTML."""
-        return {kind: partial(self._receive, kind) for kind in messages.MESSAGES}
-
     def commands(self) -> list[tuple[str, Callable[[], None]]]:
         """Return the window's commands for the palette."""
         if not self._workspace.has_flight:
@@ -136,21 +133,20 @@ class FlightWindow:
             self._choices = replace(self._choices, **choices)
         self._worker.wake()
 
-    def _receive(self, kind: str, value: Any) -> None:
-        match messages.decode(kind, value):
+    def receive(self, message: FlightMessage) -> None:
+        """Do what a message of the window's HTML asks for."""
+        match message:
             case messages.ChooseFrame(frame):
                 self._change(lambda state: self._choose_query(state, frame))
             case messages.PaintScores(part) if isinstance(part, str) or part < self._workspace.contract.n_parts:
                 self._choose(painted=part)
             case messages.ShowSpot(spot):
                 self._choose(spot=spot)
-            case messages.CorrectFrame(frame, corners):
-                self._correct(frame, np.array(corners, np.float64))
-            case None if kind == "flight-correct":  # the corners are infinite, or far beyond the map
-                with self._lock:
-                    analysis = self._analysis
-                if analysis is not None:
-                    self._say(analysis.state.query, _NO_PLACE)
+            case messages.CorrectFrame(frame):
+                if (spots := message.spots()) is None:
+                    self._say(frame, _NO_PLACE)
+                else:
+                    self._correct(frame, np.array(spots, np.float64))
             case messages.ForgetCorrection(frame):
                 self._correct(frame, None)
             case messages.ToggleHeight():

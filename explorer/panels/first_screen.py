@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import viser
 
@@ -72,9 +71,9 @@ class FirstScreen:
             "flight": lambda state: replace(state, flight=True, why=False),
         }
 
-    def act(self, action: Any) -> None:
-        """Do what a control of the screen says; the name is untrusted, and an unknown one does nothing."""
-        if isinstance(action, str) and action in self._actions:
+    def act(self, action: str) -> None:
+        """Do what a control of the screen says; an unknown name does nothing."""
+        if action in self._actions:
             self._change(self._actions[action])
 
     def show(self, analysis: StateAnalysis, stories: Sequence[str]) -> None:
@@ -211,10 +210,6 @@ def _third_tile(analysis: StateAnalysis, workspace: Workspace, index: int) -> tu
     return overlays.data_uri(drawn, 85), caption, right if known else None
 
 
-def plain_state(state: SessionState, first: Any, named: bool) -> SessionState:
-    """Return the state that a page opens with: on the first screen if the browser asks for it and its address names no state.
-
-    Args:
-        first: untrusted.
-    """
-    return replace(state, first_screen=True) if first is True and not named else state
+def plain_state(state: SessionState, first: bool, named: bool) -> SessionState:
+    """Return the state that a page opens with: on the first screen if the browser asks for it and its address names no state."""
+    return replace(state, first_screen=True) if first and not named else state

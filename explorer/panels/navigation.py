@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from random import Random
-from typing import Any
 
 from explorer import session_state
 from explorer.session_state import SessionState, StateChange
@@ -55,7 +54,7 @@ class Navigation:
             self._notify("No failure", "Every query of this task has its true tile at rank 1.")
         return chosen
 
-    def choose_task(self, name: Any) -> StateChange:
+    def choose_task(self, name: str) -> StateChange:
         """Return the change to another task, at a query of the same place if it has one; an unknown name changes nothing.
 
         If several queries show the place, the change takes the one that the task showed last, else the first. It drops
@@ -63,7 +62,7 @@ class Navigation:
         """
 
         def choose(state: SessionState) -> SessionState:
-            if name not in list(self._workspace.tasks) or name == state.task:
+            if name not in self._workspace.tasks or name == state.task:
                 return state
             if state.upload is not None:
                 self._notify("Your picture is closed", "Load it again to search the tiles of this task.")

@@ -10,6 +10,7 @@ import viser
 
 from explorer import session_state
 from explorer.browse.feeds import Feeds
+from explorer.browse.messages import BrowseMessage, PickQuery
 from explorer.browse.own_pictures import OwnPictures
 from explorer.browse.query_list import QueryList
 from explorer.panels import pages
@@ -114,10 +115,12 @@ class QueryPanel:
         if self.own is not None:
             self.own.show(analysis.state)
 
-    def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Return a handler for each kind of message of the panel's HTML."""
-        own = {} if self.own is None else self.own.handlers()
-        return {**self.list.handlers(), **own}
+    def receive(self, message: BrowseMessage) -> None:
+        """Do what a message of a list of pictures asks for."""
+        if isinstance(message, PickQuery):
+            self.list.pick(message)
+        elif self.own is not None:
+            self.own.receive(message)
 
     def leave(self) -> None:
         """Serve nothing more to a browser that left, and forget its pictures."""

@@ -1,111 +1,111 @@
-"""The messages of the stories' html, validated by msgspec."""
+"""The messages of the stories' html."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-import msgspec
 from msgspec import Meta
 
 from explorer.stories.story import MOST_STEPS, Caption, Focus, Name, Notes, Shows, Story
+from explorer.web.messages import Message
 
 StepIndex = Annotated[int, Meta(ge=0, lt=MOST_STEPS)]
 
 
-class StoryMessage(msgspec.Struct, array_like=True, forbid_unknown_fields=True):
+class StoryMessage(Message):
     """A message of the window, of the row of names, or of a story that is told. Its effect is in the window."""
 
 
-class ShowWindow(StoryMessage):
+class ShowWindow(StoryMessage, tag="story-window"):
     """Open the window."""
 
 
-class CloseWindow(StoryMessage):
+class CloseWindow(StoryMessage, tag="story-close"):
     """Close the window."""
 
 
-class OpenStory(StoryMessage):
+class OpenStory(StoryMessage, tag="story-open"):
     """Edit a saved story."""
 
     name: Name
 
 
-class NewStory(StoryMessage):
+class NewStory(StoryMessage, tag="story-new"):
     """Begin a story."""
 
 
-class CopyStory(StoryMessage):
+class CopyStory(StoryMessage, tag="story-copy"):
     """Go on with a copy, which does not replace what was opened."""
 
 
-class RecordStep(StoryMessage):
+class RecordStep(StoryMessage, tag="story-record"):
     """Keep what is shown as a step."""
 
 
-class Rename(StoryMessage):
+class Rename(StoryMessage, tag="story-name"):
     """Name the story."""
 
     name: Annotated[str, Meta(max_length=400)]
 
 
-class EditCaption(StoryMessage):
+class EditCaption(StoryMessage, tag="story-caption"):
     """Replace a step's caption."""
 
     index: StepIndex
     caption: Caption
 
 
-class EditNotes(StoryMessage):
+class EditNotes(StoryMessage, tag="story-notes"):
     """Replace a step's notes."""
 
     index: StepIndex
     notes: Notes
 
 
-class PointAt(StoryMessage):
+class PointAt(StoryMessage, tag="story-point"):
     """Let a step point at a place of the page."""
 
     index: StepIndex
     place: Focus
 
 
-class MoveStep(StoryMessage):
+class MoveStep(StoryMessage, tag="story-move"):
     """Move a step up or down."""
 
     index: StepIndex
     by: Annotated[int, Meta(ge=-1, le=1)]
 
 
-class RemoveStep(StoryMessage):
+class RemoveStep(StoryMessage, tag="story-remove"):
     """Delete a step."""
 
     index: StepIndex
 
 
-class ShowStep(StoryMessage):
+class ShowStep(StoryMessage, tag="story-show"):
     """Show what a step of the edited story shows."""
 
     index: StepIndex
 
 
-class PlayStory(StoryMessage):
+class PlayStory(StoryMessage, tag="story-play"):
     """Tell a saved story."""
 
     name: Name
 
 
-class Tell(StoryMessage):
+class Tell(StoryMessage, tag="story-tell"):
     """Tell the edited story."""
 
 
-class ToldStep(StoryMessage):
+class ToldStep(StoryMessage, tag="story-step"):
     """Show what a step of the story that is told shows; the page has the story, as it outlives a lost connection."""
 
     index: StepIndex
     shows: Shows
 
 
-class EndStory(StoryMessage):
+class EndStory(StoryMessage, tag="story-end"):
     """The story that is told has ended.
 
     Attributes:
@@ -115,15 +115,15 @@ class EndStory(StoryMessage):
     stay: bool
 
 
-class SaveStory(StoryMessage):
+class SaveStory(StoryMessage, tag="story-save"):
     """Save the edited story."""
 
 
-class ExportStory(StoryMessage):
+class ExportStory(StoryMessage, tag="story-export"):
     """Save the edited story as a file that needs no server."""
 
 
-class RestoreDraft(StoryMessage):
+class RestoreDraft(StoryMessage, tag="story-draft"):
     """Go on with the draft that the browser had kept when its page was loaded again.
 
     Attributes:
@@ -132,27 +132,3 @@ class RestoreDraft(StoryMessage):
 
     story: Story
     opened: tuple[Name, Annotated[str, Meta(max_length=16)]] | None
-
-
-MESSAGES: dict[str, type[StoryMessage]] = {
-    "story-window": ShowWindow,
-    "story-close": CloseWindow,
-    "story-open": OpenStory,
-    "story-new": NewStory,
-    "story-copy": CopyStory,
-    "story-record": RecordStep,
-    "story-name": Rename,
-    "story-caption": EditCaption,
-    "story-notes": EditNotes,
-    "story-point": PointAt,
-    "story-move": MoveStep,
-    "story-remove": RemoveStep,
-    "story-show": ShowStep,
-    "story-play": PlayStory,
-    "story-tell": Tell,
-    "story-step": ToldStep,
-    "story-end": EndStory,
-    "story-save": SaveStory,
-    "story-export": ExportStory,
-    "story-draft": RestoreDraft,
-}

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import msgspec
 import viser
@@ -24,7 +23,6 @@ from explorer.stories.story import Story, StoryDraft
 from explorer.stories.windows import WindowSources
 from explorer.url_state import UrlState
 from explorer.web.html import Html
-from explorer.web.messages import decode
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.errors import LPNError
@@ -87,21 +85,17 @@ class StoryWindow:
         viewport.watch(self._place)
         self._show_row()
 
-    def handlers(self) -> dict[str, Callable[[Any], None]]:
-        """Return a handler for each kind of message of the window's HTML and of the page's script."""
-        return {kind: partial(self._receive, kind) for kind in messages.MESSAGES}
-
     def commands(self) -> list[tuple[str, str | None, Callable[[], None]]]:
         """Return the commands for the palette: label, hotkey, and function."""
         tell_commands = [
-            (f"Tell the story: {name}", None, partial(self._apply, messages.PlayStory(name)))
+            (f"Tell the story: {name}", None, partial(self.receive, messages.PlayStory(name)))
             for name in self._stories.by_name
         ]
         return [
-            ("Keep what is shown as a step of a story", "S", partial(self._apply, messages.RecordStep())),
-            ("Stories: order, edit, save", None, partial(self._apply, messages.ShowWindow())),
-            ("Tell the story that is edited", None, partial(self._apply, messages.Tell())),
-            ("Export the story as one HTML file", None, partial(self._apply, messages.ExportStory())),
+            ("Keep what is shown as a step of a story", "S", partial(self.receive, messages.RecordStep())),
+            ("Stories: order, edit, save", None, partial(self.receive, messages.ShowWindow())),
+            ("Tell the story that is edited", None, partial(self.receive, messages.Tell())),
+            ("Export the story as one HTML file", None, partial(self.receive, messages.ExportStory())),
             *tell_commands,
         ]
 
@@ -120,12 +114,8 @@ class StoryWindow:
         """Remember what the page shows, for the caption of the next step."""
         self._analysis = analysis
 
-    def _receive(self, kind: str, value: Any) -> None:
-        message = decode(messages.MESSAGES, kind, value)
-        if message is not None:
-            self._apply(message)
-
-    def _apply(self, message: StoryMessage) -> None:
+    def receive(self, message: StoryMessage) -> None:
+        """Do what a message of the window's HTML, or of the page's script, asks for."""
         with self._lock:
             match message:
                 case messages.ShowWindow():

@@ -14,6 +14,7 @@ import viser
 from explorer.server.message_filter import MAX_TEXT
 from explorer.server.viser_compat import thread_pool, uuid_of
 from explorer.web.html import Html
+from explorer.web.messages import Receivers
 from explorer.web.render import call, render, run, run_once
 
 log = logging.getLogger(__name__)
@@ -55,10 +56,10 @@ _SCRIPT = ";".join(
 
 
 class PageBridge:
-    """Installs the script in one page, and hands the page's messages to their handlers.
+    """Installs the script in one page, and hands the page's messages to their receivers.
 
     Args:
-        handlers: a function for each kind of message; its argument may be any JSON value.
+        receivers: a function for each room's class of messages, see `Receivers`.
         properties: initial properties of the script's object `lpn`.
         styles: a style element for the head of the page, so that it applies whichever panels are folded.
     """
@@ -66,11 +67,11 @@ class PageBridge:
     def __init__(
         self,
         gui: viser.GuiApi,
-        handlers: dict[str, Callable[[Any], None]],
+        receivers: Mapping[type[Any], Callable[[Any], None]],
         properties: Mapping[str, object],
         styles: str,
     ) -> None:
-        self._handlers = handlers
+        self._receivers = Receivers(receivers)
         self._text = gui.add_text("page", "")
         self._text.on_update(self._updated)
         self._pool = thread_pool(gui)
@@ -122,14 +123,6 @@ class PageBridge:
                 log.exception("A message of a page was not handled")
 
     def receive(self, message: Any) -> None:
-        """Hand a message to its handler; drop anything else."""
-        if not isinstance(message, str) or len(message) > MAX_TEXT:
-            return
-        try:
-            content: Any = json.loads(message)
-            handler = self._handlers[content["kind"]]
-            value = content.get("value")
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            log.debug("Dropped a message of %d characters", len(message))
-            return
-        handler(value)
+        """Hand a message to its receiver; drop anything else."""
+        if isinstance(message, str) and len(message) <= MAX_TEXT:
+            self._receivers.take(message)

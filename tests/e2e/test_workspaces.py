@@ -16,7 +16,8 @@ import pytest
 from playwright.sync_api import BrowserContext, Locator, expect
 
 from explorer.app import App
-from explorer.client_session import ClientSession, WorkspaceServices
+from explorer.client.services import WorkspaceServices
+from explorer.client.session import ClientSession
 from explorer.compute.background_jobs import ReportProgress
 from explorer.opening import open_model
 from explorer.stage.viewport import EDGE

@@ -13,7 +13,8 @@ import pytest
 import lpn
 from explorer import reports
 from explorer.browse.feeds import Feeds
-from explorer.client_session import ClientSession
+from explorer.client.address import PageAddress
+from explorer.client.messages import Greeting
 from explorer.compute import ranking_job
 from explorer.explain_window import comparison, evidence
 from explorer.explain_window.sweep_request import SweepRequest
@@ -150,19 +151,19 @@ def test_a_link_names_a_tile_as_the_index_does(workspace: Workspace) -> None:
 def test_a_link_to_a_tile_shows_the_rest_while_the_index_is_away(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    session = Mock(_lock=threading.Lock(), _greeted=False, _search=None, _url_state=UrlState(workspace))
-    session._url_state.other_workspace = lambda _: None
-    session._state = _state()
-    session.change = lambda change: setattr(session, "_state", change(session._state))
+    lock, shown, views = threading.Lock(), [_state()], Mock()
+    views.show_state.side_effect = shown.append
 
     def away(*_: object) -> None:
-        assert not session._lock.locked()
+        assert not lock.locked()
         raise StoreError("The index is away; start its server.")
 
     monkeypatch.setattr(SharedIndex, "holds", away)
-    ClientSession._on_greeting(session, {"search": "?with=nobody-saw-it.png&angle=30"})
-    assert (session._state.selected, session._state.angle) == (None, 30)
-    assert "The index is away" in session._panels.notify_error.call_args[0][1]
+    address = PageAddress(workspace, UrlState(workspace), views, lock, lambda: shown[-1], Mock(), None, Mock())
+    address.greet(Greeting("?with=nobody-saw-it.png&angle=30"))
+    address.leave()
+    assert (shown[-1].selected, shown[-1].angle) == (None, 30)
+    assert "The index is away" in views.panels.notify_error.call_args[0][1]
 
 
 def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,7 +54,7 @@ _COUNTED = """
 import os, sys
 from dataclasses import replace
 import viser
-from explorer.client_session import ClientSession
+from explorer.client.session import ClientSession
 from explorer.panels import pages
 from explorer.stage.cards import SHOWN
 counts = dict.fromkeys(("add_image", "add_button", "add_slider", "add_html"), 0)
@@ -70,8 +70,8 @@ counted(viser.GuiApi, ["add_slider", "add_checkbox", "add_dropdown", "add_text"]
 counted(viser.GuiApi, ["add_html"], "add_html")
 def show(self, answer):
     with self.client.atomic():
-        self._stage.show(answer)
-        self._panels.show(answer, self._sequence, 0.0)
+        self.views.stage.show(answer)
+        self.views.panels.show(answer, self.views.sequence, 0.0)
 """
 _RUN = """
 ClientSession._work = work
@@ -80,23 +80,23 @@ sys.exit(main())
 """
 IDLE = f"""{_COUNTED}
 def work(self):
-    self._sequence += 1
-    if self._sequence == 1:
+    self.views.sequence += 1
+    if self.views.sequence == 1:
         self._idle = self._analyser.analyse(self._state, SHOWN)
         show(self, self._idle)
         with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
             file.write(" ".join(str(count) for count in counts.values()))
     else:
-        shown = pages.ShownAnalysis(replace(self._idle, state=self._state), self._sequence, 0.0)
-        self._panels.answer._status.show(pages.status(shown))
+        shown = pages.ShownAnalysis(replace(self._idle, state=self._state), self.views.sequence, 0.0)
+        self.views.panels.answer._status.show(pages.status(shown))
 {_RUN}"""
 READY = f"""{_COUNTED}
 def work(self):
-    self._sequence += 1
-    if self._sequence == 1:
+    self.views.sequence += 1
+    if self.views.sequence == 1:
         turned = replace(self._state, angle=90.0)
         self._ready = [self._analyser.analyse(state, SHOWN) for state in (self._state, turned)]
-    show(self, replace(self._ready[self._sequence % 2], state=self._state))
+    show(self, replace(self._ready[self.views.sequence % 2], state=self._state))
 {_RUN}"""
 CLOCK = "document.addEventListener('input', () => { window.changedAt = performance.now(); }, true)"
 SHOWN = """

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from explorer.browse.feeds import CHUNK, Feeds
+from explorer.browse.messages import BrowseMessage, PickQuery
 from explorer.browse.query_list import QueryList, position_of, publish
 from explorer.opening import open_model
 from explorer.server.picture_route import PREFIX
 from explorer.session_state import SessionState, StateChange
+from explorer.web.messages import decode
 from explorer.workspace import StateAnalyser, Workspace
 
 TASK = "drone-to-satellite"
@@ -113,12 +115,12 @@ def test_the_list_follows_the_query_and_the_search_text_and_takes_no_wrong_messa
     assert "1 of 14 pictures" in shown[0].content
     show(replace(state, find="nothing"))
     assert "No picture has this" in shown[0].content
-    pick = queries.handlers()["pick"]
-    for wrong in (None, 3, [TASK], ["other", 1], [TASK, "1"], [TASK, 1, 2], [TASK, 1.5]):
-        pick(wrong)
+    for wrong in (None, 3, [TASK], [TASK, "1"], [TASK, 1, 2], [TASK, 1.5], [TASK, True]):
+        assert decode(BrowseMessage, "pick", wrong) is None
+    queries.pick(PickQuery("other", 1))
     assert not changes
-    for query, expected in ((4, 4), (-1, 0), (14, 0), (10**30, 0)):
-        pick([TASK, query])
+    for query, expected in ((4, 4), (-1, 0), (14, 0)):
+        queries.pick(PickQuery(TASK, query))
         changed = changes.pop()(state)
         assert changed is not None
         assert changed.query == expected

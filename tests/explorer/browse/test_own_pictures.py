@@ -13,12 +13,14 @@ from PIL import Image
 from explorer import session_state, uploads
 from explorer.browse import own_pictures
 from explorer.browse.feeds import Feeds
+from explorer.browse.messages import BrowseMessage
 from explorer.browse.own_pictures import MOST, OwnPictures
 from explorer.opening import open_model
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
 from explorer.server.picture_route import PREFIX
 from explorer.session_state import SessionState, StateChange
+from explorer.web.messages import Receivers
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.datasets import geo
@@ -55,7 +57,7 @@ class Page:
         self.feeds = Feeds(workspace)
         gui = SimpleNamespace(add_html=self._add)
         self.own = OwnPictures(gui, self.feeds, self.change, lambda *error: self.errors.append(error))  # type: ignore[arg-type]
-        self.send = self.own.handlers()
+        self.send = Receivers({BrowseMessage: self.own.receive}).hand_on
 
     def _add(self, content: str) -> SimpleNamespace:
         self.contents.append(SimpleNamespace(content=content))
@@ -97,7 +99,7 @@ def test_one_picture_is_a_query_at_once(page: Page) -> None:
 
 
 def test_many_pictures_are_asked_for_one_by_one_and_all_bad_files_are_in_one_list(page: Page) -> None:
-    page.send["own-begin"]([3, [["big.jpg", "large"], ["notes.txt", "kind"]], 4])
+    page.send("own-begin", [3, [["big.jpg", "large"], ["notes.txt", "kind"]], 4])
     assert "own.go(0,3,1)" in page.asked
     page.own.take("a.jpg", photo(3))
     assert "own.go(1,3,2)" in page.asked
@@ -116,12 +118,12 @@ def test_many_pictures_are_asked_for_one_by_one_and_all_bad_files_are_in_one_lis
     assert again is not None
     assert again.upload is not None
     assert (again.upload.name, again.upload.place) == ("c.jpg", (46, 7))
-    page.send["own-pick"](["own", 0])
+    page.send("own-pick", ["own", 0])
     assert page.state.upload.name == "a.jpg"
     feed = page.feeds.find(f"/{page.feeds.address}{page.own._feed[1]}0".removeprefix(PREFIX))
     assert feed is not None
     assert json.loads(feed().data) == [[0, "a.jpg", None], [1, "c.jpg", None]]
-    page.send["own-close"](None)
+    page.send("own-close", None)
     assert page.state.upload is None
     assert page.shell == ""
 
@@ -146,16 +148,16 @@ def test_next_and_previous_step_through_ones_own_pictures(page: Page, workspace:
     [None, 3, [1], [-1, [], 0], [MOST + 1, [], 0], [1, [["a"]], 0], [1, [["a", 3]], 0], [1, [], -1], ["1", [], 0]],
 )
 def test_a_wrong_batch_asks_for_nothing(page: Page, value: object) -> None:
-    page.send["own-begin"](value)
+    page.send("own-begin", value)
     assert page.asked == ""
     for index in (None, 0, ["own", 0], ["own", -1], ["own", True], ["own", "0"]):
-        page.send["own-pick"](index)
+        page.send("own-pick", index)
     assert page.state.upload is None
 
 
 def test_no_more_pictures_are_held_than_are_allowed(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(own_pictures, "MOST", 2)
-    page.send["own-begin"]([3, [], 0])
+    page.send("own-begin", [3, [], 0])
     assert "own.go(0,2,1)" in page.asked
     for number in range(2):
         page.own.take(f"{number}.jpg", photo(number))
@@ -182,9 +184,9 @@ def test_the_pictures_of_all_browsers_together_are_bounded(
     )
     assert text.endswith("so close yours, or send it later.")
     assert other.state.upload is None
-    other.send["own-begin"]([2, [], 0])
+    other.send("own-begin", [2, [], 0])
     other.own.take("second.jpg", photo(1))
-    page.send["own-close"](None)
+    page.send("own-close", None)
     other.own.take("third.jpg", photo(1))
     assert "1 of your own" in other.shell
     assert "second.jpg takes" in other.shell
@@ -195,15 +197,15 @@ def test_the_pictures_of_all_browsers_together_are_bounded(
 
 
 def test_a_file_that_the_page_cannot_read_is_named_and_the_next_is_asked_for(page: Page) -> None:
-    page.send["own-begin"]([3, [["gone folder", "unread"]], 0])
+    page.send("own-begin", [3, [["gone folder", "unread"]], 0])
     page.own.take("a.jpg", photo(3))
     for wrong in (None, 1, [0, "early"], [2, "late"], [1], [1, 3], [True, "x"], ["1", "x"]):
-        page.send["own-skip"](wrong)
+        page.send("own-skip", wrong)
     assert "own.go(1,3,2)" in page.asked
-    page.send["own-skip"]([1, "gone.jpg"])
+    page.send("own-skip", [1, "gone.jpg"])
     assert "own.go(2,3,3)" in page.asked
-    page.send["own-skip"]([2, "x" * 90])
-    page.send["own-skip"]([3, "after the end"])
+    page.send("own-skip", [2, "x" * 90])
+    page.send("own-skip", [3, "after the end"])
     assert page.state.upload is not None
     assert "gone folder cannot be read by the browser" in page.shell
     assert (
@@ -211,8 +213,8 @@ def test_a_file_that_the_page_cannot_read_is_named_and_the_next_is_asked_for(pag
     )
     assert f"{'x' * 80} cannot" in page.shell
     assert "3 left out" in page.shell
-    page.send["own-begin"]([1, [], 0])
-    page.send["own-skip"]([0, "only.jpg"])
+    page.send("own-begin", [1, [], 0])
+    page.send("own-skip", [0, "only.jpg"])
     assert page.errors == [("No picture was taken", "1 files were left out; the list is below the button.")]
 
 
@@ -222,7 +224,7 @@ def test_a_large_file_is_held_small_and_shown_the_same(page: Page, monkeypatch: 
     for name in ("a.jpg", "b.jpg"):
         page.own.take(name, content)
     first = page.state.upload
-    page.send["own-pick"](["own", 0])
+    page.send("own-pick", ["own", 0])
     again = page.state.upload
     assert first is not None
     assert again is not None
@@ -233,7 +235,7 @@ def test_a_large_file_is_held_small_and_shown_the_same(page: Page, monkeypatch: 
 def test_a_picture_that_is_read_while_all_are_closed_is_not_taken(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("a.jpg", "b.jpg"):
         page.own.take(name, photo(1))
-    page.send["own-begin"]([2, [], 0])
+    page.send("own-begin", [2, [], 0])
     read = uploads.read
 
     def closed_meanwhile(name: str, content: bytes) -> OwnPicture:
@@ -252,7 +254,7 @@ def test_a_small_file_of_many_pixels_is_held_as_it_is_shown(page: Page) -> None:
     Image.new("RGB", (uploads.MAX_SIDE + 400, 1000), (40, 90, 60)).save(file, "PNG")
     page.own.take("wide.png", file.getvalue())
     page.own.take("b.jpg", photo(2))
-    page.send["own-pick"](["own", 0])
+    page.send("own-pick", ["own", 0])
     assert page.state.upload is not None
     assert page.state.upload.name == "wide.png"
     assert max(page.state.upload.picture.shape) == uploads.MAX_SIDE

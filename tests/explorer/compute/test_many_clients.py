@@ -24,9 +24,10 @@ from viser import GuiApi, SceneApi
 
 import explorer.app
 import lpn
-from explorer import client_session, session_state, uploads
+from explorer import session_state, uploads
 from explorer.app import App
-from explorer.client_session import ClientSession
+from explorer.client import address, views
+from explorer.client.session import ClientSession
 from explorer.compute import request_context
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window.sweep_request import SweepRequest
@@ -157,7 +158,9 @@ def session_of(app: App, browser: WebSocketClient) -> ClientSession:
     """Return the server's side of a browser."""
     slider = browser.find("Rotate")
     return next(
-        one for one in app._sessions.values() if one._panels.controls._bindings["angle"].handle._impl.uuid == slider
+        one
+        for one in app._sessions.values()
+        if one.views.panels.controls._bindings["angle"].handle._impl.uuid == slider
     )
 
 
@@ -282,7 +285,7 @@ def test_nothing_is_drawn_before_a_page_sends_its_address(app: App, monkeypatch:
 
 
 def test_a_page_that_loads_slowly_keeps_the_state_of_its_address(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client_session, "_ADDRESS_TIMEOUT", 0.0)
+    monkeypatch.setattr(address, "_ADDRESS_TIMEOUT", 0.0)
     with Browser(url(app)) as browser:
         browser.camera()
         browser.wait(lambda: browser.status("seq") not in (None, "0"))
@@ -296,17 +299,17 @@ def test_a_value_that_arrives_while_controls_are_read_is_not_lost(app: App) -> N
     with Browser(url(app)) as browser:
         browser.greet()
         session = session_of(app, browser)
-        slider = session._panels.controls._bindings["angle"].handle
+        slider = session.views.panels.controls._bindings["angle"].handle
 
         def taken(state: SessionState) -> SessionState:
-            read = session._panels.controls.read(state)
+            read = session.views.panels.controls.read(state)
             slider._impl.value = 12  # as viser's own thread does meanwhile
             return read
 
         slider._impl.value = 10
         session.change(taken)
         assert (session._state.angle, slider.value) == (10, 12)
-        session.change(session._panels.controls.read)  # what the value itself brings about
+        session.change(session.views.panels.controls.read)  # what the value itself brings about
         assert session._state.angle == 12
         session.change(lambda state: session_state.turn(state, 5))
         assert slider.value == 17
@@ -489,9 +492,9 @@ def leave_during_a_sweep_and_a_report(app: App) -> None:
         session.change(lambda state: replace(state, why=True, lab=True))
         browser.wait(lambda: 'id="lpn-why"' in browser.html())
         browser.tell("sweep", "rotation")
-        until(lambda: (sweep := session._explain_window._content.sweep) is not None and sweep.total)
+        until(lambda: (sweep := session.views.explain_window._content.sweep) is not None and sweep.total)
         browser.tell("report", None)
-        until(lambda: session._reporter._job is not None)
+        until(lambda: session.views.reporter._job is not None)
 
 
 def leave_before_the_first_message(app: App) -> None:
@@ -562,7 +565,7 @@ def test_a_page_built_after_its_browser_left_is_removed(app: App, monkeypatch: p
 
     before = settled()
     with monkeypatch.context() as patched:
-        patched.setattr(client_session, "Stage", Late)
+        patched.setattr(views, "Stage", Late)
         with Browser(url(app)) as browser:
             browser.camera()
             assert building.wait(TIMEOUT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -14,15 +15,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from explorer import session_state
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window import activation, comparison, evidence, region, sweep_page
+from explorer.explain_window import activation, comparison, evidence, messages, region, sweep_page
+from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.opening import open_model
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.viewport import Viewport
+from explorer.web.messages import decode
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
@@ -205,21 +210,47 @@ def test_shift_and_zoom_are_of_the_described_query(workspace: Workspace) -> None
     assert session_state.upright(moved.state).change == Change()
 
 
-@pytest.mark.parametrize("value", [None, "a", 3, [1, "b"], [16], [-1], [True], [0.5], list(range(17)), {"a": 1}])
-def test_a_region_from_the_page_is_cells_or_nothing(value: Any) -> None:
-    assert session_state.check_cells(value, 16) is None
-    assert session_state.check_cells([3, 1, 3], 16) == (1, 3)
-    assert session_state.check_cells([], 16) == ()
+@pytest.mark.parametrize("value", [None, "a", 3, [1, "b"], [-1], [True], [0.5], {"a": 1}])
+def test_a_region_from_the_page_is_a_list_of_cells(value: Any) -> None:
+    assert decode(ExplainMessage, "region", value) is None
 
 
-@pytest.mark.parametrize("value", [None, [1, 2], ["a", None, {}, []], [1e999, float("nan"), 5000, -7]])
-def test_a_point_of_a_profile_from_the_page_stays_within_bounds(value: Any) -> None:
-    state = session_state.apply_point(SessionState("drone-to-satellite", 4, angle=10.0), value, (64, 128))
+def test_a_region_is_within_the_feature_map(workspace: Workspace) -> None:
+    changes: list[StateChange] = []
+    window = make_window(workspace, WindowGui(), [], change=changes.append)
+    analysis = analysed(workspace)
+    window.show(analysis)
+    rows, columns = workspace.map_sizes[analysis.task.query_view]
+    for wrong in ([rows * columns], [0] * (rows * columns + 1)):
+        window.receive(messages.SearchRegion(wrong))
+    assert changes == []
+    for cells, expected in (([3, 1, 3], (1, 3)), ([], ())):
+        window.receive(messages.SearchRegion(cells))
+        searched = changes.pop()(analysis.state)
+        assert searched is not None
+        assert searched.region == expected
+    window.leave()
+
+
+@pytest.mark.parametrize(
+    "value", [None, [1, 2], ["a", None, {}, []], [1e999, 0, 0, 1], [0, math.nan, 0, 1], [1e7, 0, 0, 1]]
+)
+def test_a_point_of_a_profile_is_four_finite_numbers(value: Any) -> None:
+    assert decode(ExplainMessage, "take", value) is None
+
+
+@given(*[st.floats(-1e6, 1e6)] * 4)
+def test_a_point_of_a_profile_stays_within_bounds(angle: float, right: float, down: float, zoom: float) -> None:
+    state = session_state.apply_point(SessionState("drone-to-satellite", 4), angle, right, down, zoom, (64, 128))
     assert -180 <= state.angle <= 180
     assert abs(state.shift) <= 64
     assert abs(state.down) <= 32
     assert 0.25 <= state.zoom <= 4
-    assert session_state.apply_point(state, [270, 5, -6, 2.0], (64, 128)).change == Change(-90, 5, 2.0, -6)
+
+
+def test_a_point_of_a_profile_is_shown() -> None:
+    start = SessionState("drone-to-satellite", 4, angle=10.0)
+    assert session_state.apply_point(start, 270, 5, -6, 2.0, (64, 128)).change == Change(-90, 5, 2.0, -6)
 
 
 def test_a_profile_without_a_point_says_whether_it_is_still_being_computed(workspace: Workspace) -> None:
@@ -350,7 +381,7 @@ def test_a_failure_ends_the_sweep_and_empties_every_tab(
     explain_window, gui = window
     explain_window.announce()
     explain_window.show(analysed(workspace))
-    explain_window.handlers()["sweep"]("rotation")
+    explain_window.receive(messages.RequestSweep("rotation"))
     content = explain_window._content
     assert content is not None
     assert content.sweep is not None
@@ -394,7 +425,7 @@ def test_an_effect_of_the_previous_pair_is_never_shown_under_the_next(
     monkeypatch.setattr(comparison, "page", slow_page)
     explain_window.announce()
     explain_window.show(old)
-    explain_window.handlers()["effect"](None)
+    explain_window.receive(messages.RequestEffect())
     assert drawing.wait(120)  # the worker is about to show the old pair's effect when the pair changes
     change = Thread(target=explain_window.show, args=(new,))
     change.start()
@@ -423,7 +454,7 @@ def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(
     monkeypatch.setattr(counterfactual, "effect", effect)
     explain_window.announce()
     explain_window.show(old)
-    explain_window.handlers()["effect"](None)
+    explain_window.receive(messages.RequestEffect())
     wait_until(lambda: bool(computed))
     assert computed[0] is old.ranking.weights
     explain_window.leave()
@@ -439,16 +470,13 @@ def test_weights_that_change_nothing_neither_help_nor_harm() -> None:
 
 def test_a_window_fits_the_room_that_the_page_tells() -> None:
     room = Viewport()
-    room.update([700, 500])
+    room.resize(700, 500)
     assert room.window() == (688, 488)
     assert room.window((600, 900), 0.5) == (588, 320)
-    for nonsense in (None, [1], [0, 5], ["a", 3], [10**9, 3], {"a": 1}):
-        room.update(nonsense)
-    assert (room.width, room.height) == (700, 500)
     told: list[int] = []
     room.watch(lambda: told.append(room.width))
-    room.update([700, 500])
-    room.update([640, 500])
+    room.resize(700, 500)
+    room.resize(640, 500)
     assert told == [640]
 
 
@@ -473,10 +501,9 @@ def test_the_window_opens_at_the_tab_that_answers_and_follows_the_page(workspace
         assert changes == []
         window.close()
     window.announce()
-    window.handlers()["tab"]("Parts")  # of another window
-    window.handlers()["tab"](["Heatmaps"])
+    window.receive(messages.FollowTab("Parts"))  # of another window
     assert changes == []
-    window.handlers()["tab"]("Heatmaps")
+    window.receive(messages.FollowTab("Heatmaps"))
     followed = changes.pop()(analysis.state)
     assert followed is not None
     assert followed.why_tab == "heatmaps"

@@ -9,10 +9,11 @@ import pytest
 from explorer.browse.feeds import Feeds
 from explorer.failure_lab import map_data, messages
 from explorer.failure_lab.map_page import MapPage
-from explorer.failure_lab.messages import MAX_CORNERS, ColourBy, OpenPoint, SelectLasso, ShowMap
+from explorer.failure_lab.messages import MAX_CORNERS, ColourBy, LabMessage, OpenPoint, SelectLasso, ShowMap
 from explorer.failure_lab.service import FailureLab, Findings, MapPoints
 from explorer.failure_lab.state import LabState
 from explorer.server.picture_route import PREFIX
+from explorer.web.messages import decode
 from explorer.workspace import Workspace
 from lpn.analysis import embedding_map
 from lpn.core.arrays import Int64Array
@@ -177,10 +178,10 @@ def test_a_lasso_and_a_click_belong_to_the_map_that_is_shown(
 def test_wrong_messages_of_a_map_change_nothing(findings: Findings, lab: LabState) -> None:
     wrong = ([[0, 0]] * 2, [[0, 0]] * (MAX_CORNERS + 1), [[0, 1e9]] * 3, [[0, "1"]] * 3, None)
     for corners in wrong:
-        assert messages.decode("lab-lasso", ["pca", corners]) is None
-    assert messages.decode("lab-point", ["pca", 2]) == OpenPoint("pca", 2)
+        assert decode(LabMessage, "lab-lasso", ["pca", corners]) is None
+    assert decode(LabMessage, "lab-point", ["pca", 2]) == OpenPoint("pca", 2)
     for row in (-1, 1.5, "1", None):
-        assert messages.decode("lab-point", ["pca", row]) is None
+        assert decode(LabMessage, "lab-point", ["pca", row]) is None
     assert messages.apply(ColourBy("no column"), lab, findings) is lab
     assert messages.apply(ColourBy("weather"), lab, findings).colour == "weather"
     without_places = replace(findings, task=replace(findings.task, geometry=None))

@@ -5,9 +5,10 @@ from typing import Any
 import pytest
 
 from explorer.failure_lab import messages, state
-from explorer.failure_lab.messages import SelectBin
+from explorer.failure_lab.messages import LabMessage, SelectBin
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState
+from explorer.web.messages import decode
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ from explorer.failure_lab.state import LabState
     ],
 )
 def test_a_malformed_message_changes_nothing(findings: Findings, lab: LabState, kind: str, value: Any) -> None:
-    message = messages.decode(kind, value)
+    message = decode(LabMessage, kind, value)
     assert message is None or messages.apply(message, lab, findings) is lab
 
 

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.failure_lab import messages, table
-from explorer.failure_lab.messages import SaveNote
+from explorer.failure_lab import table
+from explorer.failure_lab.messages import LabMessage, SaveNote
 from explorer.failure_lab.note_form import NoteForm
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
 from explorer.web.html import Html
+from explorer.web.messages import decode
 from explorer.workspace import Workspace
 from lpn.core.demo import own_file_place
 from lpn.core.errors import InputError, OutputError
@@ -124,7 +125,7 @@ def test_a_name_that_is_not_utf8_is_shown_and_its_note_is_refused(
     assert "Not saved. The query&#39;s path is" in message.content
     assert "rename the file" in message.content
     for wrong in (None, [TASK, True, "", ""], [TASK, 2, "", 3], [[], 2, "", ""], [TASK, -1, "", ""], [TASK, 2, ""]):
-        assert messages.decode("lab-note", wrong) is None
+        assert decode(LabMessage, "lab-note", wrong) is None
     assert not view.save(SaveNote(TASK, 13, "", ""))
     assert not view.save(SaveNote("moon", 2, "", ""))
     assert not (workspace.root / "notes.csv").exists()

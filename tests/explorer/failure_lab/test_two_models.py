@@ -250,7 +250,7 @@ def test_the_window_shows_the_wait_and_then_the_ranks(waiting: Workspace, held: 
     analysis = StateAnalyser(waiting).analyse(SessionState(TASK, 4, lab=True), 10)
     window.show(analysis)
     wait_until(lambda: "Compare the ranks with the other" in gui.shown("lpn-lab-second"))
-    window.handlers()["lab-second"](None)
+    window.receive(messages.OpenSecond())
     assert begun.wait(120)
     wait_until(lambda: "rank B: ranking 5 of 13 queries" in gui.shown("lpn-lab-second"))
     assert "rank B" not in gui.shown("lpn-lab-table")

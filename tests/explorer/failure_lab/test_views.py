@@ -15,6 +15,7 @@ from explorer.failure_lab.state import LabState, Selection
 from explorer.failure_lab.window import FailureLabWindow
 from explorer.session_state import LabChoices, SessionState
 from explorer.stage.viewport import Viewport
+from explorer.web.messages import Receivers
 from explorer.workspace import Workspace
 from lpn.analysis.named_views import NAME, ChosenQueries, NamedView
 from lpn.tasks.notes import read_notes
@@ -123,28 +124,28 @@ def test_the_drawer_offers_what_can_be_done(findings: Findings, lab: LabState) -
 def test_the_chosen_queries_are_tagged_and_kept_as_a_view(
     window: FailureLabWindow, workspace: Workspace, service: FailureLab, findings: Findings
 ) -> None:
-    handle = window.handlers()
-    handle["lab-find"]("0009")
-    handle["lab-tag"]("night blur")
+    handle = Receivers({messages.LabMessage: window.receive}).hand_on
+    handle("lab-find", "0009")
+    handle("lab-tag", "night blur")
     tagged = read_notes(workspace.root / "notes.csv")
     assert list(tagged) == [findings.table.paths[row] for row in findings.table.search(findings.table.rows(), "0009")]
     assert {note.tags for note in tagged.values()} == {("night", "blur")}
     newest = service.findings(TASK)
     assert newest is not None
     assert len(newest.table.filter(newest.table.rows(), "tags ~ night")) == len(tagged)
-    handle["lab-tag"]("no/word")
+    handle("lab-tag", "no/word")
     assert window._drawer_message is not None
     assert "no/word" in window._drawer_message[0]
-    handle["lab-view-save"]("nine")
+    handle("lab-view-save", "nine")
     assert [view.name for view in service.views(TASK)] == ["nine"]
     assert service.views("satellite-to-drone") == ()
-    handle["lab-clear"](None)
+    handle("lab-clear", None)
     assert window._lab.name_search == ""
-    handle["lab-view"]("nine")
+    handle("lab-view", "nine")
     assert window._lab.name_search == "0009"
-    handle["lab-view-save"]("")
+    handle("lab-view-save", "")
     assert window._drawer_message[1] is False
-    handle["lab-view-remove"]("nine")
+    handle("lab-view-remove", "nine")
     assert service.views(TASK) == ()
 
 
@@ -155,12 +156,12 @@ def test_the_window_follows_a_resize_while_it_is_placed_and_keeps_room_for_its_t
 
     def resize_once() -> None:
         if len(placed) == 1:
-            viewport.update([650, 600])
+            viewport.resize(650, 600)
 
     window._worker.stop()
     window._panel.float = lambda **place: placed.append(place)  # type: ignore[method-assign]
     window._panel.expand = resize_once  # type: ignore[method-assign]
-    viewport.update([900, 1000])
+    viewport.resize(900, 1000)
     for _ in range(3):
         window._place(False)
     assert [(place["width"], place["height"]) for place in placed] == [(888, 498), (638, 368)]

@@ -5,26 +5,27 @@ from typing import Any
 
 import pytest
 
-from explorer.flight_window import messages
 from explorer.flight_window.messages import (
     ChooseFrame,
     CloseFlight,
     CorrectFrame,
+    FlightMessage,
     ForgetCorrection,
     PaintScores,
     ShowSpot,
 )
+from explorer.web.messages import decode
 
 
 def test_messages_are_what_the_page_sends() -> None:
-    assert messages.decode("flight-frame", 7) == ChooseFrame(7)
-    assert messages.decode("flight-paint", "all") == PaintScores("all")
-    assert messages.decode("flight-paint", 2) == PaintScores(2)
-    assert messages.decode("flight-spot", [1.5, -2]) == ShowSpot((1.5, -2.0))
-    assert messages.decode("flight-close", None) == CloseFlight()
+    assert decode(FlightMessage, "flight-frame", 7) == ChooseFrame(7)
+    assert decode(FlightMessage, "flight-paint", "all") == PaintScores("all")
+    assert decode(FlightMessage, "flight-paint", 2) == PaintScores(2)
+    assert decode(FlightMessage, "flight-spot", [1.5, -2]) == ShowSpot((1.5, -2.0))
+    assert decode(FlightMessage, "flight-close", None) == CloseFlight()
     square = [[0, 1], [1, 1], [1, 0], [0, 0]]
-    assert messages.decode("flight-correct", [3, square]) == CorrectFrame(3, ((0, 1), (1, 1), (1, 0), (0, 0)))
-    assert messages.decode("flight-forget", 3) == ForgetCorrection(3)
+    assert decode(FlightMessage, "flight-correct", [3, square]) == CorrectFrame(3, ((0, 1), (1, 1), (1, 0), (0, 0)))
+    assert decode(FlightMessage, "flight-forget", 3) == ForgetCorrection(3)
 
 
 @pytest.mark.parametrize(
@@ -42,8 +43,15 @@ def test_messages_are_what_the_page_sends() -> None:
         ("flight-spot", {"x": 1}),
         ("flight-correct", 3),
         ("flight-correct", [3, [[0, 1], [1, 1], [1, 0]]]),
-        ("flight-correct", [3, [[0, 1], [1, 1], [1, 0], [0, 1e9]]]),
+        ("flight-correct", [3, [[0, 1], [1, 1], [1, 0], [0, "0"]]]),
     ],
 )
 def test_anything_else_is_dropped(kind: str, value: Any) -> None:
-    assert messages.decode(kind, value) is None
+    assert decode(FlightMessage, kind, value) is None
+
+
+@pytest.mark.parametrize("corner", [(0.0, 1e9), (None, 0.0)])
+def test_corners_beyond_the_map_have_no_place(corner: tuple[float | None, float | None]) -> None:
+    near = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0))
+    assert CorrectFrame(3, (*near, corner)).spots() is None
+    assert CorrectFrame(3, (*near, (0.0, 0.0))).spots() == [*near, (0.0, 0.0)]

@@ -13,11 +13,13 @@ from unittest.mock import MagicMock
 import pytest
 
 from explorer.flight_window import window as window_module
+from explorer.flight_window.messages import FlightMessage
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService
 from explorer.flight_window.window import FlightWindow
 from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
+from explorer.web.messages import Receivers
 from lpn.locate.located import LocatedFlight
 
 SQUARE = [[0, 30], [40, 30], [40, 0], [0, 0]]
@@ -57,7 +59,7 @@ class WindowOf:
 
     def send(self, kind: str, value: Any) -> None:
         """Send a message of the page."""
-        self.window.handlers()[kind](value)
+        Receivers({FlightMessage: self.window.receive}).hand_on(kind, value)
         self.work()
 
     def work(self) -> float | None:
@@ -135,8 +137,8 @@ def test_a_correction_wakes_the_windows_of_all_browsers_that_are_there(make: Cal
 def test_a_resize_while_the_window_is_placed_is_followed(make: Callable[[], WindowOf]) -> None:
     page = make()
     panel = page.client.gui.add_panel.return_value
-    page.viewport.update([800, 700])
-    panel.expand.side_effect = lambda: page.viewport.update([1000, 900])
+    page.viewport.resize(800, 700)
+    panel.expand.side_effect = lambda: page.viewport.resize(1000, 900)
     page.work()
     panel.expand.side_effect = None
     page.work()

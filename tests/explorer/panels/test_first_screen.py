@@ -321,7 +321,7 @@ def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:
     for named in ("?query=0003", "?lab=1", "?screen=all"):
         assert address.names_a_state(named)
     assert not first_screen.plain_state(plain, True, True).first_screen
-    assert not first_screen.plain_state(plain, "yes", False).first_screen
+    assert not first_screen.plain_state(plain, False, False).first_screen
     first = replace(plain, first_screen=True, why=True)
     assert address.read(address.write(first), plain) == (first, [])
     assert "screen" not in address.write(plain)

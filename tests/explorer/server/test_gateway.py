@@ -666,10 +666,10 @@ def test_messages_of_the_pages_script_may_contain_anything(app: App, hostile: We
         "<b>",
         ["table", -1],
     ]
-    for kind in [*session._bridge._handlers, "no such kind", ""]:
+    for kind in [*session.views.bridge._receivers.kinds, "no such kind", ""]:
         for value in odd:
             hostile.tell(kind, value)
-            session._bridge.receive(msgspec.json.encode({"kind": kind, "value": value}).decode())
+            session.views.bridge.receive(msgspec.json.encode({"kind": kind, "value": value}).decode())
     session.change(lambda state: replace(state, why=False, lab=False))
     works(hostile)
 

@@ -49,7 +49,7 @@ class DrawnStage:
         client.camera.aspect = width / height
         client.scene.add_image.side_effect = self._add
         self.workspace, self.viewport = workspace, Viewport()
-        self.viewport.update([width, height])
+        self.viewport.resize(width, height)
         self.stage = Stage(client, workspace, lambda *_: None, None, self.viewport)
 
     def _add(self, name: str, image: Any, width: float, height: float, **_: Any) -> Any:
@@ -119,7 +119,7 @@ def test_a_text_without_room_is_the_shorter_one_or_left_out() -> None:
 @pytest.mark.parametrize(("width", "height"), [(290, 390), (390, 304), *SIZES])
 def test_a_rank_its_sign_and_its_distance_stand_apart(workspace: Workspace, width: int, height: int) -> None:
     viewport, layout = Viewport(), workspace.layout
-    viewport.update([width, height])
+    viewport.resize(width, height)
     size = Lettering.of(layout, 4, viewport).label
     match: Any = SimpleNamespace(rank=10, true=False, distance2=1.141, contributions=np.zeros(4, np.float32))
     text = _card_label(layout, match, 2.0, DARK, size)[:39].astype(int)
@@ -131,7 +131,7 @@ def test_a_rank_its_sign_and_its_distance_stand_apart(workspace: Workspace, widt
 
 def test_many_parts_and_panoramas_keep_their_texts_apart() -> None:
     small = Viewport()
-    small.update([390, 388])
+    small.resize(390, 388)
     for size, parts in (((256, 256), 8), ((112, 616), 4), ((112, 616), 8)):
         stage: Any = Stage.__new__(Stage)
         stage._layout, stage._n = layout_for(size), parts
@@ -152,12 +152,12 @@ def test_many_parts_and_panoramas_keep_their_texts_apart() -> None:
 def test_texts_are_drawn_again_for_another_size_only_where_they_would_differ(workspace: Workspace) -> None:
     drawn = DrawnStage(workspace, 860, 820)
     drawn.show()
-    drawn.viewport.update([900, 860])
+    drawn.viewport.resize(900, 860)
     assert not drawn.stage.outgrown
-    drawn.viewport.update([390, 388])
+    drawn.viewport.resize(390, 388)
     assert drawn.stage.outgrown
     drawn.show()
     assert not drawn.stage.outgrown
     drawn.show(map=True)
-    drawn.viewport.update([390, 380])
+    drawn.viewport.resize(390, 380)
     assert drawn.stage.outgrown

@@ -73,12 +73,12 @@ def test_a_draft_knows_whether_there_is_something_to_save() -> None:
     ],
 )
 def test_a_message_that_the_page_does_not_send_is_dropped(kind: str, value: object) -> None:
-    assert decode(messages.MESSAGES, kind, value) is None
+    assert decode(messages.StoryMessage, kind, value) is None
 
 
 def test_a_kept_draft_is_read_back() -> None:
     kept = {"name": "x", "steps": [{"shows": "query=a", "caption": "c", "notes": ""}]}
     expected = messages.RestoreDraft(Story("x", (Step("query=a", "c"),)), None)
-    assert decode(messages.MESSAGES, "story-draft", [kept, None]) == expected
-    opened = decode(messages.MESSAGES, "story-draft", [kept, ["x", "0" * 16]])
+    assert decode(messages.StoryMessage, "story-draft", [kept, None]) == expected
+    opened = decode(messages.StoryMessage, "story-draft", [kept, ["x", "0" * 16]])
     assert opened == messages.RestoreDraft(expected.story, ("x", "0" * 16))

@@ -19,11 +19,13 @@ from explorer.flight_window.service import FlightService
 from explorer.session_state import Chosen, LabChoices, SessionState
 from explorer.stage.viewport import Viewport
 from explorer.stories import library
+from explorer.stories.messages import StoryMessage
 from explorer.stories.story import Step, Story, StoryDraft
 from explorer.stories.window import LONGEST_DRAFT, StoryWindow
 from explorer.stories.windows import WindowSources
 from explorer.url_state import UrlState
 from explorer.web.html import Html
+from explorer.web.messages import Receivers
 from explorer.workspace import StateAnalyser, Workspace
 from tests.explorer.stories.conftest import TASK
 
@@ -56,7 +58,7 @@ class Page:
         )
 
     def send(self, kind: str, value: object = None) -> None:
-        self.window.handlers()[f"story-{kind}"](value)
+        Receivers({StoryMessage: self.window.receive}).hand_on(f"story-{kind}", value)
 
     @property
     def draft(self) -> Story:

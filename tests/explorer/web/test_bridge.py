@@ -12,6 +12,7 @@ import pytest
 
 from explorer.server.message_filter import MAX_TEXT
 from explorer.web.bridge import MAX_WAITING, PageBridge
+from explorer.web.messages import Message
 
 
 class Gui:
@@ -46,18 +47,44 @@ class Gui:
         asyncio.run(sent())
 
 
+class _Messages(Message):
+    """The messages of these tests."""
+
+
+class _Region(_Messages, tag="region"):
+    cells: list[int]
+
+
+def bridge_of(gui: Gui, take: Callable[[list[int]], None]) -> PageBridge:
+    return PageBridge(gui, {_Messages: lambda message: take(message.cells)}, {}, "")  # type: ignore[arg-type]
+
+
 def region(value: int) -> str:
     return json.dumps({"kind": "region", "value": [value], "count": value})
 
 
 def test_a_bridge_hands_on_messages_and_drops_everything_else() -> None:
     gui, got = Gui(), []
-    bridge = PageBridge(gui, {"region": got.append}, {}, "")  # type: ignore[arg-type]
+    bridge = bridge_of(gui, got.append)
     assert "the-uuid" in gui.html[0]
     assert "<script" not in gui.html[0]
     deep = "[" * 50_000
     gui.send(
-        None, 3, "", "{", "[]", "null", '{"kind": []}', '{"kind": "other"}', '"region"', "x" * (MAX_TEXT + 1), deep
+        None,
+        3,
+        "",
+        "{",
+        "[]",
+        "null",
+        '{"kind": []}',
+        '{"kind": "other"}',
+        '"region"',
+        "x" * (MAX_TEXT + 1),
+        deep,
+        '{"kind": "region"}',
+        '{"kind": "region", "value": ["1"]}',
+        '{"kind": "region", "value": [1e400]}',
+        '{"kind": "region", "value": ["\\ud800"]}',
     )
     assert got == []
     bridge.receive(region(1))
@@ -75,7 +102,7 @@ def test_quick_messages_arrive_in_order_while_a_handler_is_slow_or_fails() -> No
         threads.add(threading.get_ident())
         got.append(value)
 
-    PageBridge(gui, {"region": handle}, {}, "")  # type: ignore[arg-type]
+    bridge_of(gui, handle)
     gui.send(*map(region, range(6)))
     assert got == [[0], [1], [3], [4], [5]]
     assert threading.get_ident() not in threads, "a handler must not hold up the event loop"
@@ -83,7 +110,7 @@ def test_quick_messages_arrive_in_order_while_a_handler_is_slow_or_fails() -> No
 
 def test_a_page_that_sends_faster_than_its_handlers_work_has_a_bounded_queue(caplog: pytest.LogCaptureFixture) -> None:
     gui, got = Gui(), []
-    PageBridge(gui, {"region": got.append}, {}, "")  # type: ignore[arg-type]
+    bridge_of(gui, got.append)
     gui.send(*map(region, range(MAX_WAITING + 50)))
     assert got == [[number] for number in range(MAX_WAITING)]
     assert [record.message for record in caplog.records if record.levelname == "WARNING"] == [

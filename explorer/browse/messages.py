@@ -1,0 +1,50 @@
+"""The messages of the lists of pictures, and of one's own pictures; none of them is trusted."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from explorer.web.messages import Message
+
+# Pictures of one's own that one browser holds, and files that one list names.
+MOST, MOST_NAMED = 200, 300
+_Name = Annotated[str, Meta(max_length=400)]
+
+
+class BrowseMessage(Message):
+    """A message of a list of pictures."""
+
+
+class PickQuery(BrowseMessage, tag="pick"):
+    """Choose a query of a task."""
+
+    task: str
+    query: int
+
+
+class BeginBatch(BrowseMessage, tag="own-begin"):
+    """Announce the files that a page is about to send, and those that it leaves out with the reason's kind."""
+
+    files: Annotated[int, Meta(ge=0, le=MOST)]
+    refused: Annotated[list[tuple[_Name, _Name]], Meta(max_length=MOST_NAMED)]
+    unnamed: Annotated[int, Meta(ge=0, le=10**7)]
+
+
+class SkipFile(BrowseMessage, tag="own-skip"):
+    """Go on without the file that was asked for: the page cannot read it."""
+
+    number: int
+    name: str
+
+
+class PickOwn(BrowseMessage, tag="own-pick"):
+    """Show one of the pictures held; the list is that of no task."""
+
+    task: str
+    index: Annotated[int, Meta(ge=0)]
+
+
+class CloseOwn(BrowseMessage, tag="own-close"):
+    """Forget all own pictures."""

@@ -1,0 +1,120 @@
+"""The address of one page: what it names is shown, and it names what is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import replace
+
+from explorer import session_state
+from explorer.client.messages import Greeting
+from explorer.client.views import ClientViews
+from explorer.compute.worker import DelayedCall
+from explorer.panels.first_screen import plain_state
+from explorer.session_state import SessionState
+from explorer.url_state import UrlState
+from explorer.workspace import Workspace
+
+# Seconds that a new page has to send its address, before the default state is analysed. A busy machine loads pages slowly.
+_ADDRESS_TIMEOUT = 30.0
+
+
+class PageAddress:
+    """Reads and writes the address of one page.
+
+    Args:
+        lock: the session's, which guards its state.
+        state: returns the newest state, at first the one that addresses leave out.
+        show_other: replaces the session by one of another workspace, given its key and the query string of its address.
+        search: a query string in place of that of the page's address.
+        wake: wakes the session's worker.
+
+    Attributes:
+        waiting: the page has yet to send its address.
+    """
+
+    def __init__(
+        self,
+        workspace: Workspace,
+        url_state: UrlState,
+        views: ClientViews,
+        lock: AbstractContextManager[object],
+        state: Callable[[], SessionState],
+        show_other: Callable[[str, str], None],
+        search: str | None,
+        wake: Callable[[], None],
+    ) -> None:
+        self._workspace, self._url_state, self._views = workspace, url_state, views
+        self._lock, self._state, self._plain = lock, state, state()
+        self._show_other, self._search, self._wake = show_other, search, wake
+        self._greeted, self.waiting = False, True
+        self._timeout = DelayedCall(_ADDRESS_TIMEOUT, self._stop_waiting)
+
+    def greet(self, greeting: Greeting) -> None:
+        """Show what a new page's address names; the page sends its greeting until it gets an answer."""
+        with self._lock:
+            if self._greeted:
+                return
+            self._greeted, self.waiting = True, False
+            self._timeout.cancel()
+            if greeting.viewport is not None:
+                self._views.viewport.resize(*greeting.viewport)
+            self._views.fit(greeting.small)
+            search = greeting.search if self._search is None else self._search
+            if (other := self._url_state.other_workspace(search)) is not None:
+                self._show_other(other, search)
+                return
+            before = self._state()
+        state, problems = self._url_state.read(search, replace(before, dark=not greeting.light))
+        if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
+            state = replace(state, dark=greeting.theme == "dark")
+        state = plain_state(state, greeting.first, self._url_state.names_a_state(search))
+        if self._workspace.has_flight and self._url_state.names_only_a_workspace(search):
+            state = replace(state, flight=True, first_screen=False)
+        with self._lock:
+            self._views.show_state(state)
+            if self._state() is before:  # otherwise the change has woken the worker
+                self._wake()
+        if problems:
+            self._views.panels.notify_error("Not all of the link can be shown", " ".join(problems))
+
+    def go_back(self, search: str) -> None:
+        """Show what an earlier address of the page's history shows."""
+        key = self._url_state.workspace_key(search)
+        if key != self._workspace.key and key in self._workspace.choices:
+            self._show_other(key, search)
+        else:
+            self.show(search)
+
+    def show(self, search: str) -> list[str]:
+        """Show what an address of this workspace shows, with the page's theme and filter; see `UrlState.read`."""
+        before = self._state()
+        kept = {name: getattr(before, name) for name in ("dark", "find", "laboratory")}
+        state, problems = self._url_state.read(search, replace(self._plain, **kept))
+        if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
+            state = replace(state, laboratory=session_state.choices_for_any_task(before.laboratory))
+        self._views.show_state(replace(state, dark=before.dark))
+        return problems
+
+    def show_other(self, key: str) -> None:
+        """Show another workspace, if there is one of this key."""
+        state = self._state()
+        if key in self._workspace.choices and key != self._workspace.key:
+            screen = "&screen=first" if state.first_screen else ""
+            self._show_other(key, f"?show={key}&theme={'dark' if state.dark else 'light'}{screen}")
+
+    def write(self, state: SessionState) -> None:
+        """Let the page's address name a state, with what the windows show by now."""
+        if not self._greeted:  # the page would lose the address that it has yet to send
+            return
+        with self._lock:  # otherwise the worker could replace a newer address of the laboratory by an older one
+            whole_state = session_state.with_windows(state, self._state())
+            self._views.bridge.set_address(self._url_state.write(whole_state), self._url_state.keys)
+
+    def leave(self) -> None:
+        """Wait no more for a page that has left."""
+        self._timeout.cancel()
+
+    def _stop_waiting(self) -> None:
+        self.waiting = False
+        self._wake()

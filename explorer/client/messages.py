@@ -1,0 +1,87 @@
+"""The messages of the page itself, which belong to none of its windows; none of them is trusted."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+from explorer.session_state import Alteration
+from explorer.stage.viewport import MAX_SIDE
+from explorer.web.messages import Message
+
+_Side = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
+
+
+class PageMessage(Message):
+    """A message of the page."""
+
+
+class Greeting(msgspec.Struct, frozen=True):
+    """A new page, as it describes itself.
+
+    Attributes:
+        search: the query string of its address.
+        small: its window has room for one panel only.
+        first: its browser asks for the first screen.
+        light: its browser asks for the light theme.
+        theme: the theme that was chosen in its browser before; None without one.
+        viewport: width and height of its stage; None while it has none.
+    """
+
+    search: str
+    small: bool = False
+    first: bool = False
+    light: bool = False
+    theme: str | None = None
+    viewport: tuple[_Side, _Side] | None = None
+
+
+class Greet(PageMessage, tag="hello"):
+    greeting: Greeting
+
+
+class ResizeStage(PageMessage, tag="viewport"):
+    width: _Side
+    height: _Side
+
+
+class FitPanels(PageMessage, tag="small"):
+    small: bool
+
+
+class ShowTask(PageMessage, tag="task"):
+    task: str
+
+
+class ShowOther(PageMessage, tag="show"):
+    """Show another workspace."""
+
+    key: str
+
+
+class GoBack(PageMessage, tag="back"):
+    """Show what an earlier address of the page's history shows."""
+
+    search: str
+
+
+class UndoAlteration(PageMessage, tag="undo"):
+    alteration: Alteration
+
+
+class ActOnFirstScreen(PageMessage, tag="screen"):
+    action: str
+
+
+class FlipTheme(PageMessage, tag="dark"): ...
+
+
+class ShowGlossary(PageMessage, tag="glossary"): ...
+
+
+class StraightenStage(PageMessage, tag="straighten"): ...
+
+
+class CloseMap(PageMessage, tag="map-close"): ...

@@ -1,0 +1,208 @@
+"""One connected browser: its state, and the worker that analyses its state."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import viser
+
+from explorer import session_state
+from explorer.client import messages
+from explorer.client.address import PageAddress
+from explorer.client.messages import PageMessage
+from explorer.client.services import WorkspaceServices
+from explorer.client.views import ClientViews
+from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
+from explorer.compute.ranking_progress import RankingProgress
+from explorer.compute.request_context import RequestContext
+from explorer.compute.worker import DelayedCall, Worker
+from explorer.session_state import SessionState, StateChange
+from explorer.stage.cards import SHOWN
+from explorer.workspace import StateAnalyser, StateAnalysis
+from lpn.core.errors import LPNError
+from lpn.core.files import printable
+
+log = logging.getLogger(__name__)
+
+# Seconds of an analysis after which the page says that it is being computed.
+_SLOW = 0.5
+
+
+class ClientSession:
+    """Connects one browser's state, worker, and views.
+
+    Callbacks replace the state (`change`) and wake the worker; the worker analyses the newest state and draws it.
+
+    Args:
+        services: the workspace to show.
+        show_other: replaces this session by one of another workspace, given its key and the query string of its address.
+        search: a query string in place of that of the page's address.
+
+    Attributes:
+        views: all that the page shows.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        services: WorkspaceServices,
+        show_other: Callable[[ClientSession, str, str], None],
+        search: str | None = None,
+    ) -> None:
+        workspace = services.workspace
+        self.client, self._workspace = client, workspace
+        self._lock = threading.RLock()
+        task = next(iter(workspace.tasks))
+        state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query)
+        self._state = workspace.supported_state(state)
+        self._requests = RequestContext(workspace.inference)
+        self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
+        with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
+            self.views = ClientViews(
+                client,
+                services,
+                self._requests,
+                lambda: self._state,
+                self.change,
+                lambda search: self._built_address.show(search),
+                self._on_select,
+                {PageMessage: self._receive},
+            )
+            self._worker = Worker(self._work, self.views.fail)
+            self.views.viewport.watch(lambda: self._worker.wake() if self.views.stage.outgrown else None)
+            self._ranking_progress = RankingProgress(self.views.panels.answer.show_results, self._worker.wake)
+            self._address = PageAddress(
+                workspace,
+                services.url_state,
+                self.views,
+                self._lock,
+                lambda: self._state,
+                lambda key, search: show_other(self, key, search),
+                search,
+                self._worker.wake,
+            )
+            self._worker.wake()  # most pages open with this state: it is analysed while the browser draws the controls
+
+    def change(self, change: StateChange) -> None:
+        """Replace the state by a pure function's result; if it differs, update the controls and wake the worker."""
+        with self._lock:
+            state = change(self._state)
+            if state is None:
+                return
+            state = session_state.leave_first_screen(self._state, self._workspace.supported_state(state))
+            if state == self._state:
+                return
+            self.views.follow(self._state, state)
+            if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
+                self.views.bridge.call("keepTheme", "dark" if state.dark else "light")
+            only_windows = state == session_state.with_windows(self._state, state)
+            self._state = state
+            if only_windows:  # nothing to analyse
+                self._address.write(state)
+                return
+            self._requests.supersede()
+            self.views.panels.write(state)
+        self._worker.wake()
+
+    def fit_camera(self) -> None:
+        """Fit the stage to the page's window, whose camera has changed."""
+        self.views.stage.fit()
+
+    def leave(self) -> None:
+        """Stop all threads and computations of this browser; it has disconnected."""
+        self._address.leave()
+        self._ranking_progress.close()
+        self._worker.stop()
+        self.views.leave()
+        self._requests.close()
+
+    def wait_for(self, label: str) -> viser.NotificationHandle:
+        """Say that another workspace is being opened, and show this one until then."""
+        self._worker.wake()
+        return self.client.add_notification(
+            f"Opening {label}",
+            "Its pictures are described; this page goes on until then.",
+            loading=True,
+            auto_close_seconds=None,
+        )
+
+    def stay(self, label: str, error: str) -> None:
+        """Say why another workspace cannot be shown, and go on with this one."""
+        self._worker.wake()
+        self.views.panels.notify_error(f"Not opened: {label}", error)
+
+    @property
+    def _built_address(self) -> PageAddress:
+        """The page's address, once all is built; a message may come before."""
+        with self._lock:
+            return self._address
+
+    def _receive(self, message: PageMessage) -> None:
+        address = self._built_address
+        match message:
+            case messages.Greet(greeting):
+                address.greet(greeting)
+            case messages.GoBack(search):
+                address.go_back(search)
+            case messages.ShowOther(key):
+                address.show_other(key)
+            case messages.ResizeStage(width, height):
+                self.views.viewport.resize(width, height)
+            case messages.FitPanels(small):
+                self.views.fit(small)
+            case messages.ShowTask(task):
+                self.change(self.views.panels.navigation.choose_task(task))
+            case messages.UndoAlteration(alteration):
+                self.change(lambda state: session_state.undo(state, alteration))
+            case messages.ActOnFirstScreen(action):
+                self.views.first_screen.act(action)
+            case messages.FlipTheme():
+                self.change(session_state.flip_dark)
+            case messages.ShowGlossary():
+                self.views.glossary.show()
+            case messages.StraightenStage():
+                self.views.stage.straighten()
+            case messages.CloseMap():
+                self.change(lambda state: replace(state, map=False))
+
+    def _on_select(self, drawn_state: SessionState, index: int) -> None:
+        self.change(lambda state: session_state.compare(state, drawn_state, index))
+
+    def _work(self) -> float | None:
+        """Analyse and draw the newest state; returns the seconds after which to try again when the server is overloaded."""
+        if self._address.waiting:
+            with contextlib.suppress(LPNError):  # it is said when this state is to be drawn
+                self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
+            return None
+        slow = DelayedCall(_SLOW, self.views.panels.answer.show_busy)
+        try:
+            analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
+            started = time.perf_counter()
+            self.views.show(analysis, slow.cancel)
+        except BusyError:
+            slow.cancel()
+            self.views.panels.answer.show_overloaded()
+            return RETRY_AFTER
+        finally:
+            slow.cancel()
+        second, name = self._workspace.second, analysis.task.name
+        other = None if second is None or second.workspace is None else second.workspace.rankings.get(name)
+        self._ranking_progress.follow(self._workspace.rankings[name], other)
+        self._address.write(analysis.state)
+        if log.isEnabledFor(logging.DEBUG):
+            log.debug("%s", self._log_line(analysis, time.perf_counter() - started))
+        return None
+
+    def _log_line(self, analysis: StateAnalysis, drawing: float) -> str:
+        state = analysis.state
+        query = f"own picture {printable(analysis.name)}" if state.upload else f"query {printable(analysis.name)}"
+        change = f"turn {state.angle:g}, shift {state.shift} {state.down}, zoom {state.zoom:g}"
+        times = f"computed in {1000 * analysis.seconds:.0f} ms, shown in {1000 * drawing:.0f} ms"
+        return (
+            f"Browser {self.client.client_id}: answer {self.views.sequence}: {state.task}, {query}, {change}: {times}"
+        )

@@ -1,0 +1,210 @@
+"""All that one browser's page shows: the stage, the panels, and the windows."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import msgspec
+import viser
+
+from explorer.browse.messages import BrowseMessage
+from explorer.client.services import WorkspaceServices
+from explorer.compute.request_context import RequestContext
+from explorer.explain_window.messages import ExplainMessage
+from explorer.explain_window.window import ExplainWindow
+from explorer.failure_lab.messages import LabMessage
+from explorer.failure_lab.window import FailureLabWindow
+from explorer.flight_window.messages import FlightMessage
+from explorer.flight_window.window import FlightWindow
+from explorer.panels import answer_text, pages, shortcuts
+from explorer.panels.first_screen import FirstScreen
+from explorer.panels.glossary import Glossary
+from explorer.panels.panels import Panels
+from explorer.reports import Reporter
+from explorer.session_state import SessionState, StateChange
+from explorer.stage.scene import SCENE, Stage
+from explorer.stage.viewport import Viewport
+from explorer.stories import tour
+from explorer.stories.messages import StoryMessage
+from explorer.stories.window import StoryWindow
+from explorer.stories.windows import WindowSources
+from explorer.web import style
+from explorer.web.bridge import PageBridge
+from explorer.workspace import StateAnalysis
+from lpn.core.errors import LPNError
+from lpn.datasets.rendered import shows_rendered
+
+
+class ClientViews:
+    """Builds a page's views, and draws analyses in them. A view's callbacks change the state; they never compute.
+
+    Args:
+        state: returns the newest state.
+        change: updates the state with a function.
+        go: shows the state of a query string; returns a sentence about each value that is invalid.
+        on_select: compares with the tile at a gallery position, which was clicked while a state was drawn.
+        receivers: of the messages that no view receives, see `Receivers`.
+
+    Attributes:
+        sequence: the number of analyses that were drawn.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        services: WorkspaceServices,
+        requests: RequestContext,
+        state: Callable[[], SessionState],
+        change: Callable[[StateChange], None],
+        go: Callable[[str], list[str]],
+        on_select: Callable[[SessionState, int], None],
+        receivers: Mapping[type[Any], Callable[[Any], None]],
+    ) -> None:
+        self._client, self._change = client, change
+        self._workspace = workspace = services.workspace
+        self.sequence, self._small = 0, False
+        self.set_theme(state())
+        self.panels = Panels(client, workspace, services.feeds, state(), change)
+        self.viewport = viewport = Viewport()
+        model = requests.queued(workspace.model, background=True)
+        self.reporter = reporter = Reporter(client, model)
+        self.explain_window = ExplainWindow(
+            client, workspace, change, self._say, viewport, reporter, requests, lambda name: self.bridge.open_tab(name)
+        )
+        self.lab = FailureLabWindow(client, workspace, services.failure_lab, services.feeds, change, viewport, reporter)
+        self.flight = FlightWindow(
+            client, workspace, services.flight, services.flight_pictures, change, viewport, self._say
+        )
+        self.stories = StoryWindow(
+            client,
+            workspace,
+            services.url_state,
+            self.panels.answer.stories,
+            state,
+            go,
+            partial(self.show_state, whole=True),
+            lambda function, *arguments: self.bridge.call(function, *arguments),
+            viewport,
+            reporter,
+            WindowSources(workspace, services.failure_lab, services.flight),
+        )
+        self.panels.navigation.order = self.lab.order
+        self.panels.query.compare_models = self.explain_window.compare_models
+        self.glossary = Glossary(client.gui)
+        own = self.panels.query.own
+        self.first_screen = FirstScreen(
+            client.gui,
+            workspace,
+            self.panels.navigation,
+            change,
+            self.lab.restore,
+            (lambda _: None) if own is None else own.position,
+        )
+        of_views: dict[type[Any], Callable[[Any], None]] = {
+            ExplainMessage: self.explain_window.receive,
+            LabMessage: self.lab.receive,
+            FlightMessage: self.flight.receive,
+            StoryMessage: self.stories.receive,
+            BrowseMessage: self.panels.query.receive,
+        }
+        properties = {
+            "title": f"{workspace.data_name} · LPN Explorer",
+            "tour": msgspec.to_builtins(self.stories.tour),
+            "places": tour.places(workspace.layout),
+            "scene": SCENE,
+            "keys": services.url_state.keys,
+            "ownHint": answer_text.own_hint(workspace, shows_rendered(workspace.root)),
+        }
+        self.bridge = PageBridge(client.gui, {**of_views, **receivers}, properties, style.STYLE)
+        windows = (self.explain_window, self.lab, self.flight)
+        commands = self.stories.commands()
+        commands += [(label, None, call) for window in windows for label, call in window.commands()]
+        commands.append(("Glossary", None, self.glossary.show))
+        commands.append(("First screen", None, lambda: self.first_screen.act("start")))
+        shortcuts.add(client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close)
+        self.stage = Stage(client, workspace, on_select, model, viewport)
+
+    def show_state(self, state: SessionState, whole: bool = False) -> None:
+        """Replace the state, and what the laboratory shows; see `FailureLabWindow.restore`."""
+        self.lab.restore(state, whole)
+        self._change(lambda _: state)
+
+    def follow(self, before: SessionState, state: SessionState) -> None:
+        """Open and close what a state opens and closes at once, before its analysis."""
+        if state.dark != before.dark:
+            self.set_theme(state)
+        if state.screen != before.screen:
+            self.panels.forget_error()
+        if state.shows_reasons and not before.shows_reasons:
+            self.explain_window.announce()
+            self.bridge.call("revealReasons")
+        if before.shows_reasons and not state.shows_reasons:
+            self.explain_window.close()
+        if state.flight and not before.flight:
+            self.bridge.call("reveal", "#lpn-flight")
+        if state.lab and not before.lab:
+            self.bridge.call("reveal", ".lab-bar")
+        if state.shows_reasons:
+            self.explain_window.show_tab(state.why_tab)
+
+    def show(self, analysis: StateAnalysis, drawn: Callable[[], None]) -> None:
+        """Draw an analysis.
+
+        Args:
+            drawn: called when all but the panels is drawn.
+        """
+        self.sequence += 1
+        started = time.perf_counter()
+        self.first_screen.show(analysis, self.stories.names)  # before the stage, which takes longer
+        with self._client.atomic():  # the page draws one frame
+            self.stage.show(analysis)
+            self.bridge.set_ground(self.stage.ground)
+            self.bridge.set_legend(pages.heat_legend(analysis, self._workspace))
+            self.explain_window.show(analysis)
+            self.lab.show(analysis)
+            self.flight.show(analysis)
+            self.stories.show(analysis)
+            drawn()
+            self.panels.show(analysis, self.sequence, started)
+
+    def fail(self, error: Exception) -> None:
+        """Say why there is no answer."""
+        self._say(error)
+        self.explain_window.fail(_in_words(error))
+
+    def _say(self, error: Exception) -> None:
+        self.panels.answer.show_idle()
+        self.panels.notify_error("No answer", _in_words(error))
+
+    def fit(self, small: bool) -> None:
+        """Fit the panels to a small window, or back to a large one."""
+        if small or self._small:
+            self._small = small
+            self.panels.fit(small)
+
+    def leave(self) -> None:
+        """Stop all threads and computations of the views."""
+        self.reporter.leave()
+        self.explain_window.leave()
+        self.stage.leave()
+        self.lab.leave()
+        self.flight.leave()
+        self.panels.query.leave()
+
+    def set_theme(self, state: SessionState) -> None:
+        """Show the state's theme."""
+        self._client.gui.configure_theme(
+            dark_mode=state.dark,
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(86, 180, 233) if state.dark else (0, 114, 178),
+        )
+
+
+def _in_words(error: Exception) -> str:
+    if isinstance(error, LPNError):
+        return str(error)
+    return f"{type(error).__name__}: try another picture, or load the page again; the server's log has the details."
