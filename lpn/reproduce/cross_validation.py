@@ -25,7 +25,7 @@ from lpn.analysis.model_table import RESAMPLES, intervals
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
-from lpn.core.files import check_writable, fingerprint, printable, write_atomic
+from lpn.core.files import check_writable, fingerprint, printable, write_atomic, write_json
 from lpn.core.formats import decode_json
 from lpn.datasets import Dataset
 from lpn.models.base import Model
@@ -177,7 +177,7 @@ class CrossValidation:
             for trial in trials
         ]
         for job in self.jobs:
-            copy.copy(self.source.places(job.recipe.sets)).hold_out(_fold(job), 0)
+            self._held_out(job)
             job.check_same()
 
     def run(self, table: Path) -> dict[str, Any]:
@@ -190,7 +190,7 @@ class CrossValidation:
         for step in dict.fromkeys(map(_step, self.jobs)):
             trainings.train([job for job in self.jobs if _step(job) == step], self.console)
             values = self.table()
-            write_atomic(table, msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n")
+            write_json(table, values, ensure_ascii=False)
         self.console.print(summary(values))
         return values
 
@@ -202,10 +202,7 @@ class CrossValidation:
         places = self.source.places(self.jobs[0].recipe.sets)
         return {
             "format": FORMAT,
-            "command": here().command,
-            "version": here().version,
-            "machine": here().machine,
-            "date": here().date,
+            **msgspec.to_builtins(here()),
             "data": self.source.name,
             "places": len(places),
             "folds": self.folds,
@@ -247,12 +244,14 @@ class CrossValidation:
                 return file
         except (OSError, ValueError, InputError):
             pass  # not measured yet, or stopped meanwhile
-        places = copy.copy(self.source.places(job.recipe.sets))
-        file = _measure(lpn.load(job.model), places.hold_out(_fold(job), 0), model)
+        file = _measure(lpn.load(job.model), self._held_out(job), model)
         write_atomic(path, msgspec.json.encode(file) + b"\n")
         # The state that a run is resumed from takes three times the space of its model.
         (job.folder / "state.pt").unlink(missing_ok=True)
         return file
+
+    def _held_out(self, job: TrainingJob) -> dict[int, dict[str, list[Path]]]:
+        return copy.copy(self.source.places(job.recipe.sets)).hold_out(_fold(job), 0)
 
     def _starts(self, init: Sequence[Path], backbones: set[str]) -> dict[str, Path]:
         """Return the weights of each backbone, given or found.

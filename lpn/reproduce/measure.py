@@ -11,7 +11,7 @@ import msgspec
 
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError
-from lpn.core.files import exclusive_lock, write_atomic
+from lpn.core.files import exclusive_lock, write_json
 from lpn.core.formats import decode_json
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
@@ -95,7 +95,7 @@ class MeasurementStore:
             else:
                 self._file.figures[key] = value
             self._file.checksum = _checksum(self._file)
-            write_atomic(self.path, msgspec.json.format(msgspec.json.encode(self._file), indent=1) + b"\n")
+            write_json(self.path, msgspec.to_builtins(self._file), ensure_ascii=False)
 
     def _read(self) -> _MeasurementsFile:
         try:

@@ -23,7 +23,7 @@ import msgspec
 from rich.console import Console
 
 from lpn.core.errors import DivergedError, InputError, OutputError
-from lpn.core.files import exclusive_lock, fingerprint, write_atomic
+from lpn.core.files import exclusive_lock, fingerprint, write_json
 from lpn.core.formats import decode_json
 from lpn.reproduce.record import Provenance, here
 from lpn.reproduce.sources import Source
@@ -175,7 +175,7 @@ class TrainingJob:
     def write(self, ended: Literal["finished", "diverged"] | None) -> None:
         """Write job.json: what is trained in the folder, and how it ended, if it has."""
         file = _JobFile(ended, self.identity(), self.made or here())
-        write_atomic(self.folder / "job.json", msgspec.json.format(msgspec.json.encode(file), indent=1) + b"\n")
+        write_json(self.folder / "job.json", msgspec.to_builtins(file), ensure_ascii=False)
 
     def train(self, console: Console) -> None:
         """Train to the last epoch, from the last whole one on disk; a training that diverges is given up.
