@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from explorer.web.messages import Message
 
-# Pictures of one's own that one browser holds, and files that one list names.
+# The most own pictures that a browser may hold, and the most files that a message may name.
 MOST, MOST_NAMED = 200, 300
 _Name = Annotated[str, Meta(max_length=400)]
 
@@ -25,7 +25,7 @@ class PickQuery(BrowseMessage, tag="pick"):
 
 
 class BeginBatch(BrowseMessage, tag="own-begin"):
-    """Announce the files that a page is about to send, and those that it leaves out with the reason's kind."""
+    """Announce the number of files that a page is about to send, and name the refused files, each with a kind of reason."""
 
     files: Annotated[int, Meta(ge=0, le=MOST)]
     refused: Annotated[list[tuple[_Name, _Name]], Meta(max_length=MOST_NAMED)]
@@ -40,7 +40,7 @@ class SkipFile(BrowseMessage, tag="own-skip"):
 
 
 class PickOwn(BrowseMessage, tag="own-pick"):
-    """Show one of the pictures held; the list is that of no task."""
+    """Show one of the user's own pictures; their list is the same in every task."""
 
     task: str
     index: Annotated[int, Meta(ge=0)]

@@ -28,7 +28,7 @@ class SingleFlightCache(Generic[K, V]):
         self._in_flight: dict[K, threading.Event] = {}
 
     def peek(self, key: K) -> V | None:
-        """Return the value of a key if it is cached, else None; this is no use of it."""
+        """Return the value of a key if it is cached, else None; this does not count as a use."""
         with self._lock:
             return self._values.get(key)
 

@@ -75,7 +75,7 @@ class FlightService:
 
     @property
     def corrections_file(self) -> Path:
-        """The file of corrections; OutputError for the demo's if the user has no folder for them."""
+        """The file of corrections. OutputError if it is the demo's, and the user has no writable folder for it."""
         return own_file(self._workspace.root, corrections.NAME)
 
     @property
@@ -84,7 +84,7 @@ class FlightService:
         return own_file_place(self._workspace.root, corrections.NAME, "flight")
 
     def view(self) -> FlightView:
-        """Return the view of the flight as far as it is located; the same one until that or a correction changes."""
+        """Return the view of the frames located so far. It is the same object until the flight or a correction changes."""
         flight = self._workspace.flight
         assert flight is not None
         with self._lock:
@@ -99,7 +99,7 @@ class FlightService:
             corners: of the picture in metres of the map's frame, (4, 2).
 
         Raises:
-            LPNError: when no picture could lie so, or the file cannot be written; then nothing has changed.
+            LPNError: when the corners are not those of a picture, or the file cannot be written; then nothing has changed.
         """
         with self._lock:  # otherwise an older state of the file could be assigned last
             view = self.view()

@@ -18,7 +18,7 @@ class Navigation:
         notify: shows a notification with a title and a text.
 
     Attributes:
-        step_own: returns the state so many own pictures further, None unless one of several is shown.
+        step_own: steps through the user's own pictures by a number; returns None unless one of several is shown.
         order: returns the queries that `next` and `previous` step through; None for all queries.
     """
 

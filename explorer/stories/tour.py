@@ -75,8 +75,8 @@ def _step(place: Focus, title: str, text: str, keys: str) -> Step:
 def places(layout: ScreenLayout) -> dict[Focus, dict[str, Any]]:
     """Return where the page finds each place.
 
-    That is `selectors`, of which the first visible one counts, else `box`, the left, lower, right, and upper border on the stage
-    in stage units.
+    The first visible element of `selectors` is the place. Without one, it is `box`: left, lower, right, and upper border in units
+    of the stage.
     """
     windows = ("#lpn-why", "#lpn-lab-table", "#lpn-lab-breakdown", "#lpn-lab-map", "#lpn-flight")
     return {

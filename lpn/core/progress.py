@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-# Receives the numbers of things that are done, and of all.
+# Receives the number of finished items, and the total number.
 CountProgress = Callable[[int, int], None]
-# Receives the stage, such as "frames", and the numbers of finished and of all its steps.
+# Receives the stage, such as "frames", the number of its finished steps, and the number of its steps.
 Progress = Callable[[str, int, int], None]

@@ -46,14 +46,14 @@ class Picture:
     """A picture: a file, or one that is cut out of a larger raster when it is needed.
 
     Attributes:
-        path: the file; with `cut`, a path that tells the picture from others, where no file need be.
+        path: the file. With `cut`, it is a unique path at which no file need exist.
         label: number of its place. Pictures of equal label are true matches, unless `Dataset.truth` lists the true
             matches.
         name: name for display. If the data set gives none, it is the place's folder. If the place has several pictures,
             the file is added ("0005/01" for 0005/image-01.jpeg).
         box: the query region (left, top, right, bottom) in pixels, in Oxford5k and Paris6k; else None.
         panorama: True if it shows the full circle with north in the middle column.
-        group: what tables of results tell apart, such as the height of its camera in metres; see `Dataset.group_name`.
+        group: the group by which results are split, such as the camera's height in metres; see `Dataset.group_name`.
         note: a remark to display beside the name.
         zoom: the factor by which it is zoomed when it is described, within its box; see `lpn.retrieval.calibration`.
         cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
@@ -78,7 +78,7 @@ class Picture:
         return crop(self.load(), self.box, self.name)
 
     def load_zoomed(self) -> UInt8Array:
-        """Return what is described of the picture: its box at its zoom, (H, W, 3) uint8 RGB; errors as for `load`."""
+        """Return the pixels that a model describes, the box at its zoom, (H, W, 3) uint8 RGB; errors as for `load`."""
         return zoom(self.load_cropped(), self.zoom)
 
 
@@ -151,8 +151,8 @@ class Dataset(ABC):
         root: the folder.
         kind: the recognised layout, such as "University-1652".
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
-        group_name: what the groups of its pictures are, such as "height" in metres or "city"; empty without groups. Results of
-            a group rank its queries, and those of no group, against the gallery pictures of that group and of none.
+        group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
+            results of a group take its queries and gallery pictures, and all pictures without a group.
         trained_distractors: True if the test gallery holds the places to train on, as published.
         measured_by: the published evaluation that measures distances on it; None if its results are recall and AP alone.
         published_sizes: the size of each of `lists` in the complete data set, if known.
@@ -195,7 +195,7 @@ class Dataset(ABC):
         """Return the test split's tasks, such as "drone-to-satellite", the most common first."""
 
     def why_no_task(self) -> str:
-        """Return what a test split without any of `tasks` lacks, as a predicate; and what was expected."""
+        """Return the reason why `tasks` is empty, as a predicate, and the remedy."""
         return "has no queries of one view with a gallery of another in its test split; lpn doctor lists what it has"
 
     @abstractmethod
@@ -203,9 +203,9 @@ class Dataset(ABC):
         """Return every list of pictures by its name, such as "train/satellite" or "test/query_drone"."""
 
     def unread(self) -> list[LeftOut]:
-        """Return the pictures beside those of the lists that nothing reads, as their names or kinds keep them out.
+        """Return the pictures in the folders that are not read because of their name or kind.
 
-        A data set whose lists are files has none: a list says what belongs to it. The folders are walked.
+        A data set with list files has none, because only listed pictures belong to it. The call walks the folders.
         """
         return []
 
@@ -230,7 +230,7 @@ class Dataset(ABC):
         """
         known = self.positions()
         if known is None:
-            raise DataError(f"{self.root.name} has no positions of its pictures; give those of {geo.NAME}.")
+            raise DataError(f"{self.root.name} has no positions of its pictures; add a {geo.NAME}.")
         return np.array([(place.latitude, place.longitude) for place in known.of(pictures)], np.float64).reshape(-1, 2)
 
     def columns(self, queries: Sequence[Picture]) -> list[Column]:
@@ -322,7 +322,7 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
 def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
     """Return the files in some folders below a root that are pictures, and that `files_below` skips; hidden folders are skipped.
 
-    Files without an ending are told by their first bytes.
+    Files without an ending are recognised by their first bytes.
     """
     left_out: list[LeftOut] = []
     for top in folders:

@@ -266,7 +266,7 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
 
 
 def _here(there: FilesBelow, pairs: list[_Pair], name: str) -> list[_Pair]:
-    """Return the pairs with the files and folders here that their paths name."""
+    """Resolve the paths of the pairs to files and folders on this machine."""
     resolved = there.resolve((path for pair in pairs for path in (pair.file, pair.tiles)), name)
     return [
         replace(pair, file=resolved.get(pair.file, pair.file), tiles=resolved.get(pair.tiles, pair.tiles))

@@ -92,7 +92,7 @@ def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -
 
 
 def evidence_segments(evidence: Evidence, part: int) -> list[tuple[str, float, float]]:
-    """Stack what a part's cells add and take, and its constant, from zero outwards.
+    """Stack the evidence of a part's cells for and against, and its constant, from zero outwards.
 
     Returns:
         Kind (a key of `EVIDENCE_COLOURS`), begin, and end of each segment, in units of the score.
@@ -167,8 +167,8 @@ def profile_charts(
 
     Args:
         names: of the parts.
-        width: of the drawing in pixels at which its text has the page's size.
-        current: number of the sweep to mark with a line.
+        width: of the drawing in pixels. Shown at this width, its text is as large as the page's.
+        current: the angle, shift, or zoom to mark with a line.
         attributes: HTML attributes of a point's circle; without it, points have no circles.
     """
     over = profile.over

@@ -41,7 +41,7 @@ class XmpRow(NamedTuple):
     Attributes:
         namespace: a key of `NAMESPACES`.
         name: of the property; "/" before the name of a nested one.
-        field: of `Frame`, or an input of one; "EXIF Tag" stands in for that tag in files without it.
+        field: a field of `Frame`, or a value from which one is computed; "EXIF Tag" replaces that tag in files without it.
         unit, convention: of the value.
         source: where this is documented, or a public file that has it.
     """
@@ -208,11 +208,11 @@ _ELSEWHERE = frozenset((
     "irradiance", "light", "gyro", "accel", "initial", "image", "full", "cropped", "area", "pixels", "ref",
     "relatives", "dewarp", "offset", "dest", "track", "status", "mode", "type",
 ))  # fmt: skip
-# Words of names that tell Skydio's angles in other frames, which count where those of the table are missing.
+# Words in names of Skydio's angles in other reference frames; a note names these only if no heading of the table is there.
 _SAME_ANGLES = frozenset(("quat", "flu"))
 # Skydio's positions are metres from the place of take-off.
 _LOCAL = ("positionned", "positionflu")
-# Namespaces of programs, of depth maps, of regions, and of the light sensor. Their directions are none of the camera.
+# Namespaces of programs, of depth maps, of regions, and of the light sensor. Their directions are not the camera's.
 _OTHERS = re.compile(
     r"ns\.adobe\.com/(?!exif/1|xap/1\.0/?$)|purl\.org|google\.com/photos/1\.0/(?!panorama)|microsoft\.com|metadataworkinggroup|"
     r"iptc\.org|useplus|w3\.org|digikam|acdsee|apple\.com|camerabits|gimp\.org|cipa\.jp|micasense\.com/dls"

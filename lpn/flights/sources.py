@@ -34,8 +34,8 @@ _NAMED = 5
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
 _LEAST_EVERY = 0.04
-# A log has latitude and longitude swapped if it lies within the first number of metres of the photos after a swap, and beyond the
-# second without.
+# Latitude and longitude of a log count as swapped if the log lies more than `_SWAPPED_FAR` metres from the photos as it is, and
+# less than `_SWAPPED_NEAR` metres after a swap.
 _SWAPPED_NEAR, _SWAPPED_FAR = 5_000.0, 20_000.0
 
 
@@ -46,9 +46,9 @@ class FlightOptions:
     Attributes:
         every: seconds from one frame of a video to the next.
         every_metres: metres flown from one frame of a video to the next, in place of `every`.
-        gps_order: order of the first two values of GPS(a, b, c) in subtitles; None finds it out.
-        fov: horizontal field of view in degrees of frames that do not tell it.
-        pitch: in degrees, of frames that do not tell it; -90 is straight down.
+        gps_order: order of the first two values of GPS(a, b, c) in subtitles; None detects it.
+        fov: horizontal field of view in degrees, for frames whose files have none.
+        pitch: in degrees, for frames whose files have none; -90 is straight down.
     """
 
     every: float = 1.0
@@ -118,7 +118,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
 
 
 def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str]]:
-    """Read logs and tracks; plain text that is no log is returned beside them, with notes where it could become one."""
+    """Return the logs and tracks, the text files that are no logs, and a note for each of these that is nearly a log."""
     read: dict[Path, Log] = {}
     others, notes = [], []
     for file in files:
@@ -153,14 +153,16 @@ def _others_note(files: Sequence[Path]) -> list[str]:
     """Return the note, if any, that names files which are left out."""
     if not files:
         return []
-    return [f"Left out as of other kinds: {first_few([printable(file.name) for file in files], _NAMED)}."]
+    return [
+        f"Left out, because their kind is not supported: {first_few([printable(file.name) for file in files], _NAMED)}."
+    ]
 
 
 def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log] = ()) -> Flight:
     """Return the flight of photos; those that cannot be read are left out, and a note names them.
 
     Args:
-        flight_logs: their values replace those that the photos tell, except for headings of a worse source.
+        flight_logs: their values replace those of the photos, except for a heading whose source is worse than the photo's.
 
     Raises:
         DataError: if no photo can be read, or one is given twice.
@@ -228,7 +230,7 @@ def _named_by(log: Log, file: Path) -> list[Path]:
 
 
 def _with_names(photos: Sequence[Photo]) -> list[Photo]:
-    """Make names unique: those that several photos have get their folders below the common one."""
+    """Make names unique: if names repeat, use each photo's path below the folder that all of them share."""
     counts = Counter(photo.frame.name for photo in photos)
     if len(counts) == len(photos):
         return list(photos)
@@ -242,7 +244,10 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
 
 
 def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], list[str]]:
-    """Return photos with a log's values, and notes. A photo takes the row that names it, else that of its moment."""
+    """Return photos with a log's values, and notes.
+
+    Rows are matched to photos by file name if the log has file names, else by time.
+    """
     log, notes = _turned_as_photos(log, photos)
     rows = logs.rows_by_name(log)
     how, why_not = "by name", ""
@@ -272,7 +277,7 @@ def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], list[str]]:
 
 
 def _at_moment(photo: Photo, telemetry: Telemetry, fit: ClockFit, utc: bool) -> Photo:
-    """Return a photo with the values of the moment it was taken, and with its time in UTC where the fit of clocks tells it."""
+    """Return a photo with the log's values at the time it was taken, and with its UTC time if the log's clock is UTC."""
     time = photo.utc if fit.basis == "UTC" else photo.local
     if time is None or fit.offset is None:
         return photo
@@ -286,7 +291,7 @@ def _at_moment(photo: Photo, telemetry: Telemetry, fit: ClockFit, utc: bool) -> 
 def _row_of(photo: Photo, rows: dict[str, list[LogRow]]) -> tuple[LogRow, list[LogRow]] | None:
     """Return the row that names a photo, and all rows that name it equally well; None without one.
 
-    Among several, those whose folders agree most with the photo's count; then the nearest to its own position, else the first.
+    If several rows have the name, the longest match of folders wins, then the row nearest to the photo, then the first row.
     """
     file = photo.frame.file
     named = rows.get(file.name.casefold()) or rows.get(file.stem.casefold(), [])
@@ -342,7 +347,7 @@ def _twice_note(photos: Sequence[Photo], chosen: Sequence[tuple[LogRow, list[Log
 
 
 def _turned_as_photos(log: Log, photos: Sequence[Photo]) -> tuple[Log, list[str]]:
-    """Return a log in whose positions the latitude is first, as the photos' own positions prove; and a note if it was not."""
+    """Swap latitude and longitude of a log if the photos' positions prove that they are swapped; also return a note if so."""
     ours = np.array([(p.frame.latitude, p.frame.longitude) for p in photos if p.frame.latitude is not None], np.float64)
     theirs = np.array(
         [(r.entry.latitude, r.entry.longitude) for r in log.rows if r.entry.latitude is not None], np.float64

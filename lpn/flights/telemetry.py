@@ -13,7 +13,7 @@ from lpn.core.errors import DataError
 from lpn.core.numbers import wrap_degrees
 from lpn.flights.base import HeadingSource, local_metres
 
-# Entries farther apart than this many seconds, and this many usual steps, have a gap between them that nothing fills.
+# Values are not interpolated between entries more than `_GAP` seconds and more than `_GAPS` median steps apart.
 _GAP, _GAPS = 5.0, 3.0
 # A value holds for this many seconds before the first and after the last entry that has it.
 _HOLD = 1.5
@@ -100,7 +100,7 @@ class Telemetry:
         flown, first = np.unique(flown, return_index=True)
         if flown[-1] > _MOST_MARKS * metres:
             raise DataError(
-                f"The positions are {flown[-1] / 1000:.0f} km of flight, of which every {metres:g} m is too many pictures; "
+                f"The flight is {flown[-1] / 1000:.0f} km long, and a picture every {metres:g} m is too many; "
                 "give more metres, or choose by seconds."
             )
         marks = np.arange(0.0, flown[-1] + 1e-9, metres)
@@ -131,7 +131,7 @@ class Telemetry:
         return float(np.interp(time, *self._known[name]))
 
     def _between(self, around: Float64Array, time: float) -> bool:
-        """Return whether a time is between two entries that are no gap apart."""
+        """Return whether a time lies between two entries without a gap."""
         return len(around) == 2 and around[0] <= time <= around[1] and around[1] - around[0] <= self._gap
 
 

@@ -15,8 +15,8 @@ from lpn.maps import Map, NamedWindow, Window
 from lpn.maps.named_window import WindowCut
 from lpn.models.base import Model, normalise
 
-# Windows that are described again, and the least cosine of each with its descriptor in the index. Other ground has a lower one;
-# rounded numbers, names to the centimetre, and another provider have a higher one.
+# Number of windows that are described again, and the least cosine of each with its descriptor in the index. Other ground stays
+# below it. Quantized descriptors, positions rounded to a centimetre, and another execution provider stay above it.
 _CHECKED = 4
 _ALIKE = 0.95
 # Windows by which the overlap is measured.
@@ -55,7 +55,7 @@ def indexed_windows(where: str, model: Model, basemap: Map) -> IndexedWindows:
 
     Raises:
         StoreError: if there is no index, or it holds descriptors of another model.
-        InputError: if it holds other tiles than this map's windows, turned ones, none, or more than one search of it returns.
+        InputError: if the index is empty, holds other tiles than north-up windows of this map, or is too large for one search.
     """
     with open_index(where, model.fingerprint) as index:
         count = index.count()

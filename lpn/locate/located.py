@@ -22,7 +22,7 @@ from lpn.retrieval import field_metrics
 STAGES = ("retrieval", "sequence", "registration")
 # The stage of a track that has the places of corrected frames.
 BY_HAND = "by hand"
-# Windows of a frame are kept whose centres lie so far apart, as a share of their side: overlapping ones show one place.
+# Least distance between the centres of a frame's kept windows, as a share of their side; windows that overlap show one place.
 APART = 0.5
 
 
@@ -48,7 +48,7 @@ class StageRecord(msgspec.Struct, frozen=True):
         camera: whether the position is the camera's, which needs a known tilt of 15 degrees at most.
         radius: 1-sigma radius in metres; None for the retrieval, which has none.
         heading: of the picture's top in degrees.
-        turn: degrees from the heading that the flight tells to `heading`.
+        turn: `heading` minus the heading in the flight's files, in degrees.
         width: metres of ground across the picture.
         inliers: matches that agree.
         homography: from pixels to metres, 9 numbers by rows.
@@ -97,7 +97,7 @@ class LocatedFrame:
     by_hand: StageRecord | None = None
 
     def truth(self, camera: bool) -> Float64Array | None:
-        """Return the place of the camera, or that of the picture's middle: by the correction, else the tag; (2,) or None."""
+        """Return the true place of the camera or of the picture's middle, (2,): the correction's, else the tag, else None."""
         if self.by_hand is None or (camera and not self.by_hand.camera):
             return self.tag
         if camera:
@@ -207,8 +207,8 @@ class LocatedFlight:
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
-        A window is a hit if it holds that place. Recall@5 apart is that of the windows that the registration searches: centres of
-        two lie at least half of a side apart. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
+        A window is a hit if it holds that place. "recall@5 apart" is measured on the windows that the registration searches, whose
+        centres are at least half a side apart. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
         retrieval or such places.
         """
         if self.retrieval is None:

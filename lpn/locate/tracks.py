@@ -16,7 +16,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import json_bytes, portable, printable, write_atomic
 
 SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
-# Times below are seconds since the start of a video, and no time of day.
+# A time under this value is counted from the start of a video; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
 _GPX = "http://www.topografix.com/GPX/1/1"
 _OURS = "urn:lpn-explorer:track"
@@ -40,7 +40,7 @@ class TrackPoint:
         camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
         radius: 1-sigma radius in metres; None if unknown.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
-        error: metres from the frame's correction, else from its tag; None without them, and for the correction itself.
+        error: metres to the frame's correction, or to its tag if it has none. None without both, and in the stage "by hand".
     """
 
     frame: str
@@ -87,7 +87,7 @@ def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
 
 
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return a FeatureCollection (RFC 7946): a point a frame and stage, a line a stage and state but for refused positions."""
+    """Return a FeatureCollection (RFC 7946): a point per frame and stage, and a line per stage and state but "refused"."""
     features: list[dict[str, Any]] = []
     for point in points:
         properties = {key: getattr(point, key) for key in _COLUMNS if key not in ("latitude", "longitude")}
@@ -108,7 +108,7 @@ def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
 
 
 def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return GPX 1.1: a track a stage and state; the radius is an extension, for GPX has none in metres."""
+    """Return GPX 1.1: a track per stage and state. The radius is an extension, because GPX has no accuracy in metres."""
     ElementTree.register_namespace("", _GPX)
     ElementTree.register_namespace("lpn", _OURS)
     root = ElementTree.Element(f"{{{_GPX}}}gpx", {"version": "1.1", "creator": "lpn locate"})
@@ -133,7 +133,7 @@ def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
 
 
 def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return KML 2.2: a folder a stage with its lines and a placemark a frame, refused ones included.
+    """Return KML 2.2: a folder per stage with its lines, and a placemark per frame, refused frames included.
 
     A description is HTML, which viewers run, so that its text is escaped as HTML, too. A name is plain text.
     """
@@ -173,7 +173,7 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
 
 
 def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return a table: a row a frame and stage, empty where unknown."""
+    """Return a table with a row per frame and stage; unknown values are empty."""
     del name
     values = ([portable(getattr(point, key)) for key in _COLUMNS] for point in points)
     return csv_bytes([_COLUMNS, *values])

@@ -60,8 +60,8 @@ def from_metadata(metadata: Mapping[str, str], name: str, shapes: Mapping[str, S
         level = "exact, with held" if held else "exact"
         if "cells" not in shapes:
             raise ModelFileError(
-                f"{name} has an output features {_shape(shapes['features'])} and none named cells, which says the weight of each "
-                "cell in each part; add it, or leave features out."
+                f"{name} has an output features {_shape(shapes['features'])} but no output cells, the weights of the cells in "
+                "each part; add cells, or leave features out."
             )
     views = tuple(metadata["views"].split())
     names = [part.strip() for part in metadata["parts"].split(",")] if metadata.get("parts") else None

@@ -1,4 +1,4 @@
-"""The weights in a PyTorch file: unpickled without running code, and found among what a training saves beside them."""
+"""Read the weights of a PyTorch file without running its code, whatever else a checkpoint holds."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from lpn.models.file_contents import UNPACKED, names_in_pickle, pickle_entry, pi
 log = logging.getLogger(__name__)
 
 _AGAIN = "copy it again from where it came, or make it again"
-# Entries of a training's file that hold its weights, in the order in which one is chosen. Averages come last, as the released
-# test code of the known methods takes the network itself.
+# Keys under which checkpoints keep the weights, in order of preference. Averaged weights (EMA) come last, because the released
+# test code of the known methods uses the weights that are not averaged.
 _WEIGHTS = (
     *("state_dict", "model_state_dict", "model", "model_state", "net", "network", "module", "params", "weights"),
     *("state_dict_ema", "model_ema", "ema_state_dict", "ema", "params_ema"),
 )
-# Dictionaries within each other that are searched for the weights.
+# Depth of nested dictionaries to which weights are searched.
 _MAX_DEPTH = 4
-# Names of what runs programs, or code of its own.
+# Names of functions that run programs or code.
 _ATTACK = re.compile(
     r"(os|posix|nt|sys|subprocess|shutil|socket|runpy|importlib|pty|ctypes|webbrowser|pickle|_pickle|timeit)\..*|"
     r"builtins\.(eval|exec|execfile|compile|__import__|open|breakpoint)"
 )
-# Names in pickles of tensors of other kinds; the kind, and what to do.
+# Names by which pickles give away unsupported kinds of tensors, each with the kind and its remedy.
 _OTHER_TENSORS = (
     (
         re.compile(r"torch\.distributed\.(_?tensor|_shard)\..*"),
@@ -64,7 +64,7 @@ _LOAD = "torch.load({}, 'cpu', weights_only=False)"
 
 
 class _StandIn:
-    """Stands for a class or function that a pickle names, and for what that would make; it keeps nothing and runs nothing.
+    """Stands for a class or function that a pickle names, and for the object that it would make. It runs and stores nothing.
 
     Values of NumPy beside the weights are not needed, so NumPy reads no bytes of the file either.
     """
@@ -80,7 +80,7 @@ class _StandIn:
 
 @cache
 def _of_numpy() -> tuple[str, ...]:
-    """Return the names of NumPy's types of scalars and numbers, and of the functions that pickles make scalars and arrays by."""
+    """Return the names of NumPy's scalar types and dtypes, and of the functions that unpickle its scalars and arrays."""
     makers = ("scalar", "_reconstruct")
     scalars = [name for name in dir(np) if isinstance(kind := getattr(np, name), type) and issubclass(kind, np.generic)]
     return (
@@ -94,8 +94,8 @@ def unpickle(path: Path) -> Any:
     """Return the contents of a PyTorch file; only tensors are unpickled, and values of NumPy are passed over.
 
     Raises:
-        ModelFileError: if it is damaged, or names more than that; with what it names, and the line of Python that saves its
-            weights alone.
+        ModelFileError: if it is damaged, or names other objects; the message lists them, and has a line of Python that saves
+            the weights alone.
     """
     whole = check_entries(
         path, f"{_AGAIN}, or save it again where it was saved with torch.serialization.set_crc32_options(False)"
@@ -120,7 +120,7 @@ def _load(path: Path, stood_for: Iterable[str]) -> Any:
 
 
 def _as_torch_packs(path: Path) -> Path | BinaryIO:
-    """Return a file, or, where a person unpacked and packed it again with other folders, its entries as torch packs them."""
+    """Return the file; if somebody zipped it again under other folders, return its entries under torch's folder."""
     if path.suffix == ".safetensors":  # torch goes by this ending
         return io.BytesIO(path.read_bytes())
     if not zipfile.is_zipfile(path):
@@ -187,7 +187,7 @@ def _refusal(path: Path, names: Sequence[str]) -> ModelFileError:
 
 
 def _other_tensors(path: Path, names: Sequence[str]) -> ModelFileError | None:
-    """Return the error for tensors that the line of Python would save as they are, by names or classes; None without them."""
+    """Return the error for tensors of an unsupported kind, by the names in a pickle or of their classes; None without them."""
     for pattern, sentence in _OTHER_TENSORS:
         if any(pattern.fullmatch(name) for name in names):
             return ModelFileError(f"{path.name} holds {sentence}.")
@@ -202,7 +202,7 @@ def _saved_again(path: Path, names: Sequence[str], expression: str, prelude: str
 
 
 def _where(names: Sequence[str]) -> str:
-    """Return " where PACKAGES can be imported", with those that cannot be imported here; empty if all can."""
+    """Return " where PACKAGES can be imported", with the packages missing on this machine; empty if none is missing."""
     packages = sorted({name.partition(".")[0] for name in names})
     missing = [printable(package)[:40] for package in packages if not _importable(package)]
     return f" where {first_few(missing, 3)} can be imported" if missing else ""
@@ -247,7 +247,7 @@ def _subscript(keys: Iterable[object]) -> str:
 
 
 def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:
-    """Return the named tensors in what `unpickle` returned; the log says which are read where there are several.
+    """Return the named tensors in the result of `unpickle`. If there are several state dicts, a warning says which one is read.
 
     Raises:
         ModelFileError: if there are none, or it is not clear which are the model.
@@ -266,7 +266,7 @@ def find_state(loaded: Any, path: Path) -> dict[str, Tensor]:
 
 
 def _inner(loaded: dict[Any, Any], depth: int = _MAX_DEPTH) -> tuple[list[Any], dict[Any, Any]]:
-    """Return the state dict in what a training saved, with its keys there; or what was saved as it is, without keys."""
+    """Return the keys that lead to a checkpoint's state dict, and the state dict; no keys and `loaded` itself without one."""
     states = _states(loaded, depth)
     named = next(iter(states), None)
     if named is not None and (named in _WEIGHTS or (len(states) == 1 and not _has_tensors(loaded))):
@@ -305,7 +305,7 @@ def _no_state(loaded: object, path: Path) -> ModelFileError:
     states = _states(loaded)
     if len(states) == 1:
         return ModelFileError(
-            f"{path.name} holds a state dict as {printable(str(next(iter(states))))[:40]} whose names are no texts; {expected}."
+            f"{path.name} holds a state dict as {printable(str(next(iter(states))))[:40]} whose keys are not strings; {expected}."
         )
     if states:
         named = first_few([printable(str(key))[:40] for key in states], 4)

@@ -109,11 +109,11 @@ def model_file(model: str | Path, trained: bool = False) -> Path:
     which is `./NAME`.
 
     Args:
-        trained: the `.safetensors` of a model that ships, which training and export begin with, in place of the `.onnx`.
+        trained: True for the `.safetensors` of a model that ships, from which training and export start, instead of the `.onnx`.
 
     Raises:
-        ModelFileError: if a name, which has neither a folder nor an ending, is that of no file and of no model, or a folder holds
-            no model or several.
+        ModelFileError: if a name without folder and ending is neither a file nor a model that ships, or a folder does not hold
+            exactly one model.
     """
     path = Path(model)
     if path.is_file():

@@ -25,7 +25,7 @@ TABLE1: dict[str, Values] = {
 }
 TABLE2: dict[str, Values] = {
     "Instance loss (baseline)": (43.91, 66.38, 74.58, 91.78),
-    # The text has the sequential partition, the released run rings and rows; the paper has one row.
+    # The paper prints one row for LPN. Its text describes the sequential partition, and its released code uses rings and rows.
     "LPN, sequential partition": (78.48, 92.46, 95.29, 99.12),
     "LPN, rings and rows": (78.48, 92.46, 95.29, 99.12),
     "SAFA": (89.84, 96.93, 98.14, 99.64),
@@ -88,8 +88,8 @@ class Claim:
         text: the claim in our words, with its place in the paper.
         pairs: the row that should be ahead, and the other one.
         columns: indices of the compared columns; None for every measured column.
-        tolerance: for each of `columns`, the points by which the first row may be ahead when the claim is that it is *not*
-            ahead; None if it should be.
+        tolerance: None for a claim that the first row is ahead. For a claim that it is not, the points by which it may still
+            be ahead, for each of `columns`.
     """
 
     text: str
@@ -107,7 +107,7 @@ def _rising(*rows: str) -> tuple[RowPair, ...]:
 
 
 def largest_drop(column: int) -> float:
-    """Return the largest drop of a turned query in a column of Table IV, which the paper does not call significant."""
+    """Return the largest loss by a rotation of the queries in a column of Table IV; the paper calls it insignificant."""
     return round(max(TABLE4[0][column] - values[column] for values in TABLE4.values()), 2)
 
 
@@ -163,7 +163,7 @@ CLAIMS: dict[str, tuple[Claim, ...]] = {
     ),
     "table5": (
         Claim(
-            "Parts complement one another: all are ahead of each alone (Table V)",
+            "Parts complement one another: all parts together are ahead of each part alone (Table V)",
             _ahead("1+2+3+4", "1", "2", "3", "4"),
         ),
         Claim("Each further part adds to those inside it (Table V)", _rising("1", "1+2", "1+2+3", "1+2+3+4")),

@@ -61,7 +61,7 @@ class ProcessGroup:
     def gather(self, outputs: Mapping[str, Tensors]) -> dict[str, Tensors]:
         """Gather the outputs of all processes in the order of the batch: each tensor (b, ...) becomes (b size, ...).
 
-        Sets may have several pictures of each place, one place after the other.
+        The rows of a place stand together if a view has several pictures of each place.
 
         Every process computes the loss of the whole batch from them. The gradient flows into the process's own rows only,
         multiplied by `size`, so that DistributedDataParallel's mean over processes is the gradient of that loss.

@@ -74,7 +74,7 @@ def _built(
 ) -> Model:
     options = read_options(path.with_name("opts.yaml"))
     if kind == "lpn" and recognised and "dense_LPN" in options:
-        # SDPL's code trains baselines whose entries are those of an LPN of two branches, and only this option tells them.
+        # Baselines trained by SDPL's code have the same entries as an LPN of two branches; only this option distinguishes them.
         kind = "sdpl"
     if kind == "lpn":
         return from_state(state, options, path, device, compiled)

@@ -20,7 +20,7 @@ _SEED = 21
 
 
 class NamedTokens(nn.Module):
-    """The tokens of a vision transformer of timm, those in front of the cells included: (B, 3, H, W) -> (B, prefix + N, C)."""
+    """All tokens of a vision transformer of timm, prefix tokens included: (B, 3, H, W) -> (B, prefix + N, C)."""
 
     def __init__(self, network: TimmMap, grid: tuple[int, int]) -> None:
         super().__init__()
@@ -60,8 +60,8 @@ def named_map(name: str, entries: Entries, size: tuple[int, int]) -> tuple[TimmM
 def named_vector(name: str, entries: Entries, size: tuple[int, int]) -> PartBranch:
     """Return a network of timm with the pooling that it has without a classifier.
 
-    On a picture of noise its vector is compared with the mean of its cells, plain or under the LayerNorm that it has behind
-    the pooling. Where one of them is the vector, the branch has cells; otherwise it has none.
+    The network's vector for a picture of noise is compared with the mean of its cells, with and without the LayerNorm after the
+    pooling. If one of the two equals the vector, the branch has cells; otherwise it has none.
 
     Raises:
         InputError: if timm has no such network, or it takes no pictures of that size.

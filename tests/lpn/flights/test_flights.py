@@ -84,7 +84,7 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
     assert "heading                    3 of 3  3 gimbal" in printed
     assert "field of view              3 of 3  70.0°" in printed
     assert "height above ground        0 of 3\n" in printed
-    assert "- Left out as of other kinds: notes.txt." in printed
+    assert "- Left out, because their kind is not supported: notes.txt." in printed
     assert len(open_flight(tmp_path / "monday").frames) == 3
 
 
@@ -100,7 +100,7 @@ def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:
     for flight in (open_flight(folder), make_flight([folder], tmp_path / "flight")):
         assert [frame.name for frame in flight.frames] == ["1.jpg", "2.tif", "3.TIFF"]
         assert {(round(frame.latitude or 0, 6), frame.longitude) for frame in flight.frames} == {(47.0, 8.0)}
-        assert "Left out as of other kinds: 1.DNG, 2.heic." in flight.notes
+        assert "Left out, because their kind is not supported: 1.DNG, 2.heic." in flight.notes
         for frame in flight.frames:
             assert load_picture(frame.file).shape == (frame.height, frame.width, 3)
         assert [frame.width for frame in flight.frames] == [40, 30, 30]

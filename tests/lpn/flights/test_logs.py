@@ -540,7 +540,7 @@ def test_text_that_is_no_log_is_left_out_and_the_run_goes_on(tmp_path: Path) -> 
         written(tmp_path, "\x00\x01\x02", "DJIFlightRecord.txt"),
     ]
     notes = make_flight(files, tmp_path / "flight").notes
-    assert "Left out as of other kinds: readme.txt, DJIFlightRecord.txt." in notes
+    assert "Left out, because their kind is not supported: readme.txt, DJIFlightRecord.txt." in notes
     assert any(
         note.startswith("DJIFlightRecord.txt is no text. A flight record of DJI's app is encrypted") for note in notes
     )

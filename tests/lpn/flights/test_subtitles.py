@@ -254,7 +254,7 @@ def test_moments_are_chosen_by_the_distance_flown() -> None:
     assert telemetry.times_by_distance(20.0) == pytest.approx([0, 20, 50, 70], abs=0.01)
     assert Telemetry([TelemetryEntry(0.0)]).times_by_distance(5.0) == []
     far = [TelemetryEntry(float(i), latitude=80.0 * i, longitude=1.0) for i in range(2)]
-    with pytest.raises(DataError, match="of which every 5 m is too many pictures"):
+    with pytest.raises(DataError, match="a picture every 5 m is too many"):
         Telemetry(far).times_by_distance(5.0)
 
 

@@ -383,7 +383,7 @@ FIELD: dict[str, FieldFile] = {
     ),
     "numbers as names": FieldFile(
         saved(lambda state: {"state_dict": dict(enumerate(state.values()))}),
-        "holds a state dict as state_dict whose names are no texts; expected a state_dict of named tensors.",
+        "holds a state dict as state_dict whose keys are not strings; expected a state_dict of named tensors.",
     ),
     "pth as safetensors": FieldFile(saved(lambda state: {"state_dict": state}, "model.safetensors")),
     "bfloat16": FieldFile(saved(lambda state: state)),
