@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from random import Random
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 
+from explorer import lab_choices
+from explorer.lab_choices import LabChoices
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.descriptors.transforms import Change
@@ -20,47 +22,10 @@ MAX_ZOOM = 4.0
 # The value of `selected` that follows the nearest positive; links contain it.
 POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
-Tab = Literal["table", "breakdown", "maps"]
-OutcomeFilter = Literal["all", "failed", "found", "only A", "only B"]
-MapKind = Literal["pca", "umap", "ground"]
 # What alters the ranking of a query.
 Alteration = Literal["region", "weights", "rotation", "shift", "zoom"]
 # Tabs of the explain window. "best" becomes the one that answers why the top match is first, when the pair is analysed.
 WhyTab = Literal["best", "evidence", "heatmaps", "comparison", "sweep", "region", "models"]
-
-
-class Chosen(NamedTuple):
-    """Queries that were chosen in the laboratory by a click or a lasso.
-
-    Attributes:
-        kind: of selection, such as a lasso; there is one of each.
-        label: what they have in common, in words.
-        rows: the queries, ascending.
-    """
-
-    kind: str
-    label: str
-    rows: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class LabChoices:
-    """The choices in the failure laboratory that an address keeps; see `explorer.failure_lab.state.LabState` for the fields.
-
-    The names of columns are untrusted: a table may lack them.
-    """
-
-    tab: Tab = "table"
-    outcome: OutcomeFilter = "all"
-    filter: str = ""
-    name_search: str = ""
-    chosen: tuple[Chosen, ...] = ()
-    sort_column: str = "margin"
-    descending: bool = False
-    columns: tuple[str, ...] | None = None
-    full_height: bool = False
-    map: MapKind = "pca"
-    colour: str = ""
 
 
 @dataclass(frozen=True)
@@ -114,7 +79,7 @@ class SessionState:
     why: bool = False
     why_tab: WhyTab = "evidence"
     lab: bool = False
-    laboratory: LabChoices = LabChoices()
+    laboratory: LabChoices = field(default_factory=LabChoices)
     flight: bool = False
     heat: bool = True
     heat_kind: HeatKind = "activation"
@@ -285,13 +250,8 @@ def choose_task(state: SessionState, task: str, query: int = 0) -> SessionState:
     """Choose another task and one of its queries: upright, and compared with its top match."""
     if task == state.task:
         return state
-    laboratory = choices_for_any_task(state.laboratory)
+    laboratory = lab_choices.for_any_task(state.laboratory)
     return replace(upright(state), task=task, query=query, upload=None, selected=None, laboratory=laboratory)
-
-
-def choices_for_any_task(choices: LabChoices) -> LabChoices:
-    """Return the laboratory's choices that suit every task."""
-    return LabChoices(choices.tab, choices.outcome, full_height=choices.full_height)
 
 
 def upright(state: SessionState) -> SessionState:

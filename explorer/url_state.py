@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, get_args
 from urllib.parse import parse_qsl, quote, urlencode
 
-from explorer import session_state
-from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState, WhyTab, with_field
+from explorer import parameters, session_state
+from explorer.lab_choices import CHOICES, LabChoices, Selection
+from explorer.parameters import (
+    LONGEST_TEXT,
+    Parameter,
+    UnusableError,
+    cells,
+    format_number,
+    is_line,
+    parse_number,
+    ranges,
+)
+from explorer.session_state import POSITIVE, SessionState, WhyTab, with_field
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
@@ -34,25 +45,10 @@ _SUMMARY = {
 }
 # Parameters of the query that is shown.
 _OF_QUERY = ("with", "angle", "shift", "down", "zoom", "region")
-# Characters of the laboratory's filter, and of its other texts; of its columns, and of the queries chosen there by hand.
-_LONGEST_FILTER, _LONGEST_TEXT = 1000, 200
-_LONGEST_COLUMNS, _LONGEST_CHOICE = 1000, 3000
+# Characters of the queries that were chosen in the laboratory by hand.
+_LONGEST_CHOICE = 3000
 # Choices of such queries: each may name all queries in few characters, so that many would fill the server's memory.
 _MOST_CHOICES = 20
-_NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
-
-
-class UnusableError(Exception):
-    """An invalid value in an address; the message says what was expected."""
-
-
-@dataclass(frozen=True)
-class _Parameter:
-    """One parameter of the query string: its value for a state (None: left out), and the state for a value."""
-
-    key: str
-    write: Callable[[Any], str | None]
-    read: Callable[[Any, str], Any]
 
 
 class UrlState:
@@ -70,34 +66,34 @@ class UrlState:
         }
         reach = workspace.contract.input_size[1] // 2, workspace.contract.input_size[0] // 2
         self._parameters = (
-            _Parameter("show", self._write_key, self._read_key),
-            _Parameter("task", lambda s: s.task, self._read_task),
-            _Parameter("query", self._write_query, self._read_query),
-            _Parameter("with", self._write_tile, self._read_tile),
-            _number("angle", -180, 180),
-            _number("shift", -reach[0], reach[0], whole=True),
-            _number("down", -reach[1], reach[1], whole=True),
-            _number("zoom", 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM),
-            _Parameter("weights", _write_weights, _read_weights),
-            _Parameter("off", _write_off, _read_off),
-            _Parameter("region", lambda s: ranges(s.region) or None, self._read_region),
-            _switch("map"),
-            _switch("city"),
-            _switch("why"),
-            _Parameter("reason", _write_why_tab, _read_why_tab),
-            _Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
-            *map(_in_lab, _LAB_PARAMETERS),
-            _Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
-            _switch("flight"),
-            _switch("exploded", "apart"),
-            _switch("rings"),
-            _switch("heat"),
-            _choice("heat_kind", {"activation": "activation", "evidence": "evidence"}, "shows"),
-            _Parameter("part", lambda s: None if s.heat_part is None else str(s.heat_part + 1), _read_heat_part),
-            _choice("same_scale", {"own": False, "same": True}, "scale"),
-            _number("opacity", 0, 1),
-            _choice("dark", {"light": False, "dark": True}, "theme"),
-            _choice("first_screen", {"all": False, "first": True}, "screen"),
+            Parameter("show", self._write_key, self._read_key),
+            Parameter("task", lambda s: s.task, self._read_task),
+            Parameter("query", self._write_query, self._read_query),
+            Parameter("with", self._write_tile, self._read_tile),
+            parameters.number("angle", -180, 180),
+            parameters.number("shift", -reach[0], reach[0], whole=True),
+            parameters.number("down", -reach[1], reach[1], whole=True),
+            parameters.number("zoom", 1 / session_state.MAX_ZOOM, session_state.MAX_ZOOM),
+            Parameter("weights", _write_weights, _read_weights),
+            Parameter("off", _write_off, _read_off),
+            Parameter("region", lambda s: ranges(s.region) or None, self._read_region),
+            parameters.switch("map"),
+            parameters.switch("city"),
+            parameters.switch("why"),
+            Parameter("reason", _write_why_tab, _read_why_tab),
+            Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
+            *(_in_lab(choice.parameter) for choice in CHOICES if choice.parameter is not None),
+            Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
+            parameters.switch("flight"),
+            parameters.switch("exploded", "apart"),
+            parameters.switch("rings"),
+            parameters.switch("heat"),
+            parameters.choice("heat_kind", {"activation": "activation", "evidence": "evidence"}, "shows"),
+            Parameter("part", lambda s: None if s.heat_part is None else str(s.heat_part + 1), _read_heat_part),
+            parameters.choice("same_scale", {"own": False, "same": True}, "scale"),
+            parameters.number("opacity", 0, 1),
+            parameters.choice("dark", {"light": False, "dark": True}, "theme"),
+            parameters.choice("first_screen", {"all": False, "first": True}, "screen"),
         )
         self.keys = tuple(parameter.key for parameter in self._parameters)
 
@@ -274,12 +270,12 @@ class UrlState:
             if len(value) > _LONGEST_CHOICE or value.count("\n") >= _MOST_CHOICES:
                 raise ValueError
             lines = [line.split("\t") for line in value.split("\n")]
-            chosen = [Chosen(kind, label, cells(rows, queries) if rows else ()) for kind, label, rows in lines]
+            chosen = [Selection(kind, label, cells(rows, queries) if rows else ()) for kind, label, rows in lines]
         except (ValueError, UnusableError) as error:
             raise UnusableError("expected queries that were chosen in the laboratory of this data set.") from error
-        if not all(_is_line(text, _LONGEST_TEXT) for one in chosen for text in (one.kind, one.label)):
-            raise UnusableError(f"expected labels of {_LONGEST_TEXT} letters at most that can be printed.")
-        return replace(state, laboratory=replace(state.laboratory, chosen=tuple(chosen)))
+        if not all(is_line(text, LONGEST_TEXT) for one in chosen for text in (one.kind, one.label)):
+            raise UnusableError(f"expected labels of {LONGEST_TEXT} letters at most that can be printed.")
+        return replace(state, laboratory=replace(state.laboratory, selections=tuple(chosen)))
 
 
 def _parameters_of(text: str) -> dict[str, str]:
@@ -289,29 +285,6 @@ def _parameters_of(text: str) -> dict[str, str]:
     return dict(parse_qsl(text.removeprefix("?"), True, max_num_fields=_MOST_PARAMETERS))
 
 
-def ranges(numbers: Sequence[int]) -> str:
-    """Format integers as "3-5,8"."""
-    runs: list[list[int]] = []
-    for number in sorted(set(numbers)):
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ",".join(str(low) if low == high else f"{low}-{high}" for low, high in runs)
-
-
-def cells(text: str, count: int) -> tuple[int, ...]:
-    """Parse "3-5,8" as integers below `count`, sorted; UnusableError for anything else."""
-    numbers: set[int] = set()
-    for piece in text.split(","):
-        match = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", piece)
-        low, high = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not low <= high < count:
-            raise UnusableError(f"expected cells 0 to {count - 1}, such as 3-5,8.")
-        numbers.update(range(low, high + 1))
-    return tuple(sorted(numbers))
-
-
 def _first_positions(names: Iterable[str]) -> dict[str, int]:
     first: dict[str, int] = {}
     for index, name in enumerate(names):
@@ -319,59 +292,15 @@ def _first_positions(names: Iterable[str]) -> dict[str, int]:
     return first
 
 
-def _format(value: float) -> str:
-    return f"{value:.10g}"
-
-
-def _parse(text: str, low: float, high: float) -> float:
-    value = float(text) if _NUMBER.fullmatch(text) else low - 1
-    if not low <= value <= high:
-        raise UnusableError(f"expected a number from {low:g} to {high:g}.")
-    return value
-
-
-def _default(state: Any, name: str) -> Any:
-    return type(state).__dataclass_fields__[name].default
-
-
-def _number(name: str, low: float, high: float, whole: bool = False) -> _Parameter:
-    def read(state: SessionState, text: str) -> SessionState:
-        value = _parse(text, low, high)
-        return with_field(state, name, round(value) if whole else value)
-
-    return _Parameter(
-        name, lambda s: None if getattr(s, name) == _default(s, name) else _format(getattr(s, name)), read
-    )
-
-
-def _choice(name: str, values: dict[str, Any], key: str | None = None) -> _Parameter:
-    def write(state: Any) -> str | None:
-        chosen = getattr(state, name)
-        return (
-            None if chosen == _default(state, name) else next(text for text, value in values.items() if value == chosen)
-        )
-
-    def read(state: Any, text: str) -> Any:
-        if text not in values:
-            raise UnusableError(f"expected {' or '.join(values)}.")
-        return with_field(state, name, values[text])
-
-    return _Parameter(key or name, write, read)
-
-
-def _switch(name: str, key: str | None = None) -> _Parameter:
-    return _choice(name, {"0": False, "1": True}, key)
-
-
 def _write_weights(state: SessionState) -> str | None:
-    return None if set(state.weights) == {1.0} else ",".join(map(_format, state.weights))
+    return None if set(state.weights) == {1.0} else ",".join(map(format_number, state.weights))
 
 
 def _read_weights(state: SessionState, text: str) -> SessionState:
     pieces = text.split(",")
     if len(pieces) != state.n_parts:
         raise UnusableError(f"expected {state.n_parts} weights, one for each part.")
-    return replace(state, weights=tuple(_parse(piece, 0, session_state.MAX_WEIGHT) for piece in pieces))
+    return replace(state, weights=tuple(parse_number(piece, 0, session_state.MAX_WEIGHT) for piece in pieces))
 
 
 def _write_off(state: SessionState) -> str | None:
@@ -379,12 +308,12 @@ def _write_off(state: SessionState) -> str | None:
 
 
 def _read_off(state: SessionState, text: str) -> SessionState:
-    parts = {round(_parse(piece, 1, state.n_parts)) for piece in text.split(",")}
+    parts = {round(parse_number(piece, 1, state.n_parts)) for piece in text.split(",")}
     return replace(state, enabled=tuple(part + 1 not in parts for part in range(state.n_parts)))
 
 
 def _write_why_tab(state: SessionState) -> str | None:
-    return state.why_tab if state.why and state.why_tab not in ("best", _default(state, "why_tab")) else None
+    return state.why_tab if state.why and state.why_tab not in ("best", SessionState.why_tab) else None
 
 
 def _read_why_tab(state: SessionState, text: str) -> SessionState:
@@ -395,63 +324,19 @@ def _read_why_tab(state: SessionState, text: str) -> SessionState:
 
 
 def _read_heat_part(state: SessionState, text: str) -> SessionState:
-    return replace(state, heat_part=round(_parse(text, 1, state.n_parts)) - 1)
-
-
-def _text(name: str, key: str, longest: int = _LONGEST_TEXT) -> _Parameter:
-    def write(state: Any) -> str | None:
-        text = getattr(state, name)
-        return None if text == _default(state, name) or not _is_line(text, longest) else text
-
-    def read(state: Any, text: str) -> Any:
-        if not _is_line(text, longest):
-            raise UnusableError(f"expected {longest:,} letters at most that can be printed.")
-        return with_field(state, name, text)
-
-    return _Parameter(key, write, read)
-
-
-def _is_line(text: str, longest: int) -> bool:
-    return len(text) <= longest and text.isprintable()
-
-
-def _write_columns(lab: LabChoices) -> str | None:
-    if lab.columns is None or any("," in name for name in lab.columns):
-        return None
-    text = ",".join(lab.columns)
-    return text if _is_line(text, _LONGEST_COLUMNS) else None
-
-
-def _read_columns(lab: LabChoices, text: str) -> LabChoices:
-    if not _is_line(text, _LONGEST_COLUMNS):
-        raise UnusableError(f"expected names of columns, {_LONGEST_COLUMNS:,} letters at most.")
-    return replace(lab, columns=tuple(filter(None, text.split(","))))
+    return replace(state, heat_part=round(parse_number(text, 1, state.n_parts)) - 1)
 
 
 def _write_chosen(lab: LabChoices) -> str | None:
     """Write the queries that were chosen by hand, a line for each choice; None if they are too many for an address."""
-    lines = [(one.kind, one.label, ranges(one.rows)) for one in lab.chosen]
-    if not lines or not all(_is_line(text, _LONGEST_TEXT) for kind, label, _ in lines for text in (kind, label)):
+    lines = [(one.kind, one.label, ranges(one.rows)) for one in lab.selections]
+    if not lines or not all(is_line(text, LONGEST_TEXT) for kind, label, _ in lines for text in (kind, label)):
         return None
     text = "\n".join(map("\t".join, lines))
     return text if len(text) <= _LONGEST_CHOICE and len(lines) <= _MOST_CHOICES else None
 
 
-_LAB_PARAMETERS = (
-    _choice("tab", {"table": "table", "breakdown": "breakdown", "maps": "maps"}),
-    _choice("outcome", {"all": "all", "failed": "failed", "found": "found", "A": "only A", "B": "only B"}, "only"),
-    _text("filter", "where", _LONGEST_FILTER),
-    _text("name_search", "find"),
-    _text("sort_column", "sort"),
-    _choice("descending", {"up": False, "down": True}, "order"),
-    _Parameter("columns", _write_columns, _read_columns),
-    _switch("full_height", "tall"),
-    _choice("map", {"pca": "pca", "umap": "umap", "ground": "ground"}, "on"),
-    _text("colour", "by"),
-)
-
-
-def _in_lab(parameter: _Parameter) -> _Parameter:
+def _in_lab(parameter: Parameter) -> Parameter:
     """Return a parameter of the laboratory as one of the page, which an address has while the laboratory is open."""
 
     def write(state: SessionState) -> str | None:
@@ -460,7 +345,7 @@ def _in_lab(parameter: _Parameter) -> _Parameter:
     def read(state: SessionState, text: str) -> SessionState:
         return replace(state, laboratory=parameter.read(state.laboratory, text))
 
-    return _Parameter(parameter.key, write, read)
+    return Parameter(parameter.key, write, read)
 
 
 def _read_lab(state: SessionState, text: str) -> SessionState:

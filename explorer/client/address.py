@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 
-from explorer import session_state
+from explorer import lab_choices, session_state
 from explorer.client.messages import Greeting
 from explorer.client.views import ClientViews
 from explorer.compute.worker import DelayedCall
@@ -92,7 +92,7 @@ class PageAddress:
         kept = {name: getattr(before, name) for name in ("dark", "find", "laboratory")}
         state, problems = self._url_state.read(search, replace(self._plain, **kept))
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
-            state = replace(state, laboratory=session_state.choices_for_any_task(before.laboratory))
+            state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
         self._views.show_state(replace(state, dark=before.dark))
         return problems
 

@@ -12,7 +12,8 @@ from explorer.browse.feeds import Feeds
 from explorer.failure_lab import map_data, table
 from explorer.failure_lab.messages import OpenPoint, SelectLasso, ShowTip
 from explorer.failure_lab.service import FailureLab, Findings, MapPoints
-from explorer.failure_lab.state import LabState, Selection, add_selection, chosen_rows
+from explorer.failure_lab.state import LabState, add_selection, chosen_rows
+from explorer.lab_choices import Selection
 from explorer.web.render import call, render, run
 from lpn.analysis import embedding_map
 from lpn.core import images
@@ -85,7 +86,7 @@ class MapPage:
             return lab
         origin, unit = map_data.scale(points)
         rows = embedding_map.inside(points.queries, np.array(message.corners) * unit + origin)
-        return add_selection(lab, Selection(f"in {lab.map}", f"lasso on {_LABELS[lab.map]}", rows))
+        return add_selection(lab, Selection.of(f"in {lab.map}", f"lasso on {_LABELS[lab.map]}", rows))
 
     def _data(
         self, findings: Findings, lab: LabState, query: int | None, rows: Int64Array, points: MapPoints

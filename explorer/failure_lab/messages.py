@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated, Literal
 
+import msgspec
 from msgspec import Meta
 
 from explorer.failure_lab import state
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import Drawer, LabState, RowChange
-from explorer.session_state import MapKind, OutcomeFilter, Tab
+from explorer.lab_choices import MapKind, OutcomeFilter, Tab
 from explorer.web.messages import Message
 
 QueryIndex = Annotated[int, Meta(ge=0)]
@@ -28,7 +29,11 @@ class ShowTab(LabMessage, tag="lab-tab"):
     tab: Tab
 
 
-class ShowOutcome(LabMessage, tag="lab-outcome"):
+class Choose(LabMessage):
+    """A message whose fields replace those of `LabChoices` of the same names."""
+
+
+class ShowOutcome(Choose, tag="lab-outcome"):
     outcome: OutcomeFilter
 
 
@@ -36,8 +41,8 @@ class SortBy(LabMessage, tag="lab-sort"):
     column: str
 
 
-class SearchNames(LabMessage, tag="lab-find"):
-    text: Annotated[str, Meta(max_length=200)]
+class SearchNames(Choose, tag="lab-find"):
+    name_search: Annotated[str, Meta(max_length=200)]
 
 
 class SetFilter(LabMessage, tag="lab-where"):
@@ -203,12 +208,10 @@ def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> L
     match message:
         case ShowTab(tab):
             return state.show_tab(findings, lab, tab)
-        case ShowOutcome(outcome):
-            return replace(lab, outcome=outcome)
+        case Choose():
+            return replace(lab, **msgspec.structs.asdict(message))
         case SortBy(column) if column in findings.table.columns:
             return state.sort_by(lab, column)
-        case SearchNames(text):
-            return replace(lab, name_search=text)
         case SetFilter(text):
             return state.set_filter(lab, text, findings.table)
         case ToggleColumn(column) if column in findings.table.columns:

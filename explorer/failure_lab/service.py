@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
-from explorer.session_state import MapKind
+from explorer.lab_choices import MapKind
 from explorer.workspace import Workspace
 from lpn.analysis import embedding_map, named_views
 from lpn.analysis.named_views import NamedView

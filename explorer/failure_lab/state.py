@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import Literal, get_args
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
-from explorer import session_state
+from explorer import lab_choices
 from explorer.failure_lab.service import Findings
-from explorer.session_state import Chosen, LabChoices, MapKind, OutcomeFilter, Tab
+from explorer.lab_choices import LabChoices, OutcomeFilter, Selection, Tab
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
 from lpn.analysis.named_views import ChosenQueries, NamedView
@@ -28,69 +28,27 @@ _FIXED_COLUMNS = ("name", "rank", "margin", "part", "answer", "distance")
 _DEFAULT_COLUMNS = ("altitude", "district", "verdict", "tags")
 
 
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """Queries selected by a click or a lasso.
-
-    Attributes:
-        kind: a new selection replaces an earlier one of the same kind.
-        label: what the queries have in common.
-        rows: the queries, ascending.
-    """
-
-    kind: str
-    label: str
-    rows: Int64Array
-
-    def same_as(self, other: Selection) -> bool:
-        """Return whether kind, label, and rows are the same.
-
-        Labels alone are ambiguous: a column's value "not known" has the same label as the queries without a value.
-        """
-        return (self.kind, self.label) == (other.kind, other.label) and np.array_equal(self.rows, other.rows)
-
-
 @dataclass(frozen=True)
-class LabState:
-    """One browser's choices.
+class LabState(LabChoices):
+    """One browser's choices, and what no address keeps.
 
     Attributes:
         task: the name of the task.
-        outcome: show all queries, those that failed, those that were found, or those that one of two models finds alone.
-        filter: the filter in force, see `lpn.core.tables`.
         filter_typed: the text in the filter's box.
         filter_error: why `filter_typed` is invalid; empty if it is valid.
-        name_search: text that the names of the queries contain.
-        selections: a query must be in all of them.
         rows: queries whose rows are chosen in the table; those that are not shown do not count.
-        sort_column, descending: the order of the table.
-        columns: shown beside `fixed_columns`; None for the default ones.
         drawer: what is open below the summary.
-        full_height: the window covers the whole stage.
-        map: the map that is shown.
-        map_chosen: a person or an address chose it; until then the map of the ground comes first where there is one.
-        colour: the column that colours the map; empty for the outcome.
+        map_chosen: a person or an address chose the map; until then that of the ground comes first where there is one.
         paused: computations that start only on request: kinds of maps, or "table".
         text_revision: number of times that the app, not the user, has changed the text boxes.
     """
 
-    task: str
-    tab: Tab = "table"
-    outcome: OutcomeFilter = "all"
-    filter: str = ""
+    task: str = field(kw_only=True)
     filter_typed: str = ""
     filter_error: str = ""
-    name_search: str = ""
-    selections: tuple[Selection, ...] = ()
     rows: frozenset[int] = frozenset()
-    sort_column: str = "margin"
-    descending: bool = False
-    columns: tuple[str, ...] | None = None
     drawer: Drawer = ""
-    full_height: bool = False
-    map: MapKind = "pca"
     map_chosen: bool = False
-    colour: str = ""
     paused: frozenset[str] = frozenset({"umap"})
     text_revision: int = 0
 
@@ -99,42 +57,27 @@ def for_task(lab: LabState, task: str) -> LabState:
     """Return the state for another task, with the choices that suit every task."""
     if lab.task == task:
         return lab
-    kept = session_state.choices_for_any_task(choices(lab))
-    return LabState(
-        task,
-        kept.tab,
-        kept.outcome,
-        full_height=kept.full_height,
-        paused=lab.paused,
-        text_revision=lab.text_revision + 1,
-    )
+    kept = lab_choices.values_of(lab_choices.for_any_task(lab))
+    return LabState(task=task, paused=lab.paused, text_revision=lab.text_revision + 1, **kept)
 
 
 def choices(lab: LabState) -> LabChoices:
     """Return what an address keeps of the state."""
-    same = {field.name: getattr(lab, field.name) for field in fields(LabChoices) if field.name != "chosen"}
-    chosen = tuple(Chosen(one.kind, one.label, tuple(one.rows.tolist())) for one in lab.selections)
-    return LabChoices(chosen=chosen, **same)
+    return LabChoices(**lab_choices.values_of(lab))
 
 
 def with_choices(findings: Findings, lab: LabState, wanted: LabChoices) -> LabState:
     """Return the state that shows what an address says; an invalid filter is left out, and told."""
-    selections = [Selection(one.kind, one.label, np.array(one.rows, np.int64)) for one in wanted.chosen]
+    values = lab_choices.values_of(wanted)
+    values["selections"] = tuple(one for one in wanted.selections if not one.rows or one.rows[-1] < len(findings.table))
+    del values["filter"]
+    in_sight = wanted.tab == "maps"
     lab = replace(
         clear(lab),
         rows=lab.rows,
-        tab=wanted.tab,
-        outcome=wanted.outcome,
-        name_search=wanted.name_search,
-        selections=tuple(one for one in selections if not len(one.rows) or one.rows[-1] < len(findings.table)),
-        sort_column=wanted.sort_column,
-        descending=wanted.descending,
-        columns=wanted.columns,
-        full_height=wanted.full_height,
-        map=wanted.map,
-        map_chosen=lab.map_chosen or wanted.tab == "maps",
-        colour=wanted.colour,
-        paused=lab.paused - {wanted.map} if wanted.tab == "maps" else lab.paused,
+        map_chosen=lab.map_chosen or in_sight,
+        paused=lab.paused - {wanted.map} if in_sight else lab.paused,
+        **values,
     )
     return set_filter(lab, wanted.filter, findings.table)
 
@@ -162,7 +105,7 @@ def set_filter(lab: LabState, text: str, table: Table) -> LabState:
 
 def toggle_selection(lab: LabState, selection: Selection) -> LabState:
     """Remove a selection if the state has it, otherwise add it."""
-    if any(selection.same_as(other) for other in lab.selections):
+    if selection in lab.selections:
         return remove_selection(lab, selection.kind)
     return add_selection(lab, selection)
 
@@ -205,7 +148,7 @@ def show_chosen_rows(findings: Findings, lab: LabState) -> LabState:
     rows = chosen_rows(lab, selected_rows(findings, lab))
     if not len(rows):
         return lab
-    return replace(add_selection(lab, Selection("rows", count_rows(len(rows)), rows)), rows=frozenset())
+    return replace(add_selection(lab, Selection.of("rows", count_rows(len(rows)), rows)), rows=frozenset())
 
 
 def count_rows(number: int) -> str:
@@ -216,13 +159,9 @@ def count_rows(number: int) -> str:
 def clear(lab: LabState) -> LabState:
     """Select all queries again, and choose no row."""
     return replace(
-        lab,
-        outcome="all",
-        filter="",
+        lab_choices.show_all(lab),
         filter_typed="",
         filter_error="",
-        name_search="",
-        selections=(),
         rows=frozenset(),
         text_revision=lab.text_revision + 1,
     )
@@ -231,22 +170,9 @@ def clear(lab: LabState) -> LabState:
 def to_view(findings: Findings, lab: LabState, name: str) -> NamedView:
     """Return what is selected, and how it is shown, under a name."""
     paths = findings.table.paths
-    chosen = tuple(
-        ChosenQueries(one.kind, one.label, tuple(paths[row] for row in one.rows.tolist())) for one in lab.selections
-    )
-    return NamedView(
-        name.strip(),
-        lab.task,
-        lab.outcome,
-        lab.filter,
-        lab.name_search,
-        chosen,
-        _sort_column(findings, lab),
-        lab.descending,
-        lab.tab,
-        lab.map,
-        lab.colour,
-    )
+    chosen = tuple(ChosenQueries(one.kind, one.label, tuple(paths[row] for row in one.rows)) for one in lab.selections)
+    kept = lab_choices.to_view(replace(lab, sort_column=_sort_column(findings, lab)))
+    return NamedView(name.strip(), lab.task, chosen=chosen, **kept)
 
 
 def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
@@ -254,24 +180,12 @@ def from_view(findings: Findings, lab: LabState, view: NamedView) -> LabState:
     row_of = {path: row for row, path in enumerate(findings.table.paths)}
     selections = []
     for one in view.chosen:
-        rows = np.array(sorted({row_of[path] for path in one.paths if path in row_of}), np.int64)
+        rows = {row_of[path] for path in one.paths if path in row_of}
         missing = len(set(one.paths)) - len(rows)
         label = f"{one.label} ({missing} no longer there)" if missing else one.label
-        selections.append(Selection(one.kind, label, rows))
-    maps: tuple[MapKind, ...] = get_args(MapKind)
-    tabs: tuple[Tab, ...] = get_args(Tab)
-    made = replace(
-        choices(lab),
-        tab=next((tab for tab in tabs if tab == view.tab), lab.tab),
-        outcome=next((outcome for outcome in get_args(OutcomeFilter) if outcome == view.outcome), "all"),
-        filter=view.filter,
-        name_search=view.search,
-        sort_column=view.sort,
-        descending=view.descending,
-        map=next((kind for kind in maps if kind == view.map), lab.map),
-        colour=view.colour,
-    )
-    return replace(with_choices(findings, lab, made), selections=tuple(selections), rows=frozenset())
+        selections.append(Selection.of(one.kind, label, rows))
+    made = replace(lab_choices.from_view(choices(clear(lab)), view), selections=tuple(selections))
+    return replace(with_choices(findings, lab, made), rows=frozenset())
 
 
 def fixed_columns(table: Table) -> list[str]:
@@ -320,7 +234,7 @@ def selected_rows(findings: Findings, lab: LabState, without: str = "", any_outc
         rows = rows[mask[rows]]
     for selection in lab.selections:
         if selection.kind != without:
-            rows = np.intersect1d(rows, selection.rows, assume_unique=True)
+            rows = np.intersect1d(rows, np.array(selection.rows, np.int64), assume_unique=True)
     return table.search(rows, lab.name_search) if lab.name_search.strip() else rows
 
 
@@ -395,7 +309,7 @@ def select_bin(findings: Findings, lab: LabState, name: str, index: int, bin_nam
     if column is None or not 0 <= index < len(bins) or bins[index].name != bin_name:
         return None
     rate = bins[index]
-    return Selection(selection_kind(column), f"{column.name} {rate.name}", np.flatnonzero(rate.holds(column)))
+    return Selection.of(selection_kind(column), f"{column.name} {rate.name}", np.flatnonzero(rate.holds(column)))
 
 
 def select_pair(findings: Findings, lab: LabState, place: int, answered: int) -> Selection | None:
@@ -405,14 +319,14 @@ def select_pair(findings: Findings, lab: LabState, place: int, answered: int) ->
     """
     for confusion in confusions(findings, lab):
         if (confusion.place, confusion.answered) == (place, answered):
-            return Selection("pair", " taken for ".join(place_names(findings, confusion)), confusion.queries)
+            return Selection.of("pair", " taken for ".join(place_names(findings, confusion)), confusion.queries)
     return None
 
 
 def select_part(findings: Findings, part: int) -> Selection:
     """Select the failures in which this part lowers the margin most."""
     blamed = findings.outcomes.failed & (findings.outcomes.deciding_part == part)
-    return Selection("part", f"part {findings.part_names[part]} lowers the margin most", np.flatnonzero(blamed))
+    return Selection.of("part", f"part {findings.part_names[part]} lowers the margin most", np.flatnonzero(blamed))
 
 
 def confusions(findings: Findings, lab: LabState) -> list[breakdown.Confusion]:

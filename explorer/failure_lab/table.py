@@ -11,7 +11,7 @@ from explorer.browse.feeds import Feeds, Side
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.failure_lab.service import Findings, SecondProgress
 from explorer.failure_lab.state import Drawer, LabState, extra_columns, fixed_columns, outcome_masks
-from explorer.session_state import Tab
+from explorer.lab_choices import Tab, show_all
 from explorer.web.render import call, render, run
 from explorer.workspace import Workspace
 from lpn.analysis.named_views import LONGEST_NAME, NamedView
@@ -81,7 +81,7 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         chosen=chosen,
         queries=len(findings.table),
         failed=int(findings.outcomes.failed[rows].sum()),
-        narrowed=bool(lab.selections or lab.filter or lab.name_search.strip() or lab.outcome != "all"),
+        narrowed=show_all(lab) != lab,
         notes_error=findings.notes_error,
         claim=findings.task.contract.claim,
         names=None if findings.second is None else findings.second.names,

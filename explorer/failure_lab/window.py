@@ -19,8 +19,9 @@ from explorer.failure_lab.messages import LabMessage
 from explorer.failure_lab.note_form import NoteForm
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
+from explorer.lab_choices import CHOICES, LabChoices
 from explorer.reports import Reporter
-from explorer.session_state import LabChoices, SessionState, StateChange
+from explorer.session_state import SessionState, StateChange
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
 from explorer.web.render import call, run, run_once
@@ -71,7 +72,7 @@ class FailureLabWindow:
         self._feeds, self._viewport, self._reporter = feeds, viewport, reporter
         self._lock = threading.RLock()
         task = next(iter(workspace.tasks))
-        self._lab, self._view = LabState(task), _View(task, None, False)
+        self._lab, self._view = LabState(task=task), _View(task, None, False)
         self._table_rows = np.zeros(0, np.int64)
         # The task and the choices of an address, until there is a table that they can be applied to.
         self._wanted: tuple[str, LabChoices] | None = None
@@ -266,10 +267,7 @@ class FailureLabWindow:
 
     def _rows(self, findings: Findings, lab: LabState) -> Int64Array:
         """Return the selected queries in the table's order, the same array until the selection or the order changes."""
-        key = (
-            *(findings, lab.outcome, lab.filter, lab.name_search, lab.selections),
-            *(lab.sort_column, lab.descending),
-        )
+        key = findings, *(getattr(lab, choice.field) for choice in CHOICES if choice.selects or choice.orders)
         with self._lock:
             if self._sorted[0] != key:
                 rows, before = state.sorted_rows(findings, lab), self._sorted[1]

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import viser
 
-from explorer import session_state
+from explorer import lab_choices, session_state
+from explorer.lab_choices import Tab
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
-from explorer.session_state import SessionState, StateChange, Tab
+from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
@@ -87,7 +88,7 @@ class FirstScreen:
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
-        all_queries = replace(state.laboratory, tab=tab, outcome="all", filter="", name_search="", chosen=())
+        all_queries = replace(lab_choices.show_all(state.laboratory), tab=tab)
         state = replace(state, lab=True, why=False, laboratory=all_queries)
         self._show_lab(state)
         return state

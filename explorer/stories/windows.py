@@ -69,7 +69,7 @@ class WindowSources:
             _finish(self.lab.build(task, self), wait)
             findings = self.lab.findings(task)
             assert findings is not None
-            lab = state.with_choices(findings, LabState(task), analysis.state.laboratory)
+            lab = state.with_choices(findings, LabState(task=task), analysis.state.laboratory)
             rows = state.sorted_rows(findings, lab)
             query = None if analysis.state.upload else analysis.state.query
             match lab.tab:

@@ -158,13 +158,13 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     findings = laboratory.findings(TASK)
     assert findings is not None
     rows = {
-        outcome: set(lab_state.selected_rows(findings, LabState(TASK, outcome=outcome)))  # type: ignore[arg-type]
+        outcome: set(lab_state.selected_rows(findings, LabState(task=TASK, outcome=outcome)))  # type: ignore[arg-type]
         for outcome in ("all", "failed", "found")
     }
     assert set(UNKNOWN) == rows["all"] - rows["failed"] - rows["found"]
-    bar = lab_table.bar(findings, LabState(TASK), 3)
+    bar = lab_table.bar(findings, LabState(task=TASK), 3)
     assert all(str(len(rows[outcome])) in bar for outcome in rows)
-    rates = lab_state.failure_rates(findings, LabState(TASK), findings.table.columns["heading from"])
+    rates = lab_state.failure_rates(findings, LabState(task=TASK), findings.table.columns["heading from"])
     assert sum(rate.queries for rate in rates) == known
     places = laboratory.points("ground", TASK, None)
     assert places.wait(60)

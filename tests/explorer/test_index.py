@@ -177,7 +177,7 @@ def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace, monkeypat
     findings = service.findings(TASK)
     assert findings is not None
     assert findings.outcomes.depth == DEPTH
-    lab = LabState(TASK)
+    lab = LabState(task=TASK)
     rows = lab_state.sorted_rows(findings, lab)
     columns = lab_table.visible_columns(findings, lab)
     html = str(lab_table.lines(findings, columns, Feeds(workspace), rows))

@@ -101,7 +101,7 @@ def test_the_level_is_named_wherever_numbers_are(regions: Workspace, without_cel
             pages.header(workspace, workspace.tasks[TASK]),
             pages.parts_table(analysis, workspace),
             sweep_page.page(analysis, "rotation", swept, len(points), workspace.part_names),
-            table.summary(findings, LabState(TASK), findings.table.rows()),
+            table.summary(findings, LabState(task=TASK), findings.table.rows()),
         ):
             text = re.sub("<[^>]+>", "", html)
             assert re.search(f"[Ll]evel: {level}", text)

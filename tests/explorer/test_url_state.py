@@ -10,8 +10,9 @@ import pytest
 
 from explorer import session_state, url_state
 from explorer.compute.ranking_job import RankingJob
+from explorer.lab_choices import LabChoices, Selection
 from explorer.opening import open_model
-from explorer.session_state import POSITIVE, Chosen, LabChoices, SessionState
+from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
 from lpn.analysis.analyser import OwnPicture
@@ -70,7 +71,7 @@ def any_choices(rng: Random, queries: int) -> LabChoices:
         outcome=rng.choice(["all", "failed", "found", "only A", "only B"]),
         filter=rng.choice(["", 'rank > 1 and weather = "a & b = c"']),
         name_search=rng.choice(["", "0,0~1%20"]),
-        chosen=tuple(Chosen(f"kind {i}", "ring; 1-2, ≤ 3 m", rows) for i, rows in enumerate(chosen)),
+        selections=tuple(Selection(f"kind {i}", "ring; 1-2, ≤ 3 m", rows) for i, rows in enumerate(chosen)),
         sort_column=rng.choice(["margin", "-odd name"]),
         descending=rng.choice([True, False]),
         columns=rng.choice([None, (), ("district", "a b")]),
@@ -175,9 +176,9 @@ def test_a_closed_laboratory_is_not_in_the_link_and_an_open_one_is_shown_as_it_i
 
 
 def test_a_link_is_bounded_whatever_is_chosen_in_the_laboratory(workspace: Workspace, links: UrlState) -> None:
-    every_other = Chosen("in pca", "lasso", tuple(range(0, 100_000, 2)))
+    every_other = Selection("in pca", "lasso", tuple(range(0, 100_000, 2)))
     columns = ("x" * 900, "y" * 900)
-    choices = LabChoices("maps", chosen=(every_other,), filter="ä" * 1001, columns=columns, colour="z" * 300)
+    choices = LabChoices("maps", selections=(every_other,), filter="ä" * 1001, columns=columns, colour="z" * 300)
     state = replace(start(workspace), lab=True, laboratory=choices)
     assert links.write(state).endswith("lab=1&tab=maps")
     assert len(links.write(replace(state, laboratory=replace(choices, filter="ä" * 1000)))) < 8000
@@ -209,7 +210,7 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale", "first_screen": "screen"}
     named |= {"outcome": "only", "filter": "where", "name_search": "find", "sort_column": "sort", "descending": "order"}
-    named |= {"full_height": "tall", "map": "map", "colour": "by", "why_tab": "reason"}
+    named |= {"full_height": "tall", "map": "map", "colour": "by", "why_tab": "reason", "selections": "chosen"}
     fields = (set(vars(state)) | set(vars(LabChoices()))) - left_out - {"laboratory"}
     assert {named.get(field, field) for field in fields} | {"show", "on"} == set(links.keys)
 

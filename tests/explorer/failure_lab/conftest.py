@@ -47,4 +47,4 @@ def findings(service: FailureLab) -> Findings:
 
 @pytest.fixture
 def lab() -> LabState:
-    return LabState(TASK)
+    return LabState(task=TASK)

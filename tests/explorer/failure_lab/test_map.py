@@ -156,7 +156,7 @@ def test_a_lasso_and_a_click_belong_to_the_map_that_is_shown(
     shown(view, findings, lab, 0, findings.table.rows())
     corners = [(2.0, -2.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0)]
     selected = view.select_lasso(lab, SelectLasso("pca", corners))
-    assert selected.selections[0].rows.tolist() == list(range(13))
+    assert selected.selections[0].rows == tuple(range(13))
     assert selected.selections[0].label == "lasso on the PCA"
     assert view.select_lasso(lab, SelectLasso("ground", corners)) is lab
     rows = view.queries_at(findings, lab, OpenPoint("pca", 4))

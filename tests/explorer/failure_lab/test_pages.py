@@ -10,7 +10,8 @@ import numpy as np
 from explorer.browse.feeds import Feeds
 from explorer.failure_lab import breakdown_page, state, table
 from explorer.failure_lab.service import Findings
-from explorer.failure_lab.state import LabState, Selection
+from explorer.failure_lab.state import LabState
+from explorer.lab_choices import Selection
 from explorer.workspace import Workspace
 from lpn.tasks import notes
 
@@ -62,7 +63,7 @@ def test_rows_are_fetched_in_the_tables_order_and_an_empty_table_says_what_to_do
 
 
 def test_a_chart_says_which_queries_it_counts(workspace: Workspace, findings: Findings, lab: LabState) -> None:
-    some = Selection(
+    some = Selection.of(
         "some",
         "some",
         np.array([np.flatnonzero(outcome)[0] for outcome in (findings.outcomes.failed, ~findings.outcomes.failed)]),
@@ -98,7 +99,7 @@ def test_the_charts_keep_their_places_while_one_chooses(
             )
         ]
 
-    one = Selection("some", "some", np.flatnonzero(findings.outcomes.failed)[:1])
+    one = Selection.of("some", "some", np.flatnonzero(findings.outcomes.failed)[:1])
     whole, narrow = heights(lab), heights(state.add_selection(lab, one))
     assert len(whole) > 2
     assert whole == narrow

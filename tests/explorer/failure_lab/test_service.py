@@ -83,7 +83,7 @@ def test_notes_reach_every_table_and_the_disk(workspace: Workspace, service: Fai
         without = damaged.findings(TASK)
         assert without is not None
         assert "expected path,tags,note" in without.notes_error
-        assert "left out" in table.summary(without, LabState(TASK), without.table.rows())
+        assert "left out" in table.summary(without, LabState(task=TASK), without.table.rows())
     finally:
         (workspace.root / "notes.csv").unlink()
 

@@ -7,8 +7,8 @@ import numpy as np
 from explorer.failure_lab import messages, state, table
 from explorer.failure_lab.messages import ChooseAllRows, ChooseRows, SelectBin, ShowChosenRows
 from explorer.failure_lab.service import Findings
-from explorer.failure_lab.state import LabState, Selection
-from explorer.session_state import LabChoices
+from explorer.failure_lab.state import LabState
+from explorer.lab_choices import LabChoices, Selection
 from explorer.workspace import Workspace
 from lpn.analysis import breakdown
 from lpn.core.tables import Column, number_column, text_column
@@ -22,7 +22,9 @@ def failures(findings: Findings) -> list[int]:
 def test_selections_narrow_each_other(findings: Findings, lab: LabState) -> None:
     failed = failures(findings)
     assert state.selected_rows(findings, replace(lab, outcome="failed")).tolist() == failed
-    both = state.add_selection(replace(lab, outcome="failed"), Selection("some", "some", np.array([*failed[:2], 12])))
+    both = state.add_selection(
+        replace(lab, outcome="failed"), Selection.of("some", "some", np.array([*failed[:2], 12]))
+    )
     assert set(state.selected_rows(findings, both)) == {*failed[:2]} | ({12} & set(failed))
     assert state.selected_rows(findings, both, without="some").tolist() == failed
     assert 12 in state.selected_rows(findings, both, any_outcome=True)
@@ -33,7 +35,7 @@ def test_selections_narrow_each_other(findings: Findings, lab: LabState) -> None
 
 def test_a_selection_replaces_the_one_of_its_kind(lab: LabState) -> None:
     one, other, third = (
-        Selection(kind, label, np.zeros(0, int)) for kind, label in (("a", "x"), ("b", "y"), ("a", "z"))
+        Selection.of(kind, label, np.zeros(0, int)) for kind, label in (("a", "x"), ("b", "y"), ("a", "z"))
     )
     narrowed = lab
     for selection in (one, other, third):
@@ -77,11 +79,11 @@ def test_sorting_twice_turns_the_order_round(findings: Findings, lab: LabState) 
 
 
 def test_what_an_address_keeps_brings_back_the_same_queries(findings: Findings, lab: LabState) -> None:
-    lasso = Selection("in pca", "lasso on the PCA", np.array([0, 2, 3, 5, 8, 12]))
+    lasso = Selection.of("in pca", "lasso on the PCA", np.array([0, 2, 3, 5, 8, 12]))
     shown = state.add_selection(replace(lab, tab="maps", outcome="failed", colour="weather", map="umap"), lasso)
     shown = state.sort_by(state.sort_by(state.set_filter(shown, "altitude > 100", findings.table), "name"), "name")
     shown = state.toggle_column(shown, findings.table, "weather")
-    again = state.with_choices(findings, LabState(TASK, name_search="gone"), state.choices(shown))
+    again = state.with_choices(findings, LabState(task=TASK, name_search="gone"), state.choices(shown))
     assert state.choices(again) == state.choices(shown)
     assert len(state.sorted_rows(findings, shown))
     assert state.sorted_rows(findings, again).tolist() == state.sorted_rows(findings, shown).tolist()
@@ -124,10 +126,10 @@ def test_a_chart_is_not_narrowed_by_a_selection_made_in_it(findings: Findings, l
         index = [rate.name for rate in all_rates].index(weather_name)
         selection = state.select_bin(findings, lab, "weather", index, weather_name)
         assert selection is not None
-        assert selection.rows.tolist() == np.flatnonzero(weather.values == weather_name).tolist()
+        assert list(selection.rows) == np.flatnonzero(weather.values == weather_name).tolist()
         chosen = state.add_selection(replace(lab, outcome="failed"), selection)
         assert state.failure_rates(findings, chosen, weather) == all_rates
-        failures = int(findings.outcomes.failed[selection.rows].sum())
+        failures = int(findings.outcomes.failed[list(selection.rows)].sum())
         expected = len(selection.rows) if 0 < failures < len(selection.rows) else 13  # else every rate would be 0 or 1
         heading = state.failure_rates(findings, chosen, findings.table.columns["heading"])
         assert sum(rate.queries for rate in heading) == expected
@@ -144,7 +146,7 @@ def test_a_bin_of_numbers_holds_the_queries_it_counts(findings: Findings, lab: L
         selection = state.select_bin(findings, lab, "heading", index, rate.name)
         assert selection is not None
         assert len(selection.rows) == rate.queries
-        assert int(findings.outcomes.failed[selection.rows].sum()) == rate.failures
+        assert int(findings.outcomes.failed[list(selection.rows)].sum()) == rate.failures
 
 
 def with_column(findings: Findings, column: Column) -> Findings:
@@ -159,7 +161,7 @@ def test_bins_of_large_numbers_are_named_apart(findings: Findings, lab: LabState
     assert bins[0].name.startswith("1700000000 to 17000003")
     for index, rate in enumerate(bins):
         chosen = messages.apply(SelectBin("time", index, rate.name), lab, timed)
-        assert seconds[chosen.selections[0].rows].min() == rate.low
+        assert seconds[list(chosen.selections[0].rows)].min() == rate.low
         assert len(chosen.selections[0].rows) == rate.queries
 
 
@@ -168,14 +170,14 @@ def test_a_value_named_not_known_differs_from_a_missing_value(findings: Findings
     named = with_column(findings, text_column("sky", values))
     bins = state.failure_rates(named, lab, named.table.columns["sky"])
     selections = [state.select_bin(named, lab, "sky", index, rate.name) for index, rate in enumerate(bins)]
-    rows = {tuple(selection.rows.tolist()) for selection in selections if selection is not None}
+    rows = {selection.rows for selection in selections if selection is not None}
     assert rows == {(0, 1, 2, 3), (4, 5, 6, 7, 8), (9, 10, 11, 12)}
 
 
 def test_a_description_names_every_condition_and_the_order(findings: Findings, lab: LabState) -> None:
     assert state.describe(findings, lab) == "all, sorted by margin"
-    pair = Selection("pair", "0449 taken for 0450", np.array([1, 2]))
-    part = Selection("part", "part ring 1 lowers the margin most", np.array([1]))
+    pair = Selection.of("pair", "0449 taken for 0450", np.array([1, 2]))
+    part = Selection.of("part", "part ring 1 lowers the margin most", np.array([1]))
     busy = state.add_selection(
         state.add_selection(replace(lab, outcome="failed", filter="rank > 1 ", name_search=" 0002 "), pair), part
     )
@@ -193,7 +195,7 @@ def test_pairs_and_parts_select_the_failures_they_count(
     for one in breakdown.confusions(findings.outcomes, task.query_labels, task.gallery_labels):
         selection = state.select_pair(findings, lab, one.place, one.answered)
         assert selection is not None
-        assert selection.rows.tolist() == one.queries.tolist()
+        assert list(selection.rows) == one.queries.tolist()
         assert selection.label == f"{one.place:04d} taken for {one.answered:04d}"
     assert state.select_pair(findings, lab, 1, 999) is None
     blamed = [state.select_part(findings, part) for part in range(len(workspace.part_names))]
@@ -205,7 +207,7 @@ def test_another_task_begins_with_all_its_queries(lab: LabState) -> None:
     busy = replace(
         lab,
         filter="rank > 1",
-        selections=(Selection("a", "x", np.zeros(0, int)),),
+        selections=(Selection.of("a", "x", np.zeros(0, int)),),
         tab="maps",
         full_height=True,
     )

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import msgspec
@@ -11,9 +11,10 @@ import pytest
 from explorer.browse.feeds import Feeds
 from explorer.failure_lab import messages, state, table
 from explorer.failure_lab.service import FailureLab, Findings
-from explorer.failure_lab.state import LabState, Selection
+from explorer.failure_lab.state import LabState
 from explorer.failure_lab.window import FailureLabWindow
-from explorer.session_state import LabChoices, SessionState
+from explorer.lab_choices import CHOICES, LabChoices, Selection, from_view
+from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
 from explorer.web.messages import Receivers
 from explorer.workspace import Workspace
@@ -56,7 +57,7 @@ def busy(lab: LabState) -> LabState:
         filter="altitude > 0",
         filter_typed="altitude > 0",
         name_search="00",
-        selections=(Selection("in pca", "lasso on the PCA", np.array([1, 4, 6])),),
+        selections=(Selection.of("in pca", "lasso on the PCA", np.array([1, 4, 6])),),
         sort_column="name",
         descending=True,
         tab="maps",
@@ -105,7 +106,7 @@ def test_a_view_of_other_data_says_what_is_missing(findings: Findings, lab: LabS
     assert (shown.outcome, shown.map, shown.filter) == ("all", "pca", "")
     assert "There is no column" in shown.filter_error
     assert shown.selections[0].label == "twins (2 no longer there)"
-    assert shown.selections[0].rows.tolist() == [2]
+    assert shown.selections[0].rows == (2,)
 
 
 def test_the_drawer_offers_what_can_be_done(findings: Findings, lab: LabState) -> None:
@@ -165,3 +166,14 @@ def test_the_window_follows_a_resize_while_it_is_placed_and_keeps_room_for_its_t
     for _ in range(3):
         window._place(False)
     assert [(place["width"], place["height"]) for place in placed] == [(888, 498), (638, 368)]
+
+
+def test_one_table_covers_every_choice_of_the_laboratory() -> None:
+    assert [choice.field for choice in CHOICES if choice.field != "selections"] == [
+        field.name for field in fields(LabChoices) if field.name != "selections"
+    ]
+    at_first = NamedView("v", TASK)
+    kept = {choice.view: choice for choice in CHOICES if choice.view} | {"chosen": CHOICES[-1]}
+    assert {"name", "task", *kept} == set(NamedView.__struct_fields__)
+    odd = msgspec.structs.replace(at_first, outcome="lost", tab="attic", map="moon")
+    assert from_view(LabChoices("maps", map="umap"), odd) == LabChoices("maps", map="umap")

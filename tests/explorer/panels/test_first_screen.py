@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from explorer import session_state
+from explorer.lab_choices import LabChoices, Selection
 from explorer.opening import open_model, open_saved
 from explorer.panels import answer_text, first_screen, pages
-from explorer.session_state import Chosen, LabChoices, SessionState, StateChange
+from explorer.session_state import SessionState, StateChange
 from explorer.url_state import UrlState
 from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
@@ -211,7 +212,7 @@ def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
 def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
     kept = LabChoices("table", sort_column="rank", columns=("rank",), full_height=True, map="umap", colour="altitude")
     filters = {"outcome": "failed", "filter": "rank > 9", "name_search": "0001"}
-    chosen = replace(kept, chosen=(Chosen("rows", "6 rows", (1, 2)),), **filters)  # type: ignore[arg-type]
+    chosen = replace(kept, selections=(Selection("rows", "6 rows", (1, 2)),), **filters)  # type: ignore[arg-type]
     state, shown = SessionState(TASK, 4, first_screen=True, laboratory=chosen), []
     gui, navigation = SimpleNamespace(add_html=lambda _: None), SimpleNamespace()
     for name in ("random", "previous", "next", "failure"):

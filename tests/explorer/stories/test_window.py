@@ -16,7 +16,8 @@ import pytest
 
 from explorer.failure_lab.service import FailureLab
 from explorer.flight_window.service import FlightService
-from explorer.session_state import Chosen, LabChoices, SessionState
+from explorer.lab_choices import LabChoices, Selection
+from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
 from explorer.stories import library
 from explorer.stories.messages import StoryMessage
@@ -110,7 +111,9 @@ def test_what_is_shown_is_recorded_with_the_verdict_as_its_caption(page: Page) -
 
 
 def test_a_step_keeps_what_the_laboratory_shows_or_says_what_it_loses(page: Page) -> None:
-    choices = LabChoices("maps", "failed", "rank > 3", colour="rank", chosen=(Chosen("in pca", "lasso", (0, 2, 3)),))
+    choices = LabChoices(
+        "maps", "failed", "rank > 3", colour="rank", selections=(Selection("in pca", "lasso", (0, 2, 3)),)
+    )
     page.window.show(StateAnalyser(page.workspace).analyse(page.state, 5))
     page.state = replace(page.state, lab=True, laboratory=choices)
     page.send("record")
@@ -119,8 +122,8 @@ def test_a_step_keeps_what_the_laboratory_shows_or_says_what_it_loses(page: Page
     kept, problems = page.url_state.read(page.draft.steps[0].shows, SessionState(TASK, 4))
     assert (kept.laboratory, problems) == (choices, [])
     assert "without them" not in str(page.calls)
-    too_many = Chosen("in pca", "lasso", tuple(range(0, 9000, 2)))
-    page.state = replace(page.state, lab=True, laboratory=LabChoices(chosen=(too_many,)))
+    too_many = Selection("in pca", "lasso", tuple(range(0, 9000, 2)))
+    page.state = replace(page.state, lab=True, laboratory=LabChoices(selections=(too_many,)))
     page.send("record")
     assert "too many for an address: the step is without them" in str(page.calls[-1])
     assert page.draft.steps[1].caption, "the laboratory is no part of the verdict"
