@@ -182,7 +182,7 @@ class Explore(ExploreSource):
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, a published .pth, or a name of lpn models; by default the demo's."""
     kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     calibrate: bool = False

@@ -242,7 +242,7 @@ def choose_query(state: SessionState, query: int, queries: int) -> SessionState:
 
 
 def leave_upload(state: SessionState) -> SessionState:
-    """Go from one's own picture back to the chosen query: upright, and compared with its top match."""
+    """Go from the user's own picture back to the chosen query: upright, and compared with its top match."""
     return replace(upright(state), upload=None, selected=None)
 
 

@@ -349,7 +349,7 @@ class StateAnalysis(Analysis):
 
     @property
     def query_note(self) -> str:
-        """The remark beside the query's name; of one's own picture, the zoom that a calibration chose for it."""
+        """The remark beside the query's name; of the user's own picture, the zoom that a calibration chose for it."""
         return self.task.queries[self.state.query].note if self.state.upload is None else zoom_note(self.zoom)
 
 

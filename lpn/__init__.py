@@ -130,7 +130,7 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
                 f"torch.compile is for .safetensors and .pth, and {Path(path).name} is exported; leave --compile out."
             )
         if kind is not None:
-            raise InputError(f"{Path(path).name} tells its kind itself; leave --kind out.")
+            raise InputError(f"{Path(path).name} contains its kind; leave --kind out.")
         return Engine(path, provider=provider)
     try:
         from lpn.models.adapters.load import load_file

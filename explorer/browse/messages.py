@@ -1,4 +1,4 @@
-"""The messages of the lists of pictures, and of one's own pictures; none of them is trusted."""
+"""The messages of the lists of pictures, and of the user's own pictures; none of them is trusted."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ class OwnPictures:
         self._go = Html(gui)
 
     def receive(self, message: BrowseMessage) -> None:
-        """Do what a message about one's own pictures asks for."""
+        """Do what a message about the user's own pictures asks for."""
         match message:
             case BeginBatch():
                 self._begin(message)

@@ -75,7 +75,7 @@ def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None
             place = _elsewhere(analysis) or f"Its GPS tag lies {distance(error)} from the middle of this tile"
         return None, "Your picture: nearest tile", f"{place}; {gap}."
     if analysis.positive is None and depth is not None:
-        return False, f"No true tile among the {depth} found", "The search does not tell what follows them."
+        return False, f"No true tile among the {depth} found", "The search returned no tiles after them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)
     return verdicts.verdict(first, analysis.positive, hardest_negative, part_names, _error_m(analysis))
 
@@ -99,7 +99,7 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
 
 
 def own_hint(workspace: Workspace, rendered: bool) -> str:
-    """Say which pictures of one's own are taken, and what is done with them, before one is chosen.
+    """Say which own pictures are taken, and what is done with them, before one is chosen.
 
     Args:
         rendered: the workspace shows a rendered city.
@@ -129,7 +129,7 @@ def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 
 def _elsewhere(analysis: StateAnalysis) -> str:
-    """Say that no tile is near the GPS tag of one's own picture; "" if one is, or without a tag."""
+    """Say that no tile is near the GPS tag of the user's own picture; "" if one is, or without a tag."""
     if analysis.state.upload is None or analysis.errors_m is None:
         return ""
     nearest = float(analysis.errors_m.min())  # NaN if a tile has no position, which may then show the place

@@ -157,7 +157,7 @@ def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
 
 
 def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, altered: bool) -> str:
-    """Say how often the model is right, and if it is calibrated; of one's own picture, what becomes of it."""
+    """Say how often the model is right, and if it is calibrated; of the user's own picture, what becomes of it."""
     if not analysis.state.upload:
         text = answer_text.overall(workspace.rankings[analysis.task.name].result, altered)
         if text and workspace.has_flight:

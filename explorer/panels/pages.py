@@ -26,7 +26,7 @@ SAVED_NOTE = (
     "These are descriptors without their network: queries cannot be rotated or uploaded, and there are no heatmaps."
 )
 RINGS_NOTE = "Rings are drawn as published."
-ARRAYS_NOTE = "Plain arrays do not tell where a part lies in a picture."
+ARRAYS_NOTE = "Plain arrays do not say where a part lies in a picture."
 PARTS_NOTE = "Switch parts off or weight them: the ranking follows at once. R@1 at the top right is always that of equal weights."
 
 

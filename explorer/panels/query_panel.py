@@ -33,7 +33,7 @@ class QueryPanel:
 
     Attributes:
         compare_models: called to compare with the second model.
-        own: one's own pictures; None without a network to describe them.
+        own: the user's own pictures; None without a network to describe them.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class QueryPanel:
             self._city.visible = visible
 
     def show(self, analysis: StateAnalysis) -> None:
-        """Show the list of pictures around the state's query, and one's own."""
+        """Show the list of pictures around the state's query, and the user's own."""
         self.list.show(analysis)
         if self.own is not None:
             self.own.show(analysis.state)

@@ -237,7 +237,7 @@ class GalleryMap:
     ) -> None:
         """Draw a line to the compared tile, and frame the positive.
 
-        The line begins at the query's camera, at the marked GPS tag of one's own picture, or without either at the positive.
+        The line begins at the query's camera, at the marked GPS tag of the user's own picture, or without either at the positive.
         """
         segments: list[tuple[AnyArray, AnyArray, theme.Colour]] = []
         chosen = self._to_stage(places.ground[analysis.chosen.index], 0.0, lift)

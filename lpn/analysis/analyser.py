@@ -33,7 +33,7 @@ class OwnPicture:
 
     Attributes:
         picture: (H, W, 3) uint8.
-        place: latitude and longitude of the camera in degrees; None where the file does not tell.
+        place: latitude and longitude of the camera in degrees; None if the file has none.
     """
 
     name: str
@@ -87,10 +87,10 @@ class Analysis:
         chosen: the compared tile.
         tile: the compared tile, described.
         positive: the nearest positive; None if the query has none, or its place is not known.
-        errors_m: metres from the place that the query shows to each tile, (G,); of one's own picture, from its camera. None
+        errors_m: metres from the place that the query shows to each tile, (G,); of the user's own picture, from its camera. None
             without positions.
         source: the query's picture before the change, (H, W, 3) uint8.
-        zoom: of the query's picture, see `Picture.zoom`; of one's own picture the one that a calibration chose.
+        zoom: of the query's picture, see `Picture.zoom`; of the user's own picture the one that a calibration chose.
         pair_evidence: None if it was not requested, or there is no network.
         seconds: time that the analysis took.
     """
@@ -196,7 +196,7 @@ class QueryAnalyser:
         return images.crop(self._load(picture), picture.box, picture.name)
 
     def _own_zoom(self, task: Task, own: OwnPicture) -> float:
-        """Return the zoom that the task's calibration chooses for one's own picture; 1 without one."""
+        """Return the zoom that the task's calibration chooses for the user's own picture; 1 without one."""
         if self._model is None or task.calibration is None:
             return 1.0
         return task.calibration.own_zoom(self._model, own.picture, task.query_view)
@@ -212,7 +212,7 @@ class QueryAnalyser:
 
 
 def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64Array | None:
-    """Return metres from a query's place to each tile, (G,); of one's own picture, from its camera."""
+    """Return metres from a query's place to each tile, (G,); of the user's own picture, from its camera."""
     if task.geometry is None:
         return None
     if index is not None:

@@ -55,7 +55,7 @@ def answers_alike(
     """Count how often the answers whose gaps are nearest to a given one are right; None where there are too few.
 
     The gap is d² of the second tile minus that of the answer. It needs no truth, so that it is the same for a graded query and
-    for a picture of one's own. The answers counted are the nearest tenth of all graded ones, at least 50, with those that are as
+    for the user's own picture. The answers counted are the nearest tenth of all graded ones, at least 50, with those that are as
     near as the farthest of them. A gap above those of all graded answers has none alike.
 
     Args:

@@ -52,7 +52,7 @@ class RankedModel:
             the true tiles, as it does not list the others.
         labels: the place of each query, (Q,).
         first: 0-based rank of each query's first true match, -1 without one, (Q,); the depth of a search beyond it.
-        precision: average precision of each query, 0 .. 1, (Q,); NaN where a search does not tell all ranks.
+        precision: average precision of each query, 0 .. 1, (Q,); NaN if a search does not return all ranks.
     """
 
     name: str
@@ -144,7 +144,7 @@ class ModelTable:
 
     @cached_property
     def figures(self) -> list[dict[str, Estimate]]:
-        """For each model its `R@1`, `R@5`, `R@10`, and, unless a search does not tell it, `AP`, in percent."""
+        """For each model its `R@1`, `R@5`, `R@10`, and `AP`, in percent; without `AP` if a ranking is incomplete."""
         ranked_all = not any(np.isnan(one.precision).any() for one in self.models)
         names = [*(f"R@{depth}" for depth in DEPTHS), *(["AP"] if ranked_all else [])]
         values = np.stack(

@@ -85,8 +85,8 @@ class ComparedModels:
     """Models (.onnx, .safetensors, .pth, or a name of lpn models); of a data set also results of the published test code
     (pytorch_result.mat)."""
     kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
-    """Method of each model in their order: auto, or, for a published .pth whose entries do not tell it, such as dac; by default
-    auto for all (docs/models.md)."""
+    """Method of each model in their order: auto, or, for a published .pth that its entries do not identify, such as dac;
+    by default auto for all (docs/models.md)."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
 

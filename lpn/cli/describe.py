@@ -30,7 +30,7 @@ class DescribeCommand:
     out: str
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
     kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     images: str | None = None
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
     map: Path | None = None
@@ -136,7 +136,7 @@ class DescribeCommand:
         if self.compile or self.provider not in ("auto", "cpu"):
             raise InputError("Ray's workers compute on the CPU; leave --provider and --compile out, or --engine ray.")
         if self.kind is not None:
-            raise InputError("Ray's workers take an .onnx, which tells its kind itself; leave --kind out.")
+            raise InputError("Ray's workers take an .onnx, which contains its kind; leave --kind out.")
         if self.precision == "int8":
             raise InputError("Shards hold float32 or float16; give one of these as --precision.")
         summary = describe_shards(

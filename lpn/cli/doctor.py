@@ -23,7 +23,7 @@ class DoctorCommand:
     model: Path | None = None
     """Model to check: how far its evidence is exact, proved on pictures of --data, or on coloured squares without it."""
     kind: Kind | None = None
-    """With --model: method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """With --model: method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     quick: bool = False
     """Read only the header and end of each picture, without decoding it."""
     json: Path | None = None

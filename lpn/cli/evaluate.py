@@ -164,7 +164,7 @@ class EvaluationOfArrays(EvaluationOfSource):
 
 @dataclass(kw_only=True)
 class EvaluationOfIndex(EvaluationOfSource):
-    """Measure recall of the searches of an index; AP takes all ranks, which a search does not tell."""
+    """Measure recall of the searches of an index; AP needs all ranks, and a search returns only the first."""
 
     source: Indexed
 
@@ -186,7 +186,7 @@ class EvaluationOfFlight:
     model: Path | None = None
     """Trained model for retrieval and sequence, as for lpn evaluate; without one, registration alone."""
     kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     prior: float | None = None

@@ -34,7 +34,7 @@ class ExplainCommand:
     match: Path
     """Picture file of the tile to compare with."""
     kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     view_query: View = "drone"
     """View of the query: the branch that describes it."""
     view_match: View = "satellite"

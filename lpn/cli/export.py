@@ -20,7 +20,7 @@ class ExportCommand:
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
     kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     storage: Literal["float32", "float16", "int8"] = "float32"
     """Precision of the weights in the file: float16 halves it, int8 reduces it to about a third; all compute in float32."""
 

@@ -30,9 +30,9 @@ class FlightCommand:
     gps_order: Literal["lat-lon", "lon-lat"] | None = None
     """Order of the first two values of GPS(a, b, c) in subtitles; by default found out, and a note tells of a guess."""
     fov: float | None = None
-    """Horizontal field of view in degrees of frames that do not tell it."""
+    """Horizontal field of view in degrees, for frames whose files have none."""
     pitch: float | None = None
-    """Pitch in degrees of frames that do not tell it; -90 is straight down."""
+    """Pitch in degrees, for frames whose files have none; -90 is straight down."""
 
     def run(self) -> None:
         from lpn.core.errors import InputError

@@ -88,7 +88,7 @@ class SearchCommand:
     picture: Path
     """Picture file to find."""
     kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     view: View = "drone"
     """View of the picture: the branch that describes it."""
     rotate: float = 0.0

@@ -33,7 +33,7 @@ class LocateCommand:
     model: Path | None = None
     """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
     kind: Kind | None = None
-    """Method of a published .pth whose entries do not tell it, such as dac; see docs/models.md."""
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     index: str | None = None
     """Index of the map's windows by this model, which are not described again then: a folder, or milvus://host:port/collection."""
     provider: ProviderName = "auto"

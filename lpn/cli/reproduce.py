@@ -75,7 +75,7 @@ class ReproduceCommand:
                 "give --seeds" if fixed[0] == "seed" else "train that network with lpn train and give it with --model"
             )
             raise InputError(
-                f"--{fixed[0].replace('_', '-')} tells the rows of the tables apart, so it cannot be changed for all of them; "
+                f"--{fixed[0].replace('_', '-')} distinguishes the rows of the tables, so it cannot be changed for all of them; "
                 f"leave it out, or {other}."
             )
         keys = KEYS if self.what == ("all",) else tuple(dict.fromkeys(self.what))

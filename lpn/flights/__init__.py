@@ -1,4 +1,4 @@
-"""Flights: pictures with the camera's position, height, heading, and field of view, as far as files tell them.
+"""Flights: pictures with the camera's position, height, heading, and field of view, as far as their files have them.
 
     make_flight(files, "flights/monday")    # photos, or videos with subtitles; logs
     open_flight("flights/monday")           # that folder, or a folder of photos

@@ -20,7 +20,7 @@ HeadingSource = Literal["gimbal", "camera", "aircraft", "course"]
 
 @dataclass(frozen=True)
 class Frame:
-    """One picture of a flight. Every number that no file tells is None.
+    """One picture of a flight. Every number that no file has is None.
 
     Attributes:
         name: unique in its flight.

@@ -49,7 +49,7 @@ class ClockFit:
     """How photos fit a log by their clocks.
 
     Attributes:
-        offset: seconds to add to a photo's clock for that of the log; None if it cannot be told.
+        offset: seconds to add to a photo's clock for that of the log; None if it cannot be estimated.
         basis: the photos' clock: "UTC", or "their clock".
         sentence: the end of a note: how they fit, or why they do not.
     """
@@ -145,7 +145,7 @@ def _by_zone(telemetry: Telemetry, times: Float64Array, places: Float64Array, ba
         return ClockFit(
             None,
             basis,
-            f"the photos' times lie within it at several offsets, and nothing tells the right one: {named}",
+            f"the photos' times lie within it at several offsets, and nothing decides between them: {named}",
         )
     offset = sign * fitting[0] * _HOUR
     clock = "the log's clock is" if basis == _UTC else "the photos' clock is"
@@ -177,7 +177,7 @@ def _by_places(
     alike = offsets[(np.abs(offsets - offsets[best]) <= _ONE) & (offs <= offs[best] + 1.0)]
     offset = float(np.median(alike))
     sentence = (
-        f"with a constant offset that the photos' own positions tell: the log's clock is {_behind(offset)} the photos'"
+        f"with a constant offset that the photos' own positions imply: the log's clock is {_behind(offset)} the photos'"
     )
     return ClockFit(offset, basis, sentence)
 

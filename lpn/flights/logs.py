@@ -164,7 +164,7 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     clocks = [row.entry.clock if math.isnan(row.entry.time) else row.entry.time for row in log.rows]
     timed = [(row, time) for row, time in zip(log.rows, clocks, strict=True) if time is not None]
     if not timed:
-        raise DataError(f"{log.name} tells no times, so it does not fit a video; expected a column time or datetime.")
+        raise DataError(f"{log.name} has no times, so it does not fit a video; expected a column time or datetime.")
     starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
     ends = [next((j for j in range(i, len(timed)) if not timed[j][0].recording), len(timed)) for i in starts]
     notes, start = [], None
@@ -174,12 +174,12 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
         notes.append(note)
     if number >= len(starts):
         raise DataError(
-            f"{log.name} tells of {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
+            f"{log.name} has {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
         )
     first, end = starts[number], ends[number]
     if start is None and timed[end - 1][1] - timed[first][1] < _LEAST_RECORDING:
         end = starts[number + 1] if number + 1 < len(starts) else len(timed)
-        notes.append(f"{log.name} tells when the video began and not how long it is; all rows from there on were used.")
+        notes.append(f"{log.name} has the start of the video but not its length; all rows from there on were used.")
     start = timed[first][1] if start is None else start
     entries, note_of_twice = _distinct(
         [replace(row.entry, time=time - start) for row, time in timed[first:end]], log.name
@@ -196,7 +196,7 @@ def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]])
             time + began - clock,
             f"The time in the video's file says where in {log.name} it began; that clock may be wrong.",
         )
-    return None, f"{log.name} does not tell when the video began; its first row counts as the beginning."
+    return None, f"{log.name} does not say when the video began; its first row counts as the beginning."
 
 
 @dataclass(frozen=True)

@@ -443,7 +443,7 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
             continue
         if convention == "on platform":
             if None in platform or None in values:
-                known.oddities.append(f"has {name} against an aircraft whose angles are not told; it was not used")
+                known.oddities.append(f"has {name} against an aircraft whose angles are unknown; it was not used")
                 continue
             yaw, pitch, roll = (a + b for a, b in zip(values, platform, strict=True) if a is not None and b is not None)
         elif convention == "nadir" and pitch is not None and pitch < _MOST_BACK:
@@ -646,7 +646,7 @@ def _name_the_rest(known: _Metadata) -> None:
     for names, predicate in (
         (unread, "has values that look like a position, height, or angle and were not read"),
         (xmp.unreadable, "has values that cannot be read"),
-        (xmp.contradictory, "tells some properties twice, and the first value was used"),
+        (xmp.contradictory, "has some properties twice with different values, and the first value was used"),
     ):
         if names:
             known.oddities.append(f"{predicate}: {first_few([printable(name)[:60] for name in names], _NAMED)}")
@@ -740,7 +740,7 @@ def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
     if not is_utc and known:
         start = min(known)
         timed = [frame if frame.time is None else replace(frame, time=frame.time - start) for frame in timed]
-        notes.append("No photo tells its time in UTC: times are seconds since the first photo.")
+        notes.append("No photo has its time in UTC: times are seconds since the first photo.")
     if len(known) < len(timed):
         notes.append(
             f"{len(timed) - len(known)} of {len(timed)} photos have no time: the photos are in the order of their names."

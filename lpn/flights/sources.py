@@ -470,7 +470,7 @@ def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> t
     else:
         offsets = [sum(part.duration for part, _ in parts[:i]) for i in range(len(parts))]
         if len(parts) > 1:
-            notes.append(f"Not all of the {len(parts)} videos tell when they began; their times follow one another.")
+            notes.append(f"Not all of the {len(parts)} videos have a start time; their times follow one another.")
     frames = [
         replace(frame, time=(frame.time or 0.0) + offset)
         for (part, _), offset in zip(parts, offsets, strict=True)

@@ -38,7 +38,7 @@ from lpn.tasks.task import RankUnderWeights, Task
 
 # Number of tiles that a search returns by default.
 DEPTH = 100
-# Smallest depth: R@10 is told.
+# Smallest depth, because R@10 is reported.
 MIN_DEPTH = 10
 # Labels of tiles that no data set names begin here.
 _NO_PLACE = 1 << 40
@@ -242,7 +242,7 @@ def index_task(
         StoreError: if the index cannot be read, or holds descriptors of another model.
     """
     if check_count(depth, "depth") < MIN_DEPTH:
-        raise InputError(f"The depth is {depth}; expected {MIN_DEPTH} or more, as R@10 is told.")
+        raise InputError(f"The depth is {depth}; expected {MIN_DEPTH} or more, because R@10 is reported.")
     if not index.tiles:
         raise InputError("The index holds no tiles; add some with lpn index.")
     views = views_of(queries.name)

@@ -56,7 +56,7 @@ class TileSource:
 
 
 def open_tiles(where: str, data: Path | None = None) -> TileSource:
-    """Open a store or shards of descriptors. Windows of a map have the positions that their names tell.
+    """Open a store or shards of descriptors. Windows of a map have the positions in their names.
 
     Args:
         where: folder of a store, or folder or address of shards.

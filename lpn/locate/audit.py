@@ -25,7 +25,7 @@ class TagAudit:
     Attributes:
         frames: frames with both.
         median, largest: metres between tag and registered position.
-        lag: seconds by which tags are late; None if it cannot be told.
+        lag: seconds by which tags are late; None if it cannot be estimated.
         lag_error: its standard error in seconds.
         without_lag: median of the metres that remain without the lag and a constant offset.
         ahead: metres flown in the lag at the median speed, which a tilted camera may look ahead instead (behind, if negative);
@@ -47,10 +47,10 @@ class TagAudit:
             return "No frame has both a tag and a registered position, so the tags were not checked."
         off = f"up to {self.largest:.0f} m off, {self.median:.1f} m in the median"
         if self.lag is None or self.lag_error is None or self.without_lag is None:
-            return f"The tags of {self.frames} frames are {off}, against registered positions; no lag can be told."
+            return f"The tags of {self.frames} frames are {off}, against registered positions; the lag cannot be estimated."
         # A lag that is as small as its error, or explains nothing, is none.
         if abs(self.lag) < 3 * self.lag_error or abs(self.lag) < 0.3 or self.without_lag > 0.9 * self.median:
-            return f"The tags of {self.frames} frames are {off}, against registered positions; no lag can be told."
+            return f"The tags of {self.frames} frames are {off}, against registered positions; the lag cannot be estimated."
         word = "lag" if self.lag > 0 else "are early"
         tilted = ""
         if self.ahead is not None:
@@ -71,7 +71,7 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
     Args:
         times: seconds, (N,); NaN where unknown.
         tags, positions: metres east and north, (N, 2); NaN rows where there is none.
-        middles: whether positions are of the pictures' middles, so that a camera that looks ahead cannot be told from a lag.
+        middles: True if positions are of the pictures' middles; a camera that looks ahead then looks like a lag.
 
     Raises:
         InputError: if the shapes differ.

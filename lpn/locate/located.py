@@ -207,9 +207,9 @@ class LocatedFlight:
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
-        A window is a hit if it holds that place. "recall@5 apart" is measured on windows that the registration searches; their
-        centres are at least half a side apart. A frame that cannot be read is a miss, and left out of Dis@K only. Empty without
-        retrieval or such places.
+        A window is a hit if it holds that place. "recall@5 apart" is measured on the windows that the registration searches; the
+        centres of two are at least half a side apart. A frame that cannot be read is a miss, and left out of Dis@K only. Empty
+        without retrieval or such places.
         """
         if self.retrieval is None:
             return {}

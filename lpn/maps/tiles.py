@@ -243,7 +243,7 @@ class TileRaster:
             self._order_notes.append(f"In {self._name}, {how}: {why}.")
         elif not (fitting or tiles.named or said is not None):
             self._order_notes.append(
-                f"{self._name} does not tell where its rows begin; they are counted from the north (XYZ). For rows from the "
+                f"{self._name} does not say where its rows begin; they are counted from the north (XYZ). For rows from the "
                 "south (TMS), add a tilemapresource.xml."
             )
         return order

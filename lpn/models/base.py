@@ -26,7 +26,7 @@ Floats = TypeVar("Floats", Float32Array, Float64Array)
 class Model(ABC):
     """A trained part-based model, ready to describe pictures.
 
-    A model of one's own sets `contract` and defines `run`, and `heads` where it has static ones. Images are (B, 3, H, W)
+    A user's own model sets `contract` and defines `run`, and `heads` where it has static ones. Images are (B, 3, H, W)
     float32, RGB, normalised as the contract says, as NumPy array or torch tensor.
 
     Attributes:

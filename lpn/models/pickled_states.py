@@ -311,7 +311,7 @@ def _no_state(loaded: object, path: Path) -> ModelFileError:
         named = first_few([printable(str(key))[:40] for key in states], 4)
         expression = "torch.load({}, 'cpu')" + _subscript([next(iter(states))])
         return ModelFileError(
-            f"{path.name} holds several state dicts ({named}), and no name tells which is the model; "
+            f"{path.name} holds several state dicts ({named}), and no name says which one is the model; "
             f"{save_again(path, expression)}."
         )
     if "param_groups" in loaded:

@@ -107,7 +107,7 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
         ("R@10", task.metrics["recall@10"], "among the first 10"),
         ("AP", task.metrics["ap"], "mean average precision"),
     ]
-    # AP takes all ranks, which a search does not tell.
+    # AP needs all ranks, and a search returns only the first.
     return [figure for figure in figures if not math.isnan(figure[1])]
 
 

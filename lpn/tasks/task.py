@@ -200,7 +200,7 @@ class Task(ABC):
 
     @cached_property
     def metrics(self) -> dict[str, float]:
-        """Recall and AP in percent under the part weights, see `metrics.evaluate`; NaN where a search does not tell it."""
+        """Recall and AP in percent under the part weights, see `metrics.evaluate`; NaN for AP of a search."""
         return self.retrieved.metrics(self.known)
 
     def evaluate(self, protocol: EvaluationProtocol | None = None) -> Result:

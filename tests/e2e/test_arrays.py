@@ -44,7 +44,7 @@ def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Cal
         header = explorer.page.locator("#lpn-header")
         for text in ("q.npy", "n = 2, no network", "5 queries", "8 tiles"):
             expect(header).to_contain_text(text)
-        expect(explorer.page.locator("#lpn-saved")).to_contain_text("do not tell where a part lies")
+        expect(explorer.page.locator("#lpn-saved")).to_contain_text("do not say where a part lies")
         for label in ("Parts", "Take apart", "Heatmap"):
             expect(explorer.page.locator(f'label:text-is("{label}")')).to_have_count(0)
         unit = [side / np.linalg.norm(side, axis=2, keepdims=True) for side in (query, places)]

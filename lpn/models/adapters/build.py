@@ -193,7 +193,7 @@ def _one_vector(method: str, prefixes: tuple[tuple[str, ...], ...], entries: Ent
         mean, std = timm_networks.normalisation(stated)
     elif not own.tells_normalisation:
         log.warning(
-            "%s does not tell which network of timm it holds; pictures are normalised with the mean %s and the standard "
+            "%s does not say which network of timm it holds; pictures are normalised with the mean %s and the standard "
             "deviation %s. If its network takes others, write its name as `model: NAME` into an opts.yaml beside the file.",
             printable(entries.name),
             mean,

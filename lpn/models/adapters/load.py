@@ -34,7 +34,7 @@ def load_file(
     if not holds_safetensors(path) or not is_own(path):
         return load_published(path, device, compiled, kind)
     if kind is not None:
-        raise InputError(f"{path.name} tells its kind itself; leave --kind out.")
+        raise InputError(f"{path.name} contains its kind; leave --kind out.")
     return load_torch(path, device, compiled)
 
 

@@ -26,7 +26,7 @@ NORM_HELD = "the LayerNorm's mean and variance"
 
 @dataclass(frozen=True)
 class PublishedParts:
-    """A model as its checkpoint tells.
+    """A model that a checkpoint describes.
 
     Attributes:
         contract: what the model says of itself.

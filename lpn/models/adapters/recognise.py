@@ -117,8 +117,8 @@ def recognise(keys: Collection[str], name: str) -> Kind:
     convnext = [key for key in keys if "model_1.convnext." in key]
     if convnext and not any("tri_layer" in key for key in keys):
         raise ModelFileError(
-            f"{name} holds a ConvNeXt under model_1.convnext and nothing that tells DAC from CAMP; say which with --kind dac or "
-            "--kind camp, of a second model with --beside-kind."
+            f"{name} holds a ConvNeXt under model_1.convnext and nothing that distinguishes DAC from CAMP; say which with "
+            "--kind dac or --kind camp, of a second model with --beside-kind."
         )
     # A file of another branch alone is nearest to its own method, too.
     alike = [re.sub(r"^model_\d\.", "model_1.", key) for key in keys]

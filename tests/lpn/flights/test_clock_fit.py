@@ -101,7 +101,7 @@ def test_positions_of_the_photos_tell_an_offset_that_is_no_zone(tmp_path: Path, 
     photos(tmp_path / "photos", [20, 130, 300, 420, 560], offset, positioned=True)
     flight = make_flight([tmp_path / "photos", a_log(tmp_path / "log.csv")], tmp_path / "flight")
     assert (
-        f"with a constant offset that the photos' own positions tell: the log's clock is {words} the photos'"
+        f"with a constant offset that the photos' own positions imply: the log's clock is {words} the photos'"
         in note_of(flight)
     )
     assert is_at_its_seconds(flight)
@@ -129,7 +129,7 @@ def test_an_offset_that_nothing_tells_is_refused(tmp_path: Path) -> None:
         [tmp_path / "photos", a_log(tmp_path / "log.csv", offset=-3 * 3600.0, path=long)], tmp_path / "flight"
     )
     assert note_of(flight).startswith("log.csv fits none of the 2 photos by ")
-    assert "at several offsets, and nothing tells the right one: UTC" in note_of(flight)
+    assert "at several offsets, and nothing decides between them: UTC" in note_of(flight)
     assert all(frame.latitude is None for frame in flight.frames)
     # Another day: no zone fits.
     flight = make_flight([tmp_path / "photos", a_log(tmp_path / "log.csv", offset=30 * 86_400.0)], tmp_path / "other")

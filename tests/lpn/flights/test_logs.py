@@ -110,7 +110,7 @@ def test_airdata_s_feet_become_metres_and_its_recordings_begin_with_the_video(tm
     assert entries[0].altitude == pytest.approx(304.8)
     assert (entries[0].heading, entries[0].heading_source, entries[0].pitch) == (10.0, "gimbal", -90.0)
     assert [entry.time for entry in for_video(log, 1)[0]] == [0.0, 1.0, 2.0, 3.0]
-    with pytest.raises(DataError, match=r"log\.csv tells of 2 recordings, and this is video 3"):
+    with pytest.raises(DataError, match=r"log\.csv has 2 recordings, and this is video 3"):
         for_video(log, 2)
     video = write_video(tmp_path / "a.mp4", 3)
     flight = make_flight([video, tmp_path / "log.csv"], tmp_path / "flight")
@@ -126,9 +126,9 @@ def test_a_log_that_tells_only_when_the_recording_began_is_used_from_there_on(tm
     assert [(entry.time, entry.latitude) for entry in entries] == [
         (float(i), pytest.approx(47.003 + i / 1000)) for i in range(9)
     ]
-    assert notes == ["log.csv tells when the video began and not how long it is; all rows from there on were used."]
+    assert notes == ["log.csv has the start of the video but not its length; all rows from there on were used."]
     assert [entry.time for entry in for_video(log, 1)[0]] == [float(i) for i in range(8)]
-    with pytest.raises(DataError, match=r"log\.csv tells of 2 recordings, and this is video 3"):
+    with pytest.raises(DataError, match=r"log\.csv has 2 recordings, and this is video 3"):
         for_video(log, 2)
 
 
@@ -150,7 +150,7 @@ def test_a_log_that_fits_nothing_is_told_and_the_run_goes_on(tmp_path: Path) -> 
         make_flight([written(tmp_path / "alone", WILDNAV)], tmp_path / "none")
     video = write_video(tmp_path / "a.mp4", 1)
     flight = make_flight([video, tmp_path / "log.csv"], tmp_path / "flight")
-    assert any("log.csv tells no times" in note for note in flight.notes)
+    assert any("log.csv has no times" in note for note in flight.notes)
 
 
 def test_generic_names_units_and_separators_are_known(tmp_path: Path) -> None:

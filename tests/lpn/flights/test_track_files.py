@@ -199,7 +199,7 @@ def test_a_video_takes_its_positions_from_a_track(tmp_path: Path) -> None:
         [47.3 + (frame.time or 0) / 1000 for frame in flight.frames]
     )
     assert any(
-        "track.gpx does not tell when the video began; its first row counts as the beginning" in n for n in flight.notes
+        "track.gpx does not say when the video began; its first row counts as the beginning" in n for n in flight.notes
     )
 
 

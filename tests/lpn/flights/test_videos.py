@@ -113,7 +113,7 @@ def test_several_videos_are_on_one_clock(tmp_path: Path) -> None:
     (tmp_path / "a.SRT").unlink()
     flight = make_flight([tmp_path / "a.mp4", tmp_path / "b.mp4"], tmp_path / "flight")
     assert [(frame.name[0], 1 <= (frame.time or 0) < 2) for frame in flight.frames] == [("a", False), ("b", True)]
-    assert any("Not all of the 2 videos tell when they began" in note for note in flight.notes)
+    assert any("Not all of the 2 videos have a start time" in note for note in flight.notes)
 
 
 def test_broken_videos_are_left_out_and_named(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_tags_without_lag_are_said_to_have_none() -> None:
     times = np.arange(0, 90, 3.0)
     tags = _flown(times) + np.random.default_rng(1).normal(0, 2, (30, 2))
     found = audit_tags(times, tags, _flown(times))
-    assert "no lag can be told" in found.sentence
+    assert "the lag cannot be estimated" in found.sentence
     assert found.frames == 30
 
 

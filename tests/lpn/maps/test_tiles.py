@@ -162,7 +162,7 @@ def test_metadata_decide_about_tiles_that_do_not_tell(tmp_path: Path) -> None:
     north = open_map(write_folder(tmp_path / "plain", plain))
     assert north.frame.latitude == LATITUDE
     assert north.notes[1:] == [
-        "plain does not tell where its rows begin; they are counted from the north (XYZ). For rows from the south (TMS), add a "
+        "plain does not say where its rows begin; they are counted from the north (XYZ). For rows from the south (TMS), add a "
         "tilemapresource.xml."
     ]
     south = write_folder(tmp_path / "south", plain, "{z}/{x}/{south}.png")

@@ -470,7 +470,7 @@ SAVED_AGAIN: dict[str, tuple[Any, str, str]] = {
     ),
     "several networks": (
         lambda state: {"generator": state, "critic": state},
-        "holds several state dicts (generator, critic), and no name tells which is the model; save its weights alone: ",
+        "holds several state dicts (generator, critic), and no name says which one is the model; save its weights alone: ",
         "['generator']",
     ),
 }

@@ -379,7 +379,7 @@ FIELD: dict[str, FieldFile] = {
     ),
     "several, whose names a shell would run": FieldFile(
         saved(lambda state: {"a$(touch b)": state, "b`id`": state}, "it's.pt"),
-        "no name tells which is the model; save its weights alone, by torch.save of its state_dict.",
+        "no name says which one is the model; save its weights alone, by torch.save of its state_dict.",
     ),
     "numbers as names": FieldFile(
         saved(lambda state: {"state_dict": dict(enumerate(state.values()))}),
@@ -575,12 +575,12 @@ FIELD: dict[str, FieldFile] = {
     ),
     "student and teacher": FieldFile(
         saved(lambda state: {"student": state, "teacher": state, "epoch": 3}),
-        "holds several state dicts (student, teacher), and no name tells which is the model; save its weights alone: python",
+        "holds several state dicts (student, teacher), and no name says which one is the model; save its weights alone: python",
     ),
     "settings first": FieldFile(saved(settings_first)),
     "encoder and decoder": FieldFile(
         saved(lambda state: {"encoder": state, "decoder": {"a": torch.zeros(2)}, "best_loss": 0.5}, "checkpoint.tar"),
-        "checkpoint.tar holds several state dicts (encoder, decoder), and no name tells which is the model; save",
+        "checkpoint.tar holds several state dicts (encoder, decoder), and no name says which one is the model; save",
     ),
 }
 

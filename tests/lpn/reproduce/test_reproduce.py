@@ -796,7 +796,7 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
     assert main(["reproduce", "table1", "--data", str(places), "--dropout", "2"]) == 2
     assert "dropout = 2.0" in capsys.readouterr().err
     for flag, expected in (
-        ("--n-parts", "tells the rows of the tables apart"),
+        ("--n-parts", "distinguishes the rows of the tables"),
         ("--maps", "tells"),
         ("--seed", "give --seeds"),
     ):

@@ -163,7 +163,7 @@ def test_a_prefix_of_training_does_not_matter_to_a_kind_that_is_named() -> None:
     for prefix in ("", "_orig_mod.", "module._orig_mod.", "model."):
         state = {f"{prefix}{key}": value for key, value in inner.items()}
         assert unwrapped_as("dac", state) == inner
-        with pytest.raises(ModelFileError, match="nothing that tells DAC from CAMP; say which with --kind dac"):
+        with pytest.raises(ModelFileError, match="nothing that distinguishes DAC from CAMP; say which with --kind dac"):
             unwrapped(state, "net.pth")
     own = {"model.stem.0.weight": torch.ones(1), "model.head.norm.weight": torch.ones(1)}
     assert unwrapped_as("sample4geo", own) == own
