@@ -72,8 +72,11 @@ def _shortened(recipe: Recipe) -> Recipe:
     """Return the recipe with fewer epochs, and warm-up and decay at the same share of them."""
     epochs = max(round(recipe.epochs * FRACTION), 1)
     share = epochs / recipe.epochs
-    decay = min(max(round(recipe.decay_epoch * share), 1), recipe.decay_epoch)
-    return replace(recipe, epochs=epochs, decay_epoch=decay, warmup_epochs=round(recipe.warmup_epochs * share))
+    decay, second = (
+        min(max(round(epoch * share), 1), epoch) for epoch in (recipe.decay_epoch, recipe.second_decay_epoch)
+    )
+    warmup = round(recipe.warmup_epochs * share)
+    return replace(recipe, epochs=epochs, decay_epoch=decay, second_decay_epoch=second, warmup_epochs=warmup)
 
 
 def best(trials: Sequence[Trial]) -> Trial | None:
