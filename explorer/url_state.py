@@ -217,8 +217,7 @@ class UrlState:
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
             raise UnusableError(
-                "a picture of your own is only in the page that loaded it, until you close or reload that page; open the file "
-                "again."
+                "your own picture is only in the page that loaded it, until you close or reload that page; open the file again."
             )
         if query is None:
             raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")

@@ -146,7 +146,7 @@ def test_a_border_does_not_hide_the_order_of_tiles(tmp_path: Path, colour: int) 
     # Nothing else than the colour touches.
     picture[200:300] = colour
     town = open_map(write_folder(tmp_path / "bare", picture))
-    assert any("does not tell" in note for note in town.notes)
+    assert any("does not say where its rows begin" in note for note in town.notes)
 
 
 def test_tiles_that_fit_are_right_against_their_metadata(tmp_path: Path, same: Map) -> None:
@@ -177,7 +177,7 @@ def test_metadata_decide_about_tiles_that_do_not_tell(tmp_path: Path) -> None:
         (south / name).write_text(text)
         town = open_map(south)
         assert (town.frame.latitude, town.frame.longitude) == (LATITUDE, LONGITUDE)
-        assert not any("does not tell" in note for note in town.notes)
+        assert not any("does not say where its rows begin" in note for note in town.notes)
         (south / name).unlink()
 
 

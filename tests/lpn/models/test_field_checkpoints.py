@@ -375,7 +375,7 @@ FIELD: dict[str, FieldFile] = {
     "zeros": FieldFile(written(bytes(5000)), "is full of zeros; its download or copy broke off"),
     "several": FieldFile(
         saved(lambda state: {"a": state, "b": state}, "id_00070000.pt"),
-        "holds several state dicts (a, b), and no name tells",
+        "holds several state dicts (a, b), and no name says which one is the model",
     ),
     "several, whose names a shell would run": FieldFile(
         saved(lambda state: {"a$(touch b)": state, "b`id`": state}, "it's.pt"),

@@ -797,7 +797,7 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
     assert "dropout = 2.0" in capsys.readouterr().err
     for flag, expected in (
         ("--n-parts", "distinguishes the rows of the tables"),
-        ("--maps", "tells"),
+        ("--maps", "distinguishes the rows of the tables"),
         ("--seed", "give --seeds"),
     ):
         assert main(["reproduce", "table1", "--data", str(places), flag, "2"]) == 2
