@@ -12,6 +12,7 @@ from explorer.client.views import ClientViews
 from explorer.compute.worker import DelayedCall
 from explorer.panels.first_screen import plain_state
 from explorer.session_state import SessionState
+from explorer.stage.viewport import MAX_SIDE
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
 
@@ -57,8 +58,8 @@ class PageAddress:
                 return
             self._greeted, self.waiting = True, False
             self._timeout.cancel()
-            if greeting.viewport is not None:
-                self._views.viewport.resize(*greeting.viewport)
+            if (stage := greeting.viewport) is not None and all(1 <= side <= MAX_SIDE for side in stage):
+                self._views.viewport.resize(*map(int, stage))
             self._views.fit(greeting.small)
             search = greeting.search if self._search is None else self._search
             if (other := self._url_state.other_workspace(search)) is not None:

@@ -27,7 +27,7 @@ class Greeting(msgspec.Struct, frozen=True):
         first: its browser asks for the first screen.
         light: its browser asks for the light theme.
         theme: the theme that was chosen in its browser before; None without one.
-        viewport: width and height of its stage; None while it has none.
+        viewport: width and height of its stage, any numbers; None while it has none.
     """
 
     search: str
@@ -35,7 +35,7 @@ class Greeting(msgspec.Struct, frozen=True):
     first: bool = False
     light: bool = False
     theme: str | None = None
-    viewport: tuple[_Side, _Side] | None = None
+    viewport: tuple[float, float] | None = None
 
 
 class Greet(PageMessage, tag="hello"):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy.typing as npt
 
 from lpn.core.arrays import Int64Array
+from lpn.core.errors import InputError
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
 from lpn.retrieval import Match, Ranking
@@ -57,6 +58,10 @@ def effect_on(
     Raises:
         InputError: when the task searches its gallery, as that takes a search for each query.
     """
+    if not task.lists_gallery:
+        raise InputError(
+            "The effect of weights on all queries takes a search for each of them, so it is computed in memory only."
+        )
     return counterfactual.effect(
         *task.sides(), before, after, task.query_labels, task.gallery_labels, task.truth, first
     )

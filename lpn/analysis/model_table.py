@@ -28,6 +28,7 @@ from lpn.descriptors import Reader, cached_descriptors
 from lpn.models.base import Model
 from lpn.retrieval import csls, metrics
 from lpn.retrieval.evaluate import FULL, WITHOUT
+from lpn.retrieval.published_results import PublishedResult, published_pictures
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks.task import Task
 
@@ -255,24 +256,34 @@ def rank_model(
     return _ranked(name, dataset.root, pictures, gallery, compared, pictures.labels)
 
 
-def rank_task(task: Task, name: str, gallery: GalleryChoice = "full") -> RankedModel:
+def rank_published(saved: PublishedResult, name: str, dataset: Dataset, gallery: GalleryChoice = "full") -> RankedModel:
+    """Rank the descriptors of a published result, whatever their norms.
+
+    Raises:
+        InputError: when a picture occurs twice, or the gallery has no distractors to leave out.
+        DataError: when its pictures are not in the data set.
+    """
+    pictures, labels = published_pictures(saved, dataset)
+    for side in (pictures.queries, pictures.gallery):  # rows of one picture are not told apart in another result
+        if repeated := _repeated(geo.names_below(dataset.root, side)):
+            raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
+    return _ranked(name, dataset.root, pictures, gallery, (saved.query, saved.gallery), labels)
+
+
+def rank_task(task: Task, name: str) -> RankedModel:
     """Rank an opened task, whatever it was opened from, under equal part weights.
 
     Indexes count as one gallery if they hold the same number of tiles and the same true ones.
 
     Raises:
-        InputError: when no query's truth is known, a picture occurs twice, or the gallery has no distractors to leave out.
+        InputError: when no query's truth is known.
         StoreError: when an index cannot be read.
     """
     task = replace(task, weights=None)
     task.check_truth()
-    if task.model is None:  # rows of one picture are not told apart in another result
-        for side in (task.queries, task.gallery):
-            if repeated := _repeated([picture.path.as_posix() for picture in side]):
-                raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
     if task.lists_gallery:
         pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
-        return _ranked(name, task.root, pictures, gallery, task.sides(), (task.query_labels, task.gallery_labels))
+        return _ranked(name, task.root, pictures, "full", task.sides(), (task.query_labels, task.gallery_labels))
     retrieval, known = task.retrieved, task.known
     kept = np.ones(len(task.queries), bool) if known is None else known
     queries = np.array(geo.names_below(task.root, task.queries), object)

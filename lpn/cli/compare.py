@@ -71,8 +71,7 @@ class ComparisonOfSources(ABC):
         from lpn.analysis.model_table import rank_task
         from lpn.sources.opened import open_task
 
-        if len(sources) < 2:
-            raise InputError(f"A comparison takes two models or more; found {len(sources)}.")
+        _check_several(len(sources))
         for name, source in sources:
             yield rank_task(open_task(source), name)
 
@@ -82,8 +81,7 @@ class ComparedModels:
     """The compared models."""
 
     models: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Models (.onnx, .safetensors, .pth, or a name of lpn models); of a data set also results of the published test code
-    (pytorch_result.mat)."""
+    """Models (.onnx, .safetensors, .pth, or a name of lpn models)."""
     kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
     """Method of each model in their order: auto, or, for a published .pth that its entries do not identify, such as dac;
     by default auto for all (docs/models.md)."""
@@ -117,9 +115,14 @@ class ComparisonOfPublished(ComparisonOfSources):
     """Data set that they were computed on."""
 
     def _ranked(self) -> Iterator[RankedModel]:
-        names = distinct_names(self.results)
-        sources = [Published(saved=file, data=self.data) for file in self.results]
-        return self._ranked_sources(list(zip(names, sources, strict=True)))
+        from lpn.analysis.model_table import rank_published
+        from lpn.datasets import open_dataset
+        from lpn.retrieval.published_results import load_saved
+
+        _check_several(len(self.results))
+        dataset = open_dataset(self.data)
+        for name, file in zip(distinct_names(self.results), self.results, strict=True):
+            yield rank_published(load_saved(file), name, dataset)
 
 
 @dataclass(kw_only=True)
@@ -194,7 +197,10 @@ class ComparisonOfFlights(ComparisonOfSources):
 
 @dataclass(kw_only=True)
 class CompareCommand(ComparisonOfSources):
-    """Compare two or more models on the same queries and gallery: figures with intervals, and paired tests."""
+    """Compare two or more models on the same queries and gallery: figures with intervals, and paired tests.
+
+    Results of the published test code (pytorch_result.mat) may stand among the models.
+    """
 
     SOURCES: ClassVar[dict[str, type[ComparisonOfSources]]] = {
         Published.WORD: ComparisonOfPublished,
@@ -217,11 +223,10 @@ class CompareCommand(ComparisonOfSources):
     (docs/evaluation.md); a row of its own. 0 for none."""
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.analysis.model_table import rank_model, rank_task
+        from lpn.analysis.model_table import rank_model, rank_published
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.published_results import load_saved
-        from lpn.tasks.published_task import published_task
 
         if self.csls < 0:
             raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
@@ -246,10 +251,10 @@ class CompareCommand(ComparisonOfSources):
                     raise InputError(
                         f"{name} holds descriptors and needs no kind; give auto in place of {options.kind}."
                     )
-                result = published_task(load_saved(options.model), dataset)
-                if result.name != task:
-                    raise InputError(f"{name} is a result of {result.name}; expected {task}, so choose it with --task.")
-                yield rank_task(result, name, self.gallery)
+                result = rank_published(load_saved(options.model), name, dataset, self.gallery)
+                if result.task != task:
+                    raise InputError(f"{name} is a result of {result.task}; expected {task}, so choose it with --task.")
+                yield result
             else:
                 model = options.load()
                 read = descriptor_reader(dataset.root)
@@ -260,6 +265,11 @@ class CompareCommand(ComparisonOfSources):
                     rows[f"{list(rows)[-1]}, CSLS"] = (self.calibrate, self.csls)
                 for title, (calibrated, neighbours) in rows.items():
                     yield rank_model(model, title, dataset, task, self.gallery, read, calibrated, neighbours)
+
+
+def _check_several(models: int) -> None:
+    if models < 2:
+        raise InputError(f"A comparison takes two models or more; found {models}.")
 
 
 def _print(comparison: ModelTable, console: Console) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -65,11 +66,18 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     identity += ["released"] if change.released else []
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
-    try:
+    with in_cache():
         if (cached := _from_complete_store(model, files, view, folder, change, boxes)) is not None:
             return cached
         store = describe(model, files, view, folder, change=change, boxes=boxes, title=title)
         return StoredDescriptors(store.float32, store.identity)
+
+
+@contextmanager
+def in_cache() -> Iterator[None]:
+    """Add to the error of a store in the user's cache that LPN_CACHE names another folder."""
+    try:
+        yield
     except (StoreError, OutputError) as error:
         raise StoreError(
             f"The cache of descriptors in {cache_folder()} cannot be used: {error} Set LPN_CACHE to a folder that "

@@ -21,6 +21,7 @@ from lpn.core.errors import InputError, PictureError
 from lpn.core.files import cache_folder
 from lpn.core.progress import CountProgress, Progress
 from lpn.core.views import View
+from lpn.descriptors.cache import in_cache
 from lpn.descriptors.map_windows import describe_windows
 from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.store import Manifest, Row
@@ -247,7 +248,8 @@ def retrieve(
 
     if indexed is None:
         ground = _cached(basemap.digest(), model.fingerprint, side, windows)
-        tiles = np.array(describe_windows(model, basemap, windows, ground, bar=bar("windows")).float32)
+        with in_cache():
+            tiles = np.array(describe_windows(model, basemap, windows, ground, bar=bar("windows")).float32)
     else:
         tiles, overlap = indexed.descriptors, indexed.overlap
     rows = tuple(_frame_row(flight.frames[i], heading, share) for i, heading, share in jobs)
@@ -257,7 +259,8 @@ def retrieve(
     def fill(partial: PartialStore) -> None:
         fill_store(model, partial, of_frame, query, bar("frames"), broken)
 
-    queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
+    with in_cache():
+        queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
     bad = {jobs[j][0]: str(error) for j, error in broken.items()}
     notes = _size_notes(flight.frames, levels)
     good = np.array([job[0] not in bad for job in jobs], bool)

@@ -222,12 +222,12 @@ def evaluate(
     measured_by = None if protocol.average else dataset.measured_by
     where = None if measured_by is None else (dataset.coordinates(queries), dataset.coordinates(gallery))
     change = replace(protocol.change, released=protocol.released).for_picture(queries[0])
-    if protocol.released and truth is not None and task == "street-to-street":
-        return _carried(model, pictures, truth, protocol, started)
     if protocol.calibrate and (protocol.branch or protocol.centre or protocol.released):
         raise InputError(
             "A calibration centres each view, takes its own branch, and is ours; leave --branch, --centre, and --protocol out."
         )
+    if protocol.released and truth is not None and task == "street-to-street":
+        return _carried(model, pictures, truth, protocol, started)
     sides = pictures.described(
         model, read, change, Change(released=protocol.released), protocol.branch, protocol.calibrate
     )

@@ -21,6 +21,7 @@ from lpn.core.files import printable
 from lpn.core.views import VIEWS, View, views_of
 from lpn.datasets import Dataset, Picture, Truth, matlab
 from lpn.datasets.listed_paths import plain_path
+from lpn.retrieval.sides import TaskPictures
 
 _NORM_TOLERANCE = 0.01
 
@@ -94,6 +95,24 @@ class PublishedResult:
             f"No task of {printable(dataset.root.name)} ({', '.join(tasks) or 'it has none'}) has all pictures of {self.name} "
             f"{how}{example}; give the data set that the result was computed on."
         )
+
+
+def published_pictures(saved: PublishedResult, dataset: Dataset) -> tuple[TaskPictures, tuple[Int64Array, Int64Array]]:
+    """Return the pictures of a result's rows with their truth, and the labels of queries and gallery, (Q,) and (G,).
+
+    Raises:
+        DataError: when no task of the test split has all pictures.
+        InputError: when truth is listed, and a gallery picture has two rows.
+    """
+    views, queries, gallery = saved.pictures(dataset)
+    name = "-to-".join(views)
+    pictures = TaskPictures(name, queries, gallery, truth_of_rows(dataset, name, queries, gallery))
+    if pictures.truth is None:
+        return pictures, (saved.query_labels, saved.gallery_labels)
+    return (
+        pictures,
+        pictures.labels,
+    )  # the labels of such a result name one true tile of several, or are numbered otherwise
 
 
 def truth_of_rows(

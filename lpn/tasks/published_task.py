@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from lpn.core.files import printable
-from lpn.datasets import Dataset, labels_of
+from lpn.datasets import Dataset
 from lpn.models.spec import Layout, ModelSpec
-from lpn.retrieval.published_results import PublishedResult, truth_of_rows
+from lpn.retrieval.published_results import PublishedResult, published_pictures
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.gallery_task import GalleryTask
 
@@ -22,30 +22,25 @@ def published_task(saved: PublishedResult, dataset: Dataset) -> GalleryTask:
         LPNError: when the data set lacks the result's pictures, or its descriptors do not consist of parts of equal norm.
     """
     saved.check_norms()
-    views, queries, gallery = saved.pictures(dataset)
+    pictures, labels = published_pictures(saved, dataset)
     layout: Layout = "cvusa" if dataset.panoramas else "university"
-    spec = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False)
+    spec = ModelSpec(views=tuple(dict.fromkeys(pictures.views)), n_parts=saved.n_parts, layout=layout, shared=False)
     contract = spec.contract()
-    name = "-to-".join(views)
-    truth = truth_of_rows(dataset, name, queries, gallery)
-    labels = saved.query_labels, saved.gallery_labels
-    if truth is not None:  # the labels of such a result tell one true tile of several, or are numbered otherwise
-        labels = labels_of(queries), labels_of(gallery)
     return GalleryTask(
-        name=name,
+        name=pictures.name,
         model=None,
         model_name=saved.name,
         data_name=printable(dataset.root.resolve().name),
         root=dataset.root,
         contract=contract,
         map_sizes=dict.fromkeys(contract.views, SAVED_MAP),
-        queries=queries,
-        gallery=gallery,
+        queries=pictures.queries,
+        gallery=pictures.gallery,
         query_labels=labels[0],
         gallery_labels=labels[1],
         query_descriptors=saved.query,
         gallery_descriptors=saved.gallery,
-        truth=truth,
-        columns=dataset.columns(queries),
-        geometry=GalleryGeometry.of_dataset(dataset, queries, gallery),
+        truth=pictures.truth,
+        columns=dataset.columns(pictures.queries),
+        geometry=GalleryGeometry.of_dataset(dataset, pictures.queries, pictures.gallery),
     )

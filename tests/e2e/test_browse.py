@@ -10,8 +10,9 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 import explorer.web
-from explorer.browse.own_pictures import _Batch
+from explorer.browse.messages import BeginBatch, BrowseMessage
 from explorer.server.message_filter import MAX_TEXT
+from explorer.web.messages import decode
 from tests.e2e.conftest import ExplorerPage
 from tools.fixtures import small_worlds
 
@@ -100,8 +101,8 @@ def test_a_batch_with_hundreds_of_long_names_fits_into_a_message(bare: Page) -> 
         text = bare.evaluate(f"lpn.own.take([file('a.png'), ...Array(400).fill(file('{name}'))]) || sent.at(-1)")
         assert len(text) < MAX_TEXT
         message = msgspec.json.decode(text)
-        batch = msgspec.convert(message["value"], _Batch)
-        assert message["kind"] == "own-begin"
+        batch = decode(BrowseMessage, message["kind"], message["value"])
+        assert isinstance(batch, BeginBatch)
         assert batch.files == 1
         assert len(batch.refused) + batch.unnamed == 400
         assert len(batch.refused) > 90

@@ -194,7 +194,7 @@ def test_what_an_index_cannot_tell_is_said(workspace: Workspace, monkeypatch: py
     analysis = StateAnalyser(workspace).analyse(replace(_state(1), why=True), 10)
     with pytest.raises(InputError, match="needs the whole gallery in memory"):
         reports.of_analysis(workspace, analysis)
-    with pytest.raises(InputError, match="not read whole"):
+    with pytest.raises(InputError, match="takes a search for each"):
         effect_on(analysis.task, None, (1, 1, 1, 0))
     html = comparison.page(analysis, workspace, Comparison.of(analysis.ranking, analysis.matches[1]), None, False)
     assert "among the 10 nearest tiles" in html.replace("\n", " ").replace("    ", "")

@@ -279,7 +279,7 @@ def test_nothing_is_drawn_before_a_page_sends_its_address(app: App, monkeypatch:
         browser.camera()
         browser.wait(lambda: browser.find("page") is not None)
         assert analysed.wait(TIMEOUT), "the state that most pages open with is analysed meanwhile"
-        browser.tell("hello", {"search": "?angle=30", "small": False})
+        browser.tell("hello", {"search": "?angle=30", "small": False, "viewport": [12000, 0]})
         browser.wait(lambda: browser.status("angle") == "30")
         assert {angle for _, angle in browser.shown} == {30.0}
 

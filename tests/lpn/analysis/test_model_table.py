@@ -15,14 +15,12 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, chi2
 
-from lpn.analysis.model_table import RankedModel, compare, intervals, mcnemar, rank_task
+from lpn.analysis.model_table import RankedModel, compare, intervals, mcnemar, rank_published
 from lpn.cli.main import main
 from lpn.core.errors import InputError
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
-from lpn.models.base import normalise
 from lpn.retrieval.published_results import PublishedResult
-from lpn.tasks.published_task import published_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -180,11 +178,11 @@ def test_models_and_saved_results_compare_on_one_gallery(
     assert (found["tests"][0]["only_first"], found["tests"][0]["only_second"]) == (0, 0)
     dataset = open_dataset(root)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")[1:]
-    drawn = normalise(np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32))
+    drawn = np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32)
     paths = tuple(tuple(str(picture.path) for picture in pictures) for pictures in (queries, gallery))
     labels = tuple(np.array([picture.label for picture in pictures]) for pictures in (queries, gallery))
     saved = PublishedResult("r.mat", drawn[:5], labels[0], drawn[5:10], labels[1], *paths)
-    smaller = rank_task(published_task(saved, dataset), "r.mat")
+    smaller = rank_published(saved, "r.mat", dataset)
     assert smaller.gallery_name == "full gallery, 5"
     whole = replace(smaller, name="m", gallery_name="full gallery, 6", gallery=smaller.gallery | {"x"})
     with pytest.raises(InputError, match="do not compare"):
@@ -214,7 +212,7 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     labels = [np.arange(len(side)) for side in sides]
     rows = perfect[orders[0]], tiles[orders[1]]
     saved = PublishedResult("r.mat", rows[0], labels[0], rows[1], labels[1], paths[0], paths[1])
-    found = rank_task(published_task(saved, dataset), "r.mat")
+    found = rank_published(saved, "r.mat", dataset)
     assert found.first.tolist() == [0] * len(sides[0])
     assert found.labels.tolist() == [sides[0][i].label for i in orders[0]]
     fewer = replace(
@@ -222,7 +220,30 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     )
     kept = orders[1][1:]
     expected = [0 if set(truth[i].good) & set(kept) else -1 for i in orders[0]]
-    assert rank_task(published_task(fewer, dataset), "fewer.mat").first.tolist() == expected
+    assert rank_published(fewer, "fewer.mat", dataset).first.tolist() == expected
     twice = replace(saved, gallery_paths=(paths[1][1], *paths[1][1:]))
     with pytest.raises(InputError, match="twice"):
-        rank_task(published_task(twice, dataset), "twice.mat")
+        rank_published(twice, "twice.mat", dataset)
+
+
+def test_plain_arrays_may_name_a_picture_twice(tmp_path: Path) -> None:
+    drawn = np.random.default_rng(5).standard_normal((2, 7, 1, 8)).astype(np.float32)
+    for name, one in zip("ab", drawn, strict=True):
+        np.save(tmp_path / f"{name}-queries.npy", one[:3])
+        np.save(tmp_path / f"{name}-gallery.npy", one[3:])
+    lines = ["file,side,label", "q.jpg,query,1", "q.jpg,query,2", "r.jpg,query,3"]
+    lines += [f"{i}.jpg,gallery,{i}" for i in range(4)]
+    (tmp_path / "list.csv").write_text("\n".join(lines))
+    files = [[str(tmp_path / f"{name}-{side}.npy") for name in "ab"] for side in ("queries", "gallery")]
+    arguments = [
+        "compare",
+        "arrays",
+        "--queries",
+        *files[0],
+        "--gallery",
+        *files[1],
+        "--paths",
+        str(tmp_path / "list.csv"),
+    ]
+    assert main([*arguments, "--json", str(tmp_path / "table.json")]) == 0
+    assert json.loads((tmp_path / "table.json").read_text())["queries"] == 3

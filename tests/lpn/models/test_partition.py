@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from lpn.core.errors import InputError
-from lpn.models.partition import Kind, Partition
+from lpn.models.partition import Partition, PartShape
 
 SIZES = st.tuples(st.integers(1, 40), st.integers(1, 40))
 PARTS = st.integers(1, 10)
-KINDS: st.SearchStrategy[Kind] = st.sampled_from(["rings", "rows", "columns"])
+KINDS: st.SearchStrategy[PartShape] = st.sampled_from(["rings", "rows", "columns"])
 
 
 def published_rings(features: Tensor, n: int, align_corners: bool) -> Tensor:
@@ -61,7 +61,7 @@ def test_rings_partition_every_map(size: tuple[int, int], n: int, outside_in: bo
 
 
 @given(SIZES, KINDS, PARTS)
-def test_area_weights_are_means(size: tuple[int, int], kind: Kind, n: int) -> None:
+def test_area_weights_are_means(size: tuple[int, int], kind: PartShape, n: int) -> None:
     weights = Partition(kind, n, "area").weights(*size)
     np.testing.assert_allclose(weights.sum((1, 2)), 1, rtol=1e-5)
 
@@ -87,7 +87,7 @@ def test_strips_are_adaptive_average_pooling(size: tuple[int, int], n: int) -> N
 
 
 @given(SIZES, KINDS, PARTS)
-def test_boxes_enclose_the_labels(size: tuple[int, int], kind: Kind, n: int) -> None:
+def test_boxes_enclose_the_labels(size: tuple[int, int], kind: PartShape, n: int) -> None:
     partition = Partition(kind, n)
     labels = partition.labels(*size)
     for part, (left, top, right, bottom) in enumerate(partition.boxes(*size)):

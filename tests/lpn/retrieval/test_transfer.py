@@ -50,6 +50,8 @@ def test_the_released_protocol_is_measured_by_its_name(tmp_path: Path, capsys: p
     assert "as released" not in result.sentence
     assert main([*arguments, "--protocol", "released", "--parts", "1"]) == 2
     assert "leave changes of queries, --parts, --average-queries" in capsys.readouterr().err
+    assert main([*arguments, "--protocol", "released", "--calibrate"]) == 2
+    assert "leave --branch, --centre, and --protocol out" in capsys.readouterr().err
 
 
 def test_a_model_of_one_size_is_refused(tmp_path: Path) -> None:
