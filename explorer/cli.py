@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import tyro
 
+from lpn.cli import by_source
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Flown, Indexed, Published
+from lpn.sources import Arrays, Flown, Indexed, Published, TaskSource
 
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
@@ -76,61 +77,17 @@ class ExploreSource(ABC):
 
 
 @dataclass(kw_only=True)
-class ExplorePublished(ExploreSource):
-    """Open a result of the published test code in a browser, without a network."""
+class ExploreNamed(ExploreSource):
+    """Open the explorer in a browser."""
 
-    source: Published
+    source: TaskSource
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
 
     def workspaces(self) -> Workspaces:
-        from explorer.opening import open_saved
-        from lpn.retrieval.published_results import check_n_parts, load_saved
+        from explorer.opening import open_source
 
-        source, n_parts = self.source, check_n_parts(self.source.n_parts)
-        return lambda: open_saved(source.data, load_saved(source.saved, n_parts), self.query), {}
-
-
-@dataclass(kw_only=True)
-class ExploreArrays(ExploreSource):
-    """Open descriptors that any model made in a browser, without a network."""
-
-    source: Arrays
-    query: str | None = None
-    """Name of the query to open with, as the picker shows it; by default the first."""
-
-    def workspaces(self) -> Workspaces:
-        from explorer.opening import open_arrays
-
-        source = self.source
-        return lambda: open_arrays(source.load(), source.queries.name, self.query), {}
-
-
-@dataclass(kw_only=True)
-class ExploreIndex(ExploreSource):
-    """Open an index of tiles in a browser."""
-
-    source: Indexed
-    query: str | None = None
-    """Name of the query to open with, as the picker shows it; by default the first."""
-
-    def workspaces(self) -> Workspaces:
-        from explorer.opening import open_indexed
-
-        source, model = self.source, self.source.model
-        return partial(
-            open_indexed,
-            source.index,
-            model.model,
-            source.data,
-            source.pictures,
-            source.map,
-            source.flight,
-            self.query,
-            source.depth,
-            model.provider,
-            model.kind,
-        ), {}
+        return partial(open_source, self.source, self.query), {}
 
 
 @dataclass(kw_only=True)
@@ -171,9 +128,7 @@ class Explore(ExploreSource):
     """Open the explorer in a browser."""
 
     SOURCES: ClassVar[dict[str, type[ExploreSource]]] = {
-        Published.WORD: ExplorePublished,
-        Arrays.WORD: ExploreArrays,
-        Indexed.WORD: ExploreIndex,
+        **by_source.of_sources(ExploreNamed, Published, Arrays, Indexed),
         Flown.WORD: ExploreFlight,
     }
 

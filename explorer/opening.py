@@ -22,18 +22,13 @@ from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.datasets.city_model import CityModel, city_model
-from lpn.index.task import DEPTH
 from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
-from lpn.retrieval.plain_arrays import PlainArrays
-from lpn.retrieval.published_results import PublishedResult
-from lpn.sources import Flown, Indexed, ModelOptions, OpenedSource, open_data
+from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, open_data
 from lpn.sources.opened import progress_bars
-from lpn.tasks.array_task import array_task
-from lpn.tasks.published_task import published_task
 from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
@@ -132,28 +127,19 @@ def _naming_files(
     return opened
 
 
-def open_saved(data: Path, saved: PublishedResult, query: str | None = None) -> Workspace:
-    """Open a published result on its pictures, see `published_task`.
-
-    Raises:
-        LPNError: as for it, and when there is no such query.
-    """
-    workspace = _workspace(OpenedSource([published_task(saved, open_dataset(data))]))
-    workspace.choose_first_query(query)
-    return workspace
-
-
-def open_arrays(arrays: PlainArrays, name: str, query: str | None = None) -> Workspace:
-    """Open the descriptors of any model on its pictures, without a network.
+def open_source(source: TaskSource, query: str | None = None) -> Workspace:
+    """Open the tasks of a source.
 
     Args:
-        name: of the model, to display.
         query: name of the query that a new browser shows first.
 
     Raises:
-        LPNError: when there is no such query.
+        LPNError: when the source cannot be used, or there is no such query.
     """
-    workspace = _workspace(OpenedSource([array_task(arrays, name)]))
+    with _status(f"Opening {source.title}"), progress_bars() as progress:
+        opened = source.open(on_progress=progress)
+    workspace = _workspace(opened, with_city=opened.map is None)
+    _print_notes(opened)
     workspace.choose_first_query(query)
     return workspace
 
@@ -223,50 +209,6 @@ def open_flight_over(
     return workspace
 
 
-def open_indexed(
-    where: str,
-    model: Path,
-    data: Path | None = None,
-    pictures: Path | None = None,
-    map_path: Path | None = None,
-    flight_path: Path | None = None,
-    query: str | None = None,
-    depth: int = DEPTH,
-    provider: ProviderName = "auto",
-    kind: Kind | None = None,
-) -> Workspace:
-    """Open an index of tiles with queries of a flight, of plain pictures, or of a data set.
-
-    Args:
-        where: the index's folder, or milvus://host:port/collection.
-        data: a data set whose test queries are searched for, and whose gallery has the tiles' pictures; beside plain pictures,
-            the folder that the tiles' names are relative to.
-        pictures: a folder of plain pictures to search for.
-        map_path: the map whose windows the index holds.
-        flight_path: a flight over that map, whose frames are the queries.
-        query: name of the query that a new browser shows first.
-        depth: number of tiles that a search returns.
-        kind: method of the model, see `lpn.load`.
-
-    Raises:
-        LPNError: when one of them cannot be used, or the index holds tiles of another model.
-    """
-    source = Indexed(
-        index=where,
-        model=ModelOptions(model=model, kind=kind, provider=provider),
-        data=data,
-        pictures=pictures,
-        map=map_path,
-        flight=flight_path,
-        depth=depth,
-    )
-    with _status(f"Opening {printable(model.name)} and the index"), progress_bars() as progress:
-        opened = source.open(on_progress=progress)
-    workspace = _workspace(opened, with_city=opened.map is None)
-    workspace.choose_first_query(query)
-    return workspace
-
-
 def offered_flight(map_path: Path, flight_path: Path, model: Path, provider: ProviderName = "auto") -> LazyWorkspace:
     """Return a flight over a map that is opened when a browser asks for it, see `open_flight_over`."""
 
@@ -278,9 +220,8 @@ def offered_flight(map_path: Path, flight_path: Path, model: Path, provider: Pro
 
 def _open_flown(source: Flown, name: str, overlap: float, report: ReportProgress | None) -> OpenedSource:
     """Open a flight without registration, under a name of its model."""
-    files = " and ".join(printable(file.name) for file in (source.map, source.flight))
     with (
-        _status(f"Opening {printable(source.model.name)}, {files}"),
+        _status(f"Opening {source.title}"),
         progress_bars() if report is None else nullcontext(_counts(report)) as progress,
     ):
         return source.locate(overlap, progress).named(name)

@@ -8,13 +8,32 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, make_dataclass
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.sources import TaskSource
+
+
+def of_sources(command: type[Any], *sources: type[TaskSource]) -> dict[str, type[Any]]:
+    """Return a command for each of some sources, by the source's word.
+
+    Args:
+        command: a dataclass with a field `source`, which becomes the options of one source.
+    """
+    return {
+        source.WORD: make_dataclass(
+            f"{command.__name__}{source.__name__}",
+            [("source", source)],
+            bases=(command,),
+            kw_only=True,
+            namespace={"__doc__": command.__doc__},
+        )
+        for source in sources
+    }
 
 
 def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:

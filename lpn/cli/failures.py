@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, ClassVar, cast
 from rich.table import Table as Printed
 from rich.text import Text
 
+from lpn.cli import by_source
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
+from lpn.sources import NAMED, Data, TaskSource
 from lpn.sources.opened import open_task, open_with_notes
 
 if TYPE_CHECKING:
@@ -84,43 +85,10 @@ class FailuresOfSource(ABC):
 
 
 @dataclass(kw_only=True)
-class FailuresOfPublished(FailuresOfSource):
-    """List the queries of a published result that fail."""
-
-    source: Published
-
-
-@dataclass(kw_only=True)
-class FailuresOfArrays(FailuresOfSource):
-    """List the queries of plain arrays that fail."""
-
-    source: Arrays
-
-
-@dataclass(kw_only=True)
-class FailuresOfIndex(FailuresOfSource):
-    """List the queries of an index that fail."""
-
-    source: Indexed
-
-
-@dataclass(kw_only=True)
-class FailuresOfFlight(FailuresOfSource):
-    """List the frames of a flight whose window is not found."""
-
-    source: Flown
-
-
-@dataclass(kw_only=True)
 class FailuresCommand(FailuresOfSource):
     """List the queries of a task with rank, margin, and the part that decides, and say what fails most."""
 
-    SOURCES: ClassVar[dict[str, type[FailuresOfSource]]] = {
-        Published.WORD: FailuresOfPublished,
-        Arrays.WORD: FailuresOfArrays,
-        Indexed.WORD: FailuresOfIndex,
-        Flown.WORD: FailuresOfFlight,
-    }
+    SOURCES: ClassVar[dict[str, type[FailuresOfSource]]] = by_source.of_sources(FailuresOfSource, *NAMED)
 
     source: Data
     beside: Path | None = None

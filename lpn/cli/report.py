@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from lpn.cli import by_source
 from lpn.core.errors import InputError
 from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
 from lpn.sources.opened import open_with_notes, query_positions
@@ -107,42 +108,12 @@ class ReportOfNetwork(ReportOfSource):
 
 
 @dataclass(kw_only=True)
-class ReportOfPublished(ReportOfSource):
-    """Write an HTML report about some queries of a published result."""
-
-    source: Published
-
-
-@dataclass(kw_only=True)
-class ReportOfArrays(ReportOfSource):
-    """Write an HTML report about some queries of plain arrays."""
-
-    source: Arrays
-
-
-@dataclass(kw_only=True)
-class ReportOfIndex(ReportOfNetwork):
-    """Write an HTML report about some queries of an index."""
-
-    source: Indexed
-
-
-@dataclass(kw_only=True)
-class ReportOfFlight(ReportOfNetwork):
-    """Write an HTML report about some frames of a flight."""
-
-    source: Flown
-
-
-@dataclass(kw_only=True)
 class ReportCommand(ReportOfNetwork):
     """Write a printable, self-contained HTML report about some queries: matches, parts, evidence, counterfactuals."""
 
     SOURCES: ClassVar[dict[str, type[ReportOfSource]]] = {
-        Published.WORD: ReportOfPublished,
-        Arrays.WORD: ReportOfArrays,
-        Indexed.WORD: ReportOfIndex,
-        Flown.WORD: ReportOfFlight,
+        **by_source.of_sources(ReportOfSource, Published, Arrays),
+        **by_source.of_sources(ReportOfNetwork, Indexed, Flown),
     }
 
     source: Data

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
+from lpn.cli import by_source
 from lpn.cli.explain import part_values
 from lpn.core.errors import InputError
 from lpn.core.numbers import signed
-from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
+from lpn.sources import NAMED, Data, TaskSource
 from lpn.sources.opened import progress_bars, query_positions
 
 if TYPE_CHECKING:
@@ -79,43 +80,10 @@ class SweepOfSource(ABC):
 
 
 @dataclass(kw_only=True)
-class SweepOfPublished(SweepOfSource):
-    """Say why no query of a published result can be changed: its descriptors are at hand, its network is not."""
-
-    source: Published
-
-
-@dataclass(kw_only=True)
-class SweepOfArrays(SweepOfSource):
-    """Say why no query of plain arrays can be changed: its descriptors are at hand, its network is not."""
-
-    source: Arrays
-
-
-@dataclass(kw_only=True)
-class SweepOfIndex(SweepOfSource):
-    """Rotate, shift, or zoom one query of an index step by step; each step is a search."""
-
-    source: Indexed
-
-
-@dataclass(kw_only=True)
-class SweepOfFlight(SweepOfSource):
-    """Rotate, shift, or zoom one frame of a flight step by step."""
-
-    source: Flown
-
-
-@dataclass(kw_only=True)
 class SweepCommand(SweepOfSource):
     """Rotate, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
 
-    SOURCES: ClassVar[dict[str, type[SweepOfSource]]] = {
-        Published.WORD: SweepOfPublished,
-        Arrays.WORD: SweepOfArrays,
-        Indexed.WORD: SweepOfIndex,
-        Flown.WORD: SweepOfFlight,
-    }
+    SOURCES: ClassVar[dict[str, type[SweepOfSource]]] = by_source.of_sources(SweepOfSource, *NAMED)
 
     source: Data
 

@@ -10,4 +10,18 @@ from __future__ import annotations
 from lpn.sources.opened import OpenedSource
 from lpn.sources.sources import Arrays, Data, Flown, Indexed, ModelOptions, Published, TaskSource, open_data
 
-__all__ = ["Arrays", "Data", "Flown", "Indexed", "ModelOptions", "OpenedSource", "Published", "TaskSource", "open_data"]
+# The sources that a word behind a command names; without a word, it is a data set.
+NAMED = (Published, Arrays, Indexed, Flown)
+
+__all__ = [
+    "NAMED",
+    "Arrays",
+    "Data",
+    "Flown",
+    "Indexed",
+    "ModelOptions",
+    "OpenedSource",
+    "Published",
+    "TaskSource",
+    "open_data",
+]

@@ -52,6 +52,11 @@ class ModelOptions:
         return lpn.load(self.model, self.provider, compiled, kind=self.kind)
 
 
+def _file_names(*files: Path) -> str:
+    *first, last = (printable(file.resolve().name) for file in files)
+    return f"{', '.join(first)} and {last}" if first else last
+
+
 class TaskSource(ABC):
     """A source of tasks; `open` opens them.
 
@@ -60,6 +65,11 @@ class TaskSource(ABC):
     """
 
     WORD: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """The names of its files, to display."""
 
     @abstractmethod
     def open(
@@ -132,6 +142,10 @@ class Data(TaskSource):
     """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
     and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
 
+    @property
+    def title(self) -> str:
+        return _file_names(self.model.model, self.data)
+
     def open(
         self,
         names: Sequence[str] = (),
@@ -165,6 +179,10 @@ class Published(TaskSource):
     """Data set that it was computed on."""
     n_parts: int | None = None
     """Number of parts of its descriptors; 1 by default."""
+
+    @property
+    def title(self) -> str:
+        return _file_names(self.saved, self.data)
 
     def open(
         self,
@@ -200,6 +218,10 @@ class Arrays(TaskSource):
     """Number of parts of two-dimensional arrays; 1 by default."""
     data: Path | None = None
     """Folder that the list's paths are relative to; by default the list's."""
+
+    @property
+    def title(self) -> str:
+        return _file_names(self.queries, self.gallery)
 
     def open(
         self,
@@ -241,6 +263,10 @@ class Indexed(TaskSource):
     """Flight over that map, a folder of lpn flight or one of photos, whose frames are the queries."""
     depth: int = 100
     """Number of tiles that a search returns; ranks beyond it are not known."""
+
+    @property
+    def title(self) -> str:
+        return f"{_file_names(self.model.model)} and the index"
 
     def open(
         self,
@@ -301,6 +327,10 @@ class Flown(TaskSource):
     flight: Path
     """Flight over the map: a folder of lpn flight, or one of photos."""
     model: Annotated[ModelOptions, tyro.conf.arg(name="")]
+
+    @property
+    def title(self) -> str:
+        return _file_names(self.model.model, self.map, self.flight)
 
     def open(
         self,

@@ -23,7 +23,7 @@ from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.map_page import MapPage
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
-from explorer.opening import open_indexed, open_model
+from explorer.opening import open_model, open_source
 from explorer.panels import answer_text, pages
 from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
@@ -36,6 +36,7 @@ from lpn.flights import write_flight
 from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask
 from lpn.maps import NamedWindow
+from lpn.sources import Indexed, ModelOptions
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import GATES, GateModel
@@ -60,7 +61,7 @@ def index(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="module")
 def workspace(index: Path, data: Path, model_file: Path) -> Workspace:
-    return open_indexed(str(index), model_file, data, depth=DEPTH)
+    return open_source(Indexed(index=str(index), model=ModelOptions(model=model_file), data=data, depth=DEPTH))
 
 
 def _state(query: int = 0) -> SessionState:
@@ -223,7 +224,9 @@ def test_a_flight_is_searched_for_among_windows(
     flown: tuple[Path, Path, Path], model_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     index, town, flight = flown
-    workspace = open_indexed(str(index), model_file, map_path=town, flight_path=flight, depth=DEPTH)
+    workspace = open_source(
+        Indexed(index=str(index), model=ModelOptions(model=model_file), map=town, flight=flight, depth=DEPTH)
+    )
     task, analyser = _task(workspace), StateAnalyser(workspace)
     assert len(task.queries) == len(FLOWN_PLACES) + 1
     assert task.known is not None
@@ -262,7 +265,7 @@ def test_a_flight_is_searched_for_among_windows(
 def test_windows_without_their_map_are_placeholders(
     flown: tuple[Path, Path, Path], model_file: Path, data: Path
 ) -> None:
-    workspace = open_indexed(str(flown[0]), model_file, data)
+    workspace = open_source(Indexed(index=str(flown[0]), model=ModelOptions(model=model_file), data=data))
     analysis = StateAnalyser(workspace).analyse(replace(_state(0), why=True), 10)
     assert "give that map as --map" in evidence.page(analysis, workspace)
     assert workspace.card(analysis.task, analysis.chosen.index).std() < 60
@@ -302,7 +305,9 @@ def test_an_index_of_drone_tiles_is_a_gallery_for_satellite_queries(
     described = ("describe", "--model", "m.pth", "--images", tiles, "--view", "drone", "--role", "gallery")
     _run(*described, "--out", tmp_path / "store")
     _run("index", "--descriptors", tmp_path / "store", "--out", tmp_path / "tiles")
-    task = open_indexed(str(tmp_path / "tiles"), Path("m.pth"), data, depth=DEPTH).tasks["satellite-to-drone"]
+    task = open_source(
+        Indexed(index=str(tmp_path / "tiles"), model=ModelOptions(model=Path("m.pth")), data=data, depth=DEPTH)
+    ).tasks["satellite-to-drone"]
     live = open_model(data, model).tasks["satellite-to-drone"]
     weights = np.full(3, 1 / 3, np.float32)
     ours, theirs = (one.start_search(0, one.query_descriptors[0])(weights) for one in (task, live))

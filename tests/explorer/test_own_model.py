@@ -15,7 +15,7 @@ from explorer.explain_window import activation, evidence, model_comparison, regi
 from explorer.failure_lab import table
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
-from explorer.opening import open_indexed, open_model
+from explorer.opening import open_model, open_source
 from explorer.panels import pages
 from explorer.session_state import SessionState
 from explorer.stories import tour
@@ -25,6 +25,7 @@ from lpn.explain import sweeps
 from lpn.index import create_index
 from lpn.index.base import DescriptorKind
 from lpn.report import Options, build
+from lpn.sources import Indexed, ModelOptions
 from tools.fixtures import small_worlds
 from tools.fixtures.rankings import ranked_in
 from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel
@@ -118,16 +119,25 @@ def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, m
         [gallery[i].path.relative_to(data).as_posix() for i in range(len(gallery))], whole.task.gallery_descriptors
     )
     index.close()
-    opened = open_indexed(str(tmp_path / "index"), Path("m.pth"), data, depth=10)
+    opened = open_source(
+        Indexed(index=str(tmp_path / "index"), model=ModelOptions(model=Path("m.pth")), data=data, depth=10)
+    )
     assert list(opened.tasks) == [name]
     found = analysed(opened, name)
     assert [one.distance2 for one in found.matches] == pytest.approx([one.distance2 for one in whole.matches], abs=1e-5)
     # Plain pictures are queries of the task whose gallery it is.
-    pictures = open_indexed(str(tmp_path / "index"), Path("m.pth"), data, pictures=data / "test" / "query_satellite")
+    pictures = open_source(
+        Indexed(
+            index=str(tmp_path / "index"),
+            model=ModelOptions(model=Path("m.pth")),
+            data=data,
+            pictures=data / "test" / "query_satellite",
+        )
+    )
     assert list(pictures.tasks) == [name]
     create_index(tmp_path / "other", replace(kind, fingerprint="other")).close()
     with pytest.raises(StoreError, match="holds descriptors of model other"):
-        open_indexed(str(tmp_path / "other"), Path("m.pth"), data)
+        open_source(Indexed(index=str(tmp_path / "other"), model=ModelOptions(model=Path("m.pth")), data=data))
 
 
 def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer.opening import open_arrays
+from explorer.opening import open_source
 from explorer.panels import answer_text, pages
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser
 from lpn.analysis import breakdown
 from lpn.cli.main import main
-from lpn.retrieval.plain_arrays import load_arrays
+from lpn.sources import Arrays
 
 
 def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
@@ -27,7 +27,9 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
         f"g{row},gallery,{row},46.{row},7" for row in range(9)
     ]
     (tmp_path / "paths.csv").write_text("\n".join(lines))
-    workspace = open_arrays(load_arrays(tmp_path / "q.npy", tmp_path / "g.npy", tmp_path / "paths.csv"), "q.npy", "q2")
+    workspace = open_source(
+        Arrays(queries=tmp_path / "q.npy", gallery=tmp_path / "g.npy", paths=tmp_path / "paths.csv"), "q2"
+    )
     (task,) = workspace.tasks.values()
     assert workspace.first_query == 2
     assert workspace.part_names == ["1", "2"]

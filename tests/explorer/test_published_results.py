@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer.opening import open_model, open_saved
+from explorer.opening import open_model, open_source, open_tasks
 from explorer.panels import answer_text, pages
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
@@ -16,7 +16,9 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
 from lpn.models.base import normalise
-from lpn.retrieval.published_results import PublishedResult, load_saved
+from lpn.retrieval.published_results import PublishedResult
+from lpn.sources import Published
+from lpn.tasks.published_task import published_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -26,7 +28,7 @@ def workspace(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFac
     """A saved result with the descriptors of the other tests' model."""
     file = tmp_path_factory.mktemp("saved") / "pytorch_result.mat"
     save_result(file, data, model_file)
-    return open_saved(data, load_saved(file, 4))
+    return open_source(Published(saved=file, data=data, n_parts=4))
 
 
 def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data: Path, model_file: Path) -> None:
@@ -66,13 +68,13 @@ def test_pictures_of_equal_files_are_told_apart_by_their_query(workspace: Worksp
 def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
     save_result(tmp_path / "r.mat", data, model_file, length=2.0)
     with pytest.raises(InputError, match="parts of norm"):
-        open_saved(data, load_saved(tmp_path / "r.mat"))
+        open_source(Published(saved=tmp_path / "r.mat", data=data))
     save_result(tmp_path / "r.mat", data, model_file)
     other = small_worlds.make_dataset(tmp_path / "other", train=1, test=2)
     with pytest.raises(DataError, match="give the data set"):
-        open_saved(other, load_saved(tmp_path / "r.mat"))
+        open_source(Published(saved=tmp_path / "r.mat", data=other))
     with pytest.raises(InputError, match="no query x"):
-        open_saved(data, load_saved(tmp_path / "r.mat"), "x")
+        open_source(Published(saved=tmp_path / "r.mat", data=data), "x")
 
 
 def random_result(root: Path, task: TaskName, seed: int = 0) -> PublishedResult:
@@ -100,7 +102,7 @@ def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], 
     lists = dataset.truth(task)
     assert lists is not None
     names = [picture.name for picture in dataset.gallery(views_of(task)[1])]
-    opened = open_saved(root, saved)
+    opened = open_tasks([published_task(saved, open_dataset(root))])
     assert list(opened.tasks) == [task]
     ranking, found = opened.rankings[task], opened.tasks[task]
     assert found.truth is not None
@@ -129,4 +131,4 @@ def test_a_gallery_picture_with_two_rows_is_refused_where_lists_tell_the_truth(t
     assert saved.gallery_paths is not None
     twice = replace(saved, gallery_paths=(saved.gallery_paths[1], *saved.gallery_paths[1:]))
     with pytest.raises(InputError, match="twice in its gallery"):
-        open_saved(root, twice)
+        open_tasks([published_task(twice, open_dataset(root))])

@@ -33,7 +33,7 @@ from explorer.compute.request_context import RequestContext
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.window import FailureLabWindow
-from explorer.opening import open_model, open_saved
+from explorer.opening import open_model, open_source
 from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import MessageFilter
@@ -50,7 +50,7 @@ from lpn.core.views import View
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass
 from lpn.retrieval import scoring
-from lpn.retrieval.published_results import load_saved
+from lpn.sources import Published
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 from tools.fixtures.websocket_client import CHUNK, WebSocketClient
@@ -403,7 +403,7 @@ def test_a_saved_result_without_a_network_serves_several_browsers(
     places: Path, model_file: Path, tmp_path: Path
 ) -> None:
     save_result(tmp_path / "r.mat", places, model_file)
-    served = App(open_saved(places, load_saved(tmp_path / "r.mat", 4)), "127.0.0.1", 0)
+    served = App(open_source(Published(saved=tmp_path / "r.mat", data=places, n_parts=4)), "127.0.0.1", 0)
     try:
         with Browser(url(served)) as one, Browser(url(served)) as other:
             for browser, query in ((one, 3), (other, 5)):

@@ -13,7 +13,7 @@ import pytest
 
 from explorer import session_state
 from explorer.lab_choices import LabChoices, Selection
-from explorer.opening import open_model, open_saved
+from explorer.opening import open_model, open_source
 from explorer.panels import answer_text, first_screen, pages
 from explorer.session_state import SessionState, StateChange
 from explorer.url_state import UrlState
@@ -23,7 +23,7 @@ from lpn import explain
 from lpn.analysis.analyser import OwnPicture
 from lpn.datasets import rendered
 from lpn.drawing import theme
-from lpn.retrieval.published_results import load_saved
+from lpn.sources import Published
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -265,7 +265,7 @@ def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: 
 
 def test_without_a_network_the_button_shows_everything(data: Path, model_file: Path, tmp_path: Path) -> None:
     save_result(tmp_path / "r.mat", data, model_file)
-    saved = open_saved(data, load_saved(tmp_path / "r.mat", 4))
+    saved = open_source(Published(saved=tmp_path / "r.mat", data=data, n_parts=4))
     html = first_screen.page(analyse(saved, SessionState(TASK, 4, first_screen=True)), saved)
     assert "Why?" not in html
     assert re.search(r"<button[^>]*>Show everything<", html)

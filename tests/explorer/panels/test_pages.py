@@ -11,7 +11,7 @@ import pytest
 
 from explorer import session_state
 from explorer.compute.worker import DelayedCall
-from explorer.opening import open_model, open_saved
+from explorer.opening import open_model, open_source
 from explorer.panels import pages
 from explorer.session_state import SessionState
 from explorer.stories import tour
@@ -19,7 +19,7 @@ from explorer.stories.story import Step
 from explorer.web import style
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.drawing import captions, theme
-from lpn.retrieval.published_results import load_saved
+from lpn.sources import Published
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -79,9 +79,9 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     mapped = open_model(small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "mapped")), model_file)
     assert any("shows the map" in caption for caption in tour_captions(mapped))
     save_result(tmp_path / "r.mat", data, model_file)
-    saved = tour_captions(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
+    saved = tour_captions(open_source(Published(saved=tmp_path / "r.mat", data=data, n_parts=4)))
     assert len(saved) == 5
-    keys = pages.keys(open_saved(data, load_saved(tmp_path / "r.mat", 4)))
+    keys = pages.keys(open_source(Published(saved=tmp_path / "r.mat", data=data, n_parts=4)))
     assert "Ctrl K" in keys
     assert not any(word in keys for word in ("turn 5°", "upright", "why", "my own picture"))
     assert not any(word in caption for caption in saved for word in ("evidence", "turn it", "your own"))
