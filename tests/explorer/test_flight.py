@@ -16,7 +16,7 @@ import explorer.app
 import lpn
 from explorer import opening, session_state
 from explorer.browse.query_list import entries
-from explorer.cli import ExploreFlight, ExploreIndex
+from explorer.cli import ExploreFlight, ExploreNamed
 from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.service import FailureLab
@@ -233,7 +233,7 @@ def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
     bare = ModelOptions(model=tmp_path / "bare.pth", kind="dac")
     for command in (
         ExploreFlight(source=Flown(map=files[0], flight=files[1], model=bare)),
-        ExploreIndex(source=Indexed(index=str(tmp_path / "index"), data=tmp_path, model=bare)),
+        ExploreNamed(source=Indexed(index=str(tmp_path / "index"), data=tmp_path, model=bare)),
     ):
         with pytest.raises(InputError, match="It is not opened"):
             command.run()

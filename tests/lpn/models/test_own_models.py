@@ -193,7 +193,7 @@ def test_roles_choose_between_graphs_without_a_satellite(groups: str, tmp_path: 
         ({"size": (10**6, 16)}, "expected at most 4096 pixels"),
         ({"batch": 10**9}, "images of 1000000000 x 3 x 16 x 16; .* and 67108864 in a batch"),
         ({"outputs": ["features", "cells"]}, "takes images and returns parts"),
-        ({"outputs": ["parts", "features"]}, "none named cells"),
+        ({"outputs": ["parts", "features"]}, "no output cells"),
         ({"outputs": ["parts"]}, "name what is held with"),
     ],
 )
