@@ -16,7 +16,8 @@ with suppress(Exception):
 
 @dataclass
 class DoctorCommand:
-    """Check this machine, a data set, or a model: what it holds and what is broken; ends with status 1 if something is."""
+    """Check this machine, a data set, or a model: what it holds and what is broken; ends with status 1 if something is. With
+    --reproduce: the plan of lpn reproduce all."""
 
     data: Path | None = None
     """Data set in any layout of docs/data.md; without it, machine, packages, and demo are checked."""
@@ -26,12 +27,22 @@ class DoctorCommand:
     """With --model: method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
     quick: bool = False
     """Read only the header and end of each picture, without decoding it."""
+    reproduce: tuple[Path, ...] = ()
+    """Folders of data sets: print which rows of the paper's tables can be made on them, the trainings with an estimate of their
+    hours, and what is missing; nothing is trained."""
     json: Path | None = None
     """File to write all findings to, with every name."""
 
     def run(self) -> int:
         from lpn.core.files import check_writable, write_json
 
+        if self.reproduce:
+            if self.data or self.model or self.kind or self.quick or self.json:
+                raise InputError("--reproduce takes folders of data sets alone; leave out the other options.")
+            from lpn.cli.reproduce import print_plan
+
+            print_plan([str(folder) for folder in self.reproduce])
+            return 0
         if self.json is not None:
             check_writable(self.json)
         if self.model is not None:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
 from lpn.cli.train import flag_value
 from lpn.core.errors import InputError
 from lpn.training.recipes import RECIPES, Recipe
+
+if TYPE_CHECKING:
+    from lpn.reproduce.tables import Scale
 
 _Scale = Literal["auto", "paper", "released", "reduced"]
 
@@ -31,7 +35,7 @@ class ReproduceCommand:
     losses, turned queries, and the transfer to landmarks are those that their authors released."""
 
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """table1 to table6, figure1, figure5, figure7, figure8, or all."""
+    """table1 to table6, figure1, figure5, figure7, figure8, or all, in which rows say why they cannot be made."""
     data: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
     """A data set's folder (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world), or the word world for the demo's;
     once for each data set."""
@@ -61,8 +65,7 @@ class ReproduceCommand:
     def run(self) -> None:
         import_module("torch")
         from lpn.reproduce.command import KEYS, Reproduction
-        from lpn.reproduce.sources import is_world
-        from lpn.reproduce.tables import ROW_SETTINGS, SCALES
+        from lpn.reproduce.tables import ROW_SETTINGS
 
         if not self.what or not self.data:
             raise InputError(
@@ -78,16 +81,12 @@ class ReproduceCommand:
                 f"--{fixed[0].replace('_', '-')} distinguishes the rows of the tables, so it cannot be changed for all of them; "
                 f"leave it out, or {other}."
             )
-        keys = KEYS if self.what == ("all",) else tuple(dict.fromkeys(self.what))
-        rendered = {is_world(data) for data in self.data}
-        if len(rendered) > 1 and self.recipe == "auto":
-            raise InputError(
-                "--data names a rendered world and others; say with --recipe whether it is paper, released, or reduced."
-            )
-        name = self.recipe if self.recipe != "auto" else "reduced" if True in rendered else "paper"
+        everything = self.what == ("all",)
+        keys = KEYS if everything else tuple(dict.fromkeys(self.what))
+        named = _scale(self.recipe, self.data)
         changes = {name: getattr(self.settings, name) for name in self.changed}
         # A metric loss as released goes with a test as released.
-        scale = replace(SCALES[name], protocol=changes.pop("protocol", SCALES[name].protocol), changes=changes)
+        scale = replace(named, protocol=changes.pop("protocol", named.protocol), changes=changes)
         made = Reproduction(
             self.data,
             self.out,
@@ -99,6 +98,7 @@ class ReproduceCommand:
             self.queries,
             self.from_scratch,
             self.tune,
+            everything,
         ).run(keys)
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
 
@@ -123,6 +123,38 @@ def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
     flags = {argument.partition("=")[0] for argument in arguments if argument.startswith("--")}
     names = {flag.removeprefix("--").replace("-", "_").removeprefix("no_") for flag in flags}
     return replace(command, changed=tuple(field.name for field in fields(Recipe) if field.name in names))
+
+
+def print_plan(data: Sequence[str]) -> None:
+    """Print the plan of `lpn reproduce all` on data sets, without running it.
+
+    Raises:
+        LPNError: when a folder is no data set, or two have one role.
+    """
+    import_module("torch")
+    from lpn.reproduce.command import KEYS, Reproduction
+
+    for folder in data:
+        if not Path(folder).is_dir():
+            raise InputError(f"There is no folder {folder}; give those of data sets to reproduce on.")
+    with tempfile.TemporaryDirectory() as out:
+        Reproduction(data, Path(out), {}, (), (0,), _scale("auto", data), partial=True).plan(KEYS)
+
+
+def _scale(recipe: _Scale, data: Sequence[str]) -> Scale:
+    """Return the scale of a recipe; auto is chosen by the data."""
+    from lpn.reproduce.sources import is_world
+    from lpn.reproduce.tables import SCALES
+
+    if recipe != "auto":
+        return SCALES[recipe]
+    rendered = {is_world(folder) for folder in data}
+    if len(rendered) > 1:
+        raise InputError(
+            "A rendered world and other data sets are given; say with --recipe of lpn reproduce whether it is paper, released, "
+            "or reduced."
+        )
+    return SCALES["reduced" if True in rendered else "paper"]
 
 
 def _by_name(texts: Sequence[str]) -> dict[str, Path]:

@@ -98,20 +98,25 @@ def check_starts(starts: Mapping[str, Path], backbones: Collection[str]) -> None
 
 def check_pretrained(jobs: Sequence[TrainingJob], from_scratch: bool) -> None:
     """Raise InputError unless each training has pretrained weights, or all are to start from random ones."""
+    lacking = lacking_weights(jobs)
+    files = sorted({job.start.name for job in jobs if job.start is not None})
+    if from_scratch and files:
+        lack = f" Weights are lacking of {lacking}." if lacking else ""
+        raise InputError(f"--init ({', '.join(files)}) and --from-scratch exclude each other; give one of them.{lack}")
+    if lacking and not from_scratch:
+        raise InputError(
+            f"Every recipe starts from a backbone trained on ImageNet, and no --init has the weights of {lacking}; give its "
+            "weights with --init FILE, once for each backbone, or say --from-scratch to start all from random weights."
+        )
+
+
+def lacking_weights(jobs: Sequence[TrainingJob]) -> str:
+    """List the backbones without pretrained weights, each with its trainings; empty if there are none."""
     lacking: dict[str, dict[str, None]] = {}
     for job in jobs:
         if job.start is None:
             lacking.setdefault(job.recipe.backbone, {})[job.training.name] = None
-    rows = "; ".join(f"{backbone} for {', '.join(names)}" for backbone, names in lacking.items())
-    files = sorted({job.start.name for job in jobs if job.start is not None})
-    if from_scratch and files:
-        lack = f" Weights are lacking of {rows}." if lacking else ""
-        raise InputError(f"--init ({', '.join(files)}) and --from-scratch exclude each other; give one of them.{lack}")
-    if lacking and not from_scratch:
-        raise InputError(
-            f"Every recipe starts from a backbone trained on ImageNet, and no --init has the weights of {rows}; give its "
-            "weights with --init FILE, once for each backbone, or say --from-scratch to start all from random weights."
-        )
+    return "; ".join(f"{backbone} for {', '.join(names)}" for backbone, names in lacking.items())
 
 
 def check_trainings(jobs: Sequence[TrainingJob], uses: Sequence[NetworkUse]) -> None:

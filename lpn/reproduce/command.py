@@ -13,12 +13,12 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.models.base import Model
-from lpn.reproduce import checks, footnotes, paper_figures, pretrained, report, trainings, tuning
+from lpn.reproduce import checks, footnotes, paper_figures, plan, pretrained, report, trainings, tuning
 from lpn.reproduce.checks import NetworkUse
 from lpn.reproduce.measure import MeasuredFigures, MeasurementStore
 from lpn.reproduce.paper_values import LANDMARKS
 from lpn.reproduce.record import Provenance, RowRecord, TableRecord, row_record
-from lpn.reproduce.sources import Sources, open_sources
+from lpn.reproduce.sources import Source, Sources, open_sources
 from lpn.reproduce.tables import DRAWN, SCALES, SHOWN, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import transfer
@@ -42,6 +42,7 @@ class Reproduction:
         queries: queries shown in figures 7 and 8; Figure 1 shows the first.
         from_scratch: train from random weights, without `init`.
         tune: choose the settings of Table I's losses on held-out training places first.
+        partial: a row whose data set is not given says so in its place; otherwise its table is refused.
     """
 
     data: Sequence[str]
@@ -54,6 +55,7 @@ class Reproduction:
     queries: Sequence[str] = ()
     from_scratch: bool = False
     tune: bool = True
+    partial: bool = False
     console: Console = field(default_factory=Console)
 
     def run(self, keys: Sequence[str]) -> list[Path]:
@@ -68,17 +70,15 @@ class Reproduction:
             raise InputError(
                 "lpn reproduce is one process; train with torchrun -m lpn train, and give it with --model."
             )
-        wanted = [find(key, self.scale) for key in keys if key in tables(self.scale) or key not in DRAWN]
         check_writable(self.out / "measured.json")
-        with exclusive_lock(self.out, wait=True):
-            self._store = MeasurementStore(self.out / "measured.json")
-            self._sources: Sources = open_sources(self.data, self.out)
-        self._starts = pretrained.by_backbone(self.init)
-        drawn = self._drawn(keys)
-        uses = self._uses(wanted, drawn)
-        self._loaded = self._load(uses)
-        self._check(wanted, drawn)
-        self._plan(wanted, drawn, uses)
+        wanted, drawn, uses = self._prepare(keys)
+        left = self._check_work(uses)
+        checks.check_pretrained(left, self.from_scratch)
+        self._say_ahead(left, drawn)
+        for backbone, start in {job.recipe.backbone: job.start for job in left}.items():
+            self.console.print(
+                f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
+            )
         if self.train:
             trainings.train([trial.job for trials in self._trials.values() for trial in trials], self.console)
             # The trials decide the recipes of some trainings.
@@ -91,6 +91,34 @@ class Reproduction:
         # A second process waits, and then finds all figures in measured.json.
         with exclusive_lock(lock, wait=True):
             return self._write(wanted, drawn)
+
+    def plan(self, keys: Sequence[str]) -> None:
+        """Print the plan of `run`, and train nothing; pretrained weights may be lacking, and are named.
+
+        Raises:
+            LPNError: as `run`.
+        """
+        _, drawn, uses = self._prepare(keys)
+        if lacking := checks.lacking_weights(self._jobs):
+            self.console.print(f"To give with --init: weights of {lacking}.", markup=False, soft_wrap=True)
+        self._say_ahead(self._check_work(uses), drawn)
+
+    def _prepare(self, keys: Sequence[str]) -> tuple[list[PaperTable], list[str], list[NetworkUse]]:
+        """Open data and networks, plan the trainings, and print which rows can be made; return tables, pictures, and uses."""
+        wanted = [find(key, self.scale) for key in keys if key in tables(self.scale) or key not in DRAWN]
+        with exclusive_lock(self.out, wait=True):
+            self._store = MeasurementStore(self.out / "measured.json")
+            self._sources: Sources = open_sources(self.data, self.out)
+        self._starts = pretrained.by_backbone(self.init)
+        drawn = self._drawn(keys)
+        uses = self._uses(wanted, drawn)
+        self._loaded = self._load(uses)
+        self._check(wanted, drawn)
+        self._plan_jobs(wanted, uses)
+        for table in wanted:
+            reasons = {row.label: self._reason(table, row) for row in table.rows}
+            self.console.print(plan.rows(table, reasons), markup=False, highlight=False, soft_wrap=True)
+        return wanted, drawn, uses
 
     def _write(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[Path]:
         self._store.reload()
@@ -107,9 +135,11 @@ class Reproduction:
         """Return the pictures to draw, and print which ones lack their data set."""
         names = [name for key in keys for name in DRAWN.get(key, ())]
         lacking = [name for name in names if SHOWN[name][0].role not in self._sources.roles]
-        # Without places there is nothing of the figure, which is an error; panoramas are a part of it.
-        if absent := [name for name in lacking if SHOWN[name][0].role == "panoramas"]:
-            self.console.print(f"{', '.join(absent)} not drawn: no panoramas are given with --data.")
+        # Without places there is nothing of the figure, which is an error unless `partial`; panoramas are a part of it.
+        absent = [name for name in lacking if self.partial or SHOWN[name][0].role == "panoramas"]
+        for role in dict.fromkeys(SHOWN[name][0].role for name in absent):
+            without = ", ".join(name for name in absent if SHOWN[name][0].role == role)
+            self.console.print(f"{without} not drawn: no {role} are given with --data.")
         return [name for name in names if name not in absent]
 
     def _uses(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[NetworkUse]:
@@ -119,7 +149,7 @@ class Reproduction:
             NetworkUse.of_row(table, row, row.training)
             for table in wanted
             for row in table.rows
-            if row.training and not self._is_copy(row.training)
+            if row.training and not self._lacks_data(table, row) and not self._is_copy(row.training)
         ]
 
     def _load(self, uses: Sequence[NetworkUse]) -> dict[str, Model]:
@@ -140,17 +170,22 @@ class Reproduction:
 
     def _check(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> None:
         """Check the data before any work."""
-        for measure in dict.fromkeys(table.measure for table in wanted):
+        possible = [t for t in wanted if not self.partial or not self._sources.lacking(t.measure)]
+        for measure in dict.fromkeys(table.measure for table in possible):
             for source in self._sources.of(measure):
                 source.check(measure)
+        if not self.partial:
+            for row in (row for table in wanted for row in table.rows):
+                if row.training and row.training.name not in self._loaded:
+                    self._sources.role(row.training.role)
         for role in dict.fromkeys(SHOWN[name][0].role for name in drawn):
             source = self._sources.role(role)
             source.check("both ways" if role == "places" else "ground")
             if role == "places":
                 paper_figures.named(source.dataset, "drone", self.queries)
 
-    def _plan(self, wanted: Sequence[PaperTable], drawn: Sequence[str], uses: Sequence[NetworkUse]) -> None:
-        """Plan the trials and the trainings, check them, and print the plan."""
+    def _plan_jobs(self, wanted: Sequence[PaperTable], uses: Sequence[NetworkUse]) -> None:
+        """Plan the trials and the trainings, and check what they start from."""
         needed = {use.training.name: use.training for use in uses if use.training.name not in self._loaded}
         self._trials = {
             name: planned
@@ -162,6 +197,9 @@ class Reproduction:
         rows = [row for table in wanted for row in table.rows if row.training is None and not row.quoted]
         untrained = [self.scale.base.backbone for _ in rows]
         checks.check_starts(self._starts, ours.union(untrained))
+
+    def _check_work(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
+        """Check that trials and trainings can run, and return those that are left."""
         trials = [trial.job for of_network in self._trials.values() for trial in of_network]
         for job in trials:
             job.check_same()
@@ -171,9 +209,7 @@ class Reproduction:
                 job.check_same()
         to_come = [job for job in (*trials, *self._jobs) if self.train and not job.diverged]
         checks.check_trainings([job for job in (*trials, *self._jobs) if job.done or job in to_come], uses)
-        left = [job for job in to_come if not job.done]
-        checks.check_pretrained(left, self.from_scratch)
-        self._say_ahead(left, len(trials) + len(self._jobs), drawn)
+        return [job for job in to_come if not job.done]
 
     def _trials_of(self, training: Training) -> list[tuning.Trial]:
         source = self._sources.role(training.role)
@@ -193,14 +229,14 @@ class Reproduction:
                     jobs.append(TrainingJob(training, seed, recipe, folder, source, start))
         return jobs
 
-    def _say_ahead(self, left: Sequence[TrainingJob], total: int, drawn: Sequence[str]) -> None:
-        """Print the plan, the pretrained weights of each training, and which figures cannot be drawn."""
+    def _say_ahead(self, left: Sequence[TrainingJob], drawn: Sequence[str]) -> None:
+        """Print the trainings that are left, and which figures are drawn."""
         if left:
             epochs = sum(job.recipe.epochs - len(job.seconds()) for job in left)
             trials = sum(1 for job in left if job.held_out)
-            known = [*left, *self._jobs, *(trial.job for of_network in self._trials.values() for trial in of_network)]
+            known = [*self._jobs, *(trial.job for of_network in self._trials.values() for trial in of_network)]
             self.console.print(
-                f"Plan: {len(left)} of {total} trainings are left, {trials} of them short trials: {epochs} epochs, "
+                f"Plan: {len(left)} of {len(known)} trainings are left, {trials} of them short trials: {epochs} epochs, "
                 f"{trainings.said_left(left, known)} for one process. A second process with the same command shares them.",
                 soft_wrap=True,
             )
@@ -215,10 +251,6 @@ class Reproduction:
             if self.scale.changes:
                 changes = footnotes.changed(self.scale, [job.training for job in left])
                 self.console.print(changes, markup=False, soft_wrap=True)
-        for backbone, start in {job.recipe.backbone: job.start for job in left}.items():
-            self.console.print(
-                f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
-            )
         if not self.train:
             there = {*self._loaded, *(job.training.name for job in self._jobs if job.done)}
             for name in drawn:
@@ -232,6 +264,30 @@ class Reproduction:
                 "it.",
                 markup=False, soft_wrap=True,
             )  # fmt: skip
+
+    def _lacks_data(self, table: PaperTable, row: TableRow) -> str:
+        """Say which data set a row lacks; empty if none."""
+        trained = row.training is not None and row.training.name not in self.models
+        return self._sources.lacking(table.measure, row.training.role if row.training and trained else None)
+
+    def _reason(self, table: PaperTable, row: TableRow) -> str:
+        """Say why a row cannot be made; empty if it can be, or is quoted."""
+        if row.quoted:
+            return ""
+        if lacking := self._lacks_data(table, row):
+            return lacking
+        if row.training is None:
+            backbone = self.scale.base.backbone
+            return "" if backbone in self._starts else f"no --init has the weights of {backbone}"
+        name = row.training.name
+        jobs = [job for job in self._jobs if job.training.name == name]
+        if name in self._loaded or any(job.done for job in jobs):
+            return ""
+        if self._is_copy(row.training):
+            return "without train/google it would be the network of LPN"
+        if all(job.diverged for job in jobs):
+            return "its training diverged"
+        return "" if self.train else f"no --model gives {name}, and --no-train trains none"
 
     def _is_copy(self, training: Training) -> bool:
         """Check whether a network would repeat the LPN, for lack of google pictures."""
@@ -257,40 +313,45 @@ class Reproduction:
         return [job for job in self._jobs if job.training.name == name and job.done]
 
     def _table(self, table: PaperTable) -> list[Path]:
-        data = self._sources.of(table.measure)
+        data = self._data(table)
         rows: list[RowRecord] = []
         protocols: dict[str, str] = {}
         for row in table.rows:
             figures_of = {
                 name: self._store.figures(row, table.measure, model, data, self.scale.released)
-                for name, model in self._models(row).items()
+                for name, model in (self._models(row) if data else {}).items()
             }
-            rows.append(self._row(row, figures_of))
+            rows.append(self._row(table, row, figures_of))
             if figures_of:
                 protocols[row.label] = next(iter(figures_of.values())).protocol
         columns, beside, alone = self._columns(table)
-        title = table.title if table.measure == "landmarks" else f"{table.title}, on {data[0].kind}"
+        title = table.title if table.measure == "landmarks" or not data else f"{table.title}, on {data[0].kind}"
         notes = [footnotes.protocol(protocols), *footnotes.about(table, data, self.scale), *self._of_networks(table)]
         record = TableRecord(table.key, title, columns, beside, tuple(rows), tuple(notes), alone)
         self._store.keep(record)
         return report.write(record, self.out)
 
-    def _row(self, row: TableRow, figures_of: Mapping[str, MeasuredFigures]) -> RowRecord:
+    def _data(self, table: PaperTable) -> list[Source]:
+        """Return the data sets that a table is measured on, none if they are not given."""
+        return [] if self._sources.lacking(table.measure) else self._sources.of(table.measure)
+
+    def _row(self, table: PaperTable, row: TableRow, figures_of: Mapping[str, MeasuredFigures]) -> RowRecord:
         trained: dict[str, Provenance] = {}
         if row.training is not None and row.training.name not in self._loaded:
             trained = {f"seed {job.seed}": job.made for job in self._own(row.training.name) if job.made}
         values = {name: figures.values for name, figures in figures_of.items()}
         made = {name: figures.made for name, figures in figures_of.items()}
-        return row_record(row.label, values, row.paper, row.note, trained, made, row.quoted)
+        reason = "" if values else self._reason(table, row)
+        return row_record(row.label, values, row.paper, row.note, trained, made, row.quoted, reason)
 
     def _columns(self, table: PaperTable) -> tuple[tuple[str, ...], tuple[int | None, ...], dict[int, str]]:
         """Return the measured columns, each with its column of the paper, and the paper's others."""
-        data = self._sources.of(table.measure)
+        data = self._data(table)
         if table.measure == "centre":
             return table.columns, (None,) * len(table.columns), {}
-        if table.measure != "landmarks":
+        if table.measure != "landmarks" or not data:
             # CVACT is not what the paper's Table II is of.
-            same = data[0].dataset.kind != "CVACT"
+            same = not data or data[0].dataset.kind != "CVACT"
             return table.columns, tuple(index if same else None for index in range(len(table.columns))), {}
         of_kind = {"Oxford5k": LANDMARKS.index("Oxford mAP"), "Paris6k": LANDMARKS.index("Paris mAP")}
         beside = tuple(of_kind.get(source.dataset.kind) for source in data)
@@ -307,7 +368,7 @@ class Reproduction:
         notes += footnotes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
         if tuned := tuning.note({name: trials for name, trials in self._trials.items() if name in names}):
             notes.append(tuned)
-        of_places = table.measure in ("both ways", "centre")
+        of_places = table.measure in ("both ways", "centre") and self._data(table)
         if of_places and names - set(self._loaded) and not self._sources.role("places").has_google:
             notes.append("There is no train/google, so all networks are trained without it.")
         return notes

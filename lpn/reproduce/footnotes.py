@@ -83,6 +83,8 @@ def about(table: PaperTable, data: Sequence[Source], scale: Scale) -> list[str]:
     notes = [*_APART.get(table.key, ())]
     if table.key in _OF_PROTOCOL:
         notes.append(_OF_PROTOCOL[table.key][scale.protocol])
+    if not data:
+        return notes
     if any(source.rendered for source in data):
         notes.append(
             "**Data: the rendered world, not the paper's data sets**; its figures compare with one another only."

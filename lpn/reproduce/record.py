@@ -47,6 +47,7 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         networks: number of networks that were measured.
         values: for each network, "seed 0" or "given", its value in each column.
         trained, measured: for each network, where it and its figures come from.
+        reason: why the row was not run; empty if it was.
     """
 
     label: str
@@ -59,6 +60,7 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     values: dict[str, Values] = {}
     trained: dict[str, Provenance] = {}
     measured: dict[str, Provenance] = {}
+    reason: str = ""
 
     @property
     def title(self) -> str:
@@ -99,6 +101,7 @@ def row_record(
     trained: Mapping[str, Provenance] | None = None,
     measured: Mapping[str, Provenance] | None = None,
     quoted: bool = False,
+    reason: str = "",
 ) -> RowRecord:
     """Make the record of a row from the values of its networks."""
     columns: list[Sequence[float]] = list(zip(*values.values(), strict=True))
@@ -113,6 +116,7 @@ def row_record(
         dict(values),
         dict(trained or {}),
         dict(measured or {}),
+        reason,
     )
 
 

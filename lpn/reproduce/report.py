@@ -42,10 +42,12 @@ def markdown(record: TableRecord) -> str:
     lines = [f"### {record.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
     for row in record.rows:
         texts = []
+        # The reason stands once, in the first cell.
+        lacking = "quoted" if row.quoted else f"not run: {row.reason}" if row.reason else "not run"
         for here, index in cells:
             if here:
-                lacking = "quoted" if row.quoted else "not run"
                 texts.append(_format(row.mean[index], row.spread[index]) if row.mean else lacking)
+                lacking = "quoted" if row.quoted else "not run"
             else:
                 printed = row.paper[index] if index < len(row.paper) else None
                 # The paper prints a dash for what it does not know of a row.
@@ -64,13 +66,14 @@ def _format(mean: float, spread: float) -> str:
 
 def _csv(record: TableRecord) -> bytes:
     names = list(dict.fromkeys(name for row in record.rows for name in row.values))
-    rows: list[list[object]] = [["row", "column", "paper", "mean", *names]]
+    rows: list[list[object]] = [["row", "column", "paper", "mean", "not run", *names]]
     for row in record.rows:
         for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
             printed = row.paper[beside] if beside is not None and beside < len(row.paper) else None
             paper = "" if printed is None else printed
             values = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
-            rows.append([row.title, title, paper, f"{row.mean[index]:.4f}" if row.mean else "", *values])
+            mean = f"{row.mean[index]:.4f}" if row.mean else ""
+            rows.append([row.title, title, paper, mean, row.reason, *values])
     return csv_bytes(rows)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 from rich.console import Console
 
@@ -107,12 +108,33 @@ class Source:
         check_test_split(self.dataset, TASKS[measure])
 
 
+# The data that a table is measured on.
+_MEASURED_ON: dict[Measure, DataRole | Literal["landmarks"]] = {
+    "both ways": "places",
+    "ground": "panoramas",
+    "landmarks": "landmarks",
+    "centre": "places",
+}
+_LAYOUTS = {
+    "places": "places as in University-1652",
+    "panoramas": "panoramas and tiles as in CVUSA",
+    "landmarks": "landmarks as in Oxford5k or Paris6k",
+}
+
+
 @dataclass
 class Sources:
     """The given data sets by role."""
 
     roles: dict[DataRole, Source] = field(default_factory=dict)
     landmarks: list[Source] = field(default_factory=list)
+
+    def lacking(self, measure: Measure, trained_on: DataRole | None = None) -> str:
+        """Say what is lacking to measure a network and, if it is not given, to train it; empty if nothing is."""
+        for kind in (_MEASURED_ON[measure], *([trained_on] if trained_on else [])):
+            if not (self.landmarks if kind == "landmarks" else kind in self.roles):
+                return f"no {_LAYOUTS[kind]} are given with --data"
+        return ""
 
     def of(self, measure: Measure) -> list[Source]:
         """Return the data sets of a measure, in the paper's order.

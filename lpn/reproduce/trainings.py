@@ -34,7 +34,7 @@ from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold
 
 FORMAT = "lpn-job/2"
-# Estimated time of a training step per pixel relative to ResNet-18, for the time left.
+# Estimated time of a training step per pixel of its pictures relative to ResNet-18, for the time left.
 _COSTS = {"resnet18": 1.0, "resnet50": 2.3, "vgg16": 8.5, "vgg16_bn": 8.5}
 _UNKNOWN_COST = 1.0
 # Seconds between two looks at trainings that other processes have.
@@ -106,9 +106,10 @@ class TrainingJob:
 
     @property
     def work(self) -> float:
-        """Relative cost of an epoch on the same pictures."""
+        """Relative cost of an epoch."""
         height, width = self.recipe.input_size
-        return height * width * _COSTS.get(self.recipe.backbone, _UNKNOWN_COST) / 1e6
+        pictures = self.steps * self.recipe.batch * len(self.source.places(self.recipe.sets).files)
+        return pictures * height * width * _COSTS.get(self.recipe.backbone, _UNKNOWN_COST) / 1e6
 
     @property
     def steps(self) -> int:
@@ -269,7 +270,8 @@ def _own(folder: Path) -> Iterator[None]:
 
 def seconds_left(left: Sequence[TrainingJob], known: Sequence[TrainingJob]) -> float:
     """Estimate the remaining seconds from the median speed of the epochs on disk, or from a step of the first training."""
-    speeds = [job.work / seconds for job in known for seconds in job.seconds()]
+    timed = [(job.work, seconds) for job in known if (seconds := job.seconds())]
+    speeds = [work / seconds for work, of_job in timed for seconds in of_job]
     speed = statistics.median(speeds) if speeds else left[0].work / left[0].epoch_seconds()
     return sum(job.work * (job.recipe.epochs - len(job.seconds())) for job in left) / speed
 

@@ -245,9 +245,12 @@ def test_a_run_killed_at_its_very_start_and_one_that_diverged_do_not_block(
     made.run(["figure5"])
     text = (tmp_path / "figure5.md").read_text()
     assert "lpn-2-parts, seed 0 is given up" in said(made)
-    assert "| n = 2 | not run |" in text
+    assert "| n = 2 | not run: its training diverged |" in text
     assert "Diverged, and given up: lpn-2-parts, seed 0." in text
-    assert "| n = 8 | not run |" not in text
+    assert "| n = 8 | not run" not in text
+    with (tmp_path / "figure5.csv").open(encoding="utf-8") as file:
+        reasons = {row["row"]: row["not run"] for row in csv.DictReader(file)}
+    assert {label: reason for label, reason in reasons.items() if reason} == {"n = 2": "its training diverged"}
 
 
 def test_an_unfinished_run_goes_on_only_as_it_began(
@@ -287,7 +290,13 @@ def test_given_models_stand_for_trainings(
     made = reproduction(places, tmp_path / "out", models={"lpn": model, "instance": baseline}, train=False)
     made.run(["table1", "table4", "figure7", "figure8"])
     text = (tmp_path / "out" / "table1.md").read_text()
-    assert text.count("| not run |") == 5 * 4
+    assert text.count("| not run |") == 5 * 3
+    assert (
+        "| Contrastive loss | not run: no --model gives contrastive, and --no-train trains none | 52.39 | not run |"
+        in text
+    )
+    # There is no train/google.
+    assert "| LPN without google | not run: without train/google it would be the network of LPN |" in text
     assert "not known; " in text
     assert (
         f"Networks given: instance = {baseline.name} (Baseline resnet18/layer3, n = 1, 64 x 64), lpn = {model.name} (LPN"
@@ -444,7 +453,7 @@ def test_a_training_of_another_process_is_waited_for_and_taken_over_if_that_is_k
     assert text.index("lpn, seed 1 (1 of 2 trainings") < text.index(
         "Waiting for another process, which trains lpn, seed 0."
     )
-    assert "| 1+2+3+4 | not run |" not in (tmp_path / "table5.md").read_text(encoding="utf-8")
+    assert "| 1+2+3+4 | not run" not in (tmp_path / "table5.md").read_text(encoding="utf-8")
 
 
 def test_measured_json_says_where_each_figure_comes_from(places: Path, tmp_path: Path) -> None:
@@ -478,8 +487,11 @@ def test_table_2_quotes_eight_methods_as_the_paper_prints_them(places: Path, tmp
     assert "| CVM-Net (CVPR'18, VGG16) | quoted | 18.80 | quoted | 44.42 | quoted | 57.47 | quoted | 91.54 |" in text
     assert "| Regmi (ICCV'19, X-Fork) | quoted | 48.75 | quoted | - | quoted | 81.27 | quoted | 95.98 |" in text
     assert text.count("| quoted | - | quoted | - | quoted | - | quoted |") == 4
-    assert "| LPN, sequential partition | not run | 78.48 |" in text
-    assert "| LPN, rings and rows | not run | 78.48 |" in text
+    for label, name in (
+        ("LPN, sequential partition", "panorama-lpn-sequential"),
+        ("LPN, rings and rows", "panorama-lpn"),
+    ):
+        assert f"| {label} | not run: no --model gives {name}, and --no-train trains none | 78.48 |" in text
     with (tmp_path / "out" / "table2.csv").open(encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["row"].startswith("Regmi")]
     assert [row["paper"] for row in rows] == ["48.75", "", "81.27", "95.98"]
@@ -515,6 +527,106 @@ def test_the_plan_says_the_updates_that_run(places: Path, tmp_path: Path) -> Non
     assert "Training on 4 places in satellite, drone: 2 steps of 2 places an epoch, 2 epochs, so 4 updates." in said(
         made
     )
+
+
+def test_rows_whose_data_are_not_given_say_so_in_their_place(places: Path, model_file: Path, tmp_path: Path) -> None:
+    options = {"models": {"lpn": model_file}, "train": False, "partial": True}
+    made = reproduction(places, tmp_path, **options)
+    files = made.run(["table2", "table5", "table6", "figure8"])
+    assert [file.name for file in files if file.suffix != ".csv"] == [
+        *("table2.md", "table2.png", "table5.md", "table5.png", "table6.md", "table6.png", "figure8.png"),
+    ]
+    assert "table2: 0 of 7 rows, and 8 quoted; no panoramas and tiles as in CVUSA are given with --data\n" in said(made)
+    assert "table5: 7 of 7 rows\n" in said(made)
+    text = (tmp_path / "table2.md").read_text(encoding="utf-8")
+    assert text.startswith("### Table II: ground to satellite\n")
+    reason = "not run: no panoramas and tiles as in CVUSA are given with --data"
+    assert f"| SAFA | {reason} | 89.84 | not run | 96.93 | not run | 98.14 | not run | 99.64 |" in text
+    assert "| CVFT (AAAI'20, VGG16) | quoted | 61.43 |" in text
+    assert "Nothing was measured." in text
+    reason = "not run: no landmarks as in Oxford5k or Paris6k are given with --data"
+    assert f"| LPN, ground branch | {reason} | 51.71 | not run | 67.73 |" in (tmp_path / "table6.md").read_text(
+        encoding="utf-8"
+    )
+    alone = reproduction(places, tmp_path / "landmarks", data=[str(landmarks(tmp_path))], train=False, partial=True)
+    alone.run(["table5", "table6", "figure8"])
+    assert "figure8 not drawn: no places are given with --data." in said(alone)
+    text = (tmp_path / "landmarks" / "table6.md").read_text(encoding="utf-8")
+    assert "| ImageNet alone | not run: no --init has the weights of resnet18 | 8.43 |" in text
+    assert "| LPN, ground branch | not run: no places as in University-1652 are given with --data | 51.71 |" in text
+
+
+def test_the_plan_is_printed_without_running(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(trainings.TrainingJob, "epoch_seconds", lambda job: job.work * 100)
+    monkeypatch.chdir(tmp_path)
+    root = small_worlds.make_views(tmp_path / "views", 40)
+    assert main(["doctor", "--reproduce", str(root), str(landmarks(tmp_path))]) == 0
+    text = capsys.readouterr().out
+    assert "table1: 7 of 7 rows\n" in text
+    assert "table2: 0 of 7 rows, and 8 quoted; no panoramas and tiles as in CVUSA are given with --data\n" in text
+    assert "table6: 4 of 5 rows; no --init has the weights of resnet50 (ImageNet alone)\n" in text
+    assert "figure7b, figure8-panoramas not drawn: no panoramas are given with --data.\n" in text
+    assert "To give with --init: weights of resnet50 for instance, lpn, contrastive, " in text
+    # Four losses with four trials each, them, baseline, LPN, three more n, and four more sizes.
+    assert "Plan: 29 of 29 trainings are left, 16 of them short trials: 2,000 epochs, about " in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["oxford", "views"]
+    assert main(["doctor", "--reproduce", str(tmp_path / "typo")]) == 2
+    assert main(["doctor", "--quick", "--reproduce", str(root)]) == 2
+    assert "leave out the other options" in capsys.readouterr().err
+    # The recipe has 8 places a step.
+    few = layouts.university_gaps(tmp_path / "few")
+    assert main(["doctor", "--reproduce", str(few)]) == 2
+    said = capsys.readouterr()
+    assert "table1: 7 of 7 rows\n" in said.out
+    assert "places a step, and few has" in said.err
+
+
+@pytest.mark.slow
+def test_all_runs_on_tiny_sets_in_the_released_layouts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = (
+        layouts.university_gaps(tmp_path / "U1652"),
+        layouts.cvusa(tmp_path / "CVUSA", train=2, test=2),
+        layouts.oxford(tmp_path / "OXFORD"),
+        layouts.paris(tmp_path / "PARIS"),
+    )
+    start, out = tmp_path / "start.safetensors", tmp_path / "out"
+    save(small_worlds.make_network(), start)
+    given = [argument for root in data for argument in ("--data", str(root))]
+    flags = [
+        "--recipe",
+        "reduced",
+        "--size",
+        "64",
+        "--epochs",
+        "1",
+        "--batch",
+        "2",
+        "--precision",
+        "float32",
+        "--no-tune",
+    ]
+    assert main(["reproduce", "all", *given, "--init", str(start), *flags, "--out", str(out)]) == 0
+    text = capsys.readouterr().out
+    for key in KEYS:
+        if key in tables(SCALES["reduced"]):
+            table = find(key, SCALES["reduced"])
+            own = [row for row in table.rows if not row.quoted]
+            quoted = f", and {len(table.rows) - len(own)} quoted" if len(own) < len(table.rows) else ""
+            assert f"{key}: {len(own)} of {len(own)} rows{quoted}\n" in text
+            assert "not run" not in (out / f"{key}.md").read_text(encoding="utf-8")
+    assert text.index("table1: 7 of 7 rows") < text.index(
+        "Plan: 22 of 22 trainings are left, 0 of them short trials: 22"
+    )
+    assert (
+        text.index("Plan: 22")
+        < text.index("resnet18 starts from start.safetensors.")
+        < text.index("(1 of 22 trainings")
+    )
+    assert {file.stem for file in out.glob("*.png")} == {*tables(SCALES["reduced"]), *SHOWN}
+    header = (out / "table6.md").read_text(encoding="utf-8").splitlines()[2]
+    assert header == "| | OXFORD mAP | paper | PARIS mAP | paper |"
 
 
 @pytest.mark.slow
@@ -561,7 +673,7 @@ def test_a_world_becomes_places_with_google_panoramas_and_landmarks(tmp_path: Pa
     for key in ("table1", "table2", "table6"):
         text = (tmp_path / "out" / f"{key}.md").read_text()
         assert "the rendered world, not the paper's data sets" in text
-    assert "| not run |" not in (tmp_path / "out" / "table1.md").read_text()
+    assert "| not run" not in (tmp_path / "out" / "table1.md").read_text()
     assert "paper, Oxford mAP | paper, Paris mAP |" in text
     assert "mined in the batch" in (tmp_path / "out" / "table1.md").read_text()
 
