@@ -22,7 +22,7 @@ MAX_ZOOM = 4.0
 # The value of `selected` that follows the nearest positive; links contain it.
 POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
-# What alters the ranking of a query.
+# The changes that alter the ranking of a query.
 Alteration = Literal["region", "weights", "rotation", "shift", "zoom"]
 # Tabs of the explain window. "best" becomes the one that answers why the top match is first, when the pair is analysed.
 WhyTab = Literal["best", "evidence", "heatmaps", "comparison", "sweep", "region", "models"]

@@ -19,7 +19,6 @@ from lpn.datasets.geo import Position
 from lpn.index.shared import SharedIndex
 from lpn.models.base import Model
 from lpn.retrieval.metrics import JUNK
-from lpn.retrieval.sides import TaskPictures
 from lpn.tasks.opening import choose_task, offered_tasks
 
 # Gallery pictures by which the described folder is found.
@@ -70,17 +69,17 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
         LPNError: when the data set has no task that the model knows, or cannot be read.
     """
     offered = fitting_tasks(model, offered_tasks(model, dataset) or [choose_task(model, dataset)], index)
-    listed = [TaskPictures.of(dataset, name) for name in offered]
-    held_of = [(pictures, *_names_held(index, dataset.root, pictures.gallery)) for pictures in listed]
-    pictures, folders, held = max(held_of, key=lambda task: len(task[2]))
+    galleries = {name: dataset.gallery(views_of(name)[1]) for name in offered}
+    held_of = [(name, *_names_held(index, dataset.root, gallery)) for name, gallery in galleries.items()]
+    name, folders, held = max(held_of, key=lambda task: len(task[2]))
     if len(folders) > 1:
         first, second = (printable(folder) for folder in folders[:2])
         raise InputError(
             f"The names in the index fit the pictures below {first} and those below {second} equally well; describe a folder "
             "that holds both, so that names tell them apart."
         )
-    view, model = pictures.views[0], model.for_task(*pictures.views)
-    queries, lists = pictures.queries, pictures.truth
+    view, model = views_of(name)[0], model.for_task(*views_of(name))
+    queries, lists = dataset.queries(view), dataset.truth(name)
     positions = dataset.positions()
     by_label: dict[int, list[str]] = {}
     for tile, (_, picture) in held.items():
@@ -98,7 +97,7 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
         true = [[names[i] for i in one.good.tolist() if i in names] if one.known else None for one in lists]
         junk = [[names[i] for i in one.junk.tolist() if i in names] for one in lists]
     return IndexQueries(
-        name=pictures.name,
+        name=name,
         data_name=printable(dataset.root.resolve().name),
         root=dataset.root,
         pictures=queries,

@@ -1,4 +1,4 @@
-"""What is known of a flight before it is located: its tags on the map, and a person's corrections."""
+"""The tags of a flight in metres of its map, and the corrections by which a person replaces them."""
 
 from __future__ import annotations
 

@@ -70,6 +70,7 @@ def open_task(
     if calibration is not None:
         queries, gallery = calibration.pictures(views[0], queries), calibration.pictures(views[1], gallery)
         model = calibration.applied(model)
+    query_labels, gallery_labels = pictures.labels
     identities = query_side.identity, gallery_side.identity
     return GalleryTask(
         name=name,
@@ -81,8 +82,8 @@ def open_task(
         map_sizes={view: model.map_size(view) for view in views},
         queries=queries,
         gallery=gallery,
-        query_labels=pictures.labels[0],
-        gallery_labels=pictures.labels[1],
+        query_labels=query_labels,
+        gallery_labels=gallery_labels,
         query_descriptors=query_side.descriptors,
         gallery_descriptors=gallery_side.descriptors,
         truth=pictures.truth,

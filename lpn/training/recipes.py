@@ -577,7 +577,7 @@ OF_BASELINE = ("instance", *METRIC_LOSSES)
 _OF_METHOD: dict[tuple[str, str], dict[str, Any]] = {
     (recipe, name): {"lr": lr} for recipe, lr in (("released", 0.01), ("cvusa-released", 0.02)) for name in OF_BASELINE
 }
-# What tells the released metric losses from ours, on any recipe.
+# The settings that turn any recipe's metric loss into the released one.
 RELEASED_METRIC: dict[str, Any] = {
     name: getattr(_METRIC_RELEASED, name) for name in ("protocol", "positives", "pool", "alpha", "street", "google")
 }

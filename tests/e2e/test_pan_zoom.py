@@ -66,7 +66,7 @@ class PanZoomPage:
         return place
 
     def calls(self, *kinds: str) -> list[str]:
-        """Of these kinds, what the map has called since this was asked last."""
+        """Return the calls of these kinds that the map has made since the last question."""
         calls: list[str] = self.page.evaluate("calls.splice(0)")
         return [call for call in calls if call.split()[0] in kinds]
 

@@ -54,7 +54,7 @@ ON_PLACES: dict[str, dict[str, Any]] = {
     },
     "lpn on vgg16": {"backbone": "vgg16_bn", "last_layer": "layer4", "n_parts": 2, "google": False, "epochs": 5},
     **{name: {} for name in ("instance", *METRIC_LOSSES)},
-    # As released, on a smaller network and at a rate for few steps.
+    # This is the released recipe with a smaller network and a learning rate for few steps.
     **{f"{name} as released": {**RELEASED_METRIC, "linear": False, "lr": 1e-4} for name in METRIC_LOSSES},
 }
 ON_PANORAMAS: dict[str, dict[str, Any]] = {

@@ -11,7 +11,7 @@ from tools.fixtures import released_metric
 def test_network_losses_and_gradients_are_the_released_ones() -> None:
     found = released_metric.differences()
     assert {f"{name}.loss" for name in METRIC_LOSSES} <= set(found)
-    # Of each array's largest value.
+    # Differences are relative to the largest value of each array.
     assert max(found.values()) < 2e-5, found
 
 
