@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from lpn.reproduce.paper_values import CLAIMS, Claim
 from lpn.reproduce.record import RowRecord, TableRecord
+from lpn.reproduce.seed_intervals import half_interval_of_difference
 
 
 def verdicts(record: TableRecord) -> list[str]:
@@ -42,13 +43,13 @@ def _ahead(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int]) -> 
     lost = [gap for gap in gaps if gap[0] <= 0]
     if lost:
         share = f" in {len(lost)} of {len(gaps)} comparisons" if len(lost) < len(gaps) else ""
-        near = all(-gap <= rows[better].spread[index] + rows[worse].spread[index] for gap, better, worse, index in lost)
+        near = all(-gap <= _noise(rows, better, worse, index) for gap, better, worse, index in lost)
         return f"did not hold{share}" + (
-            ", but within the spread of the seeds" if near and any(g[0] for g in lost) else ""
+            ", but within the interval of the seeds" if near and any(g[0] for g in lost) else ""
         )
-    close = [gap for gap in gaps if gap[0] <= rows[gap[1]].spread[gap[3]] + rows[gap[2]].spread[gap[3]]]
+    close = [gap for gap in gaps if gap[0] <= _noise(rows, *gap[1:])]
     if close:
-        return "held in the mean, but within the spread of the seeds for " + ", ".join(
+        return "held in the mean, but within the interval of the seeds for " + ", ".join(
             dict.fromkeys(label for _, *pair, _ in close for label in pair)
         )
     return "held"
@@ -60,18 +61,25 @@ def _not_ahead(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int])
     allowed = dict(zip(columns, claim.tolerance, strict=True))
     gaps = [
         # The figures have two digits.
-        (round(gap, 2) - allowed[index], rows[better].spread[index] + rows[worse].spread[index])
+        (round(gap, 2) - allowed[index], _noise(rows, better, worse, index))
         for index in columns
         for gap, better, worse in _gaps(claim, rows, index)
     ]
-    beyond = [(over, spread) for over, spread in gaps if over > 0]
+    beyond = [(over, noise) for over, noise in gaps if over > 0]
     if not beyond:
-        near = any(-over < spread for over, spread in gaps)
-        return "held in the mean, but within the spread of the seeds" if near else "held"
+        near = any(-over < noise for over, noise in gaps)
+        return "held in the mean, but within the interval of the seeds" if near else "held"
     worst = max(columns, key=lambda index: largest[index] - allowed[index])
-    near = all(over <= spread for over, spread in beyond)
+    near = all(over <= noise for over, noise in beyond)
     return f"did not hold, {largest[worst]:.1f} points where {allowed[worst]:.1f} are allowed" + (
-        ", but within the spread of the seeds" if near else ""
+        ", but within the interval of the seeds" if near else ""
+    )
+
+
+def _noise(rows: dict[str, RowRecord], better: str, worse: str, index: int) -> float:
+    """Return half the width of the interval of the difference between two rows in a column."""
+    return half_interval_of_difference(
+        *([values[index] for values in rows[label].values.values()] for label in (better, worse))
     )
 
 

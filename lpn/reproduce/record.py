@@ -16,6 +16,7 @@ import torch
 
 import lpn
 from lpn.reproduce.paper_values import PrintedValues, Values
+from lpn.reproduce.seed_intervals import half_interval
 
 
 class Provenance(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -40,7 +41,7 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         label: the name by which claims refer to the row.
         mean: for each column; empty if the row was not run.
-        spread: half of the distance between the lowest and the highest network, for each column.
+        interval: half the width of the 95 % interval of the mean over networks, for each column; 0 for one network.
         paper: the paper's values, empty if it has no such row.
         note: printed after the label.
         quoted: the paper quotes the row from other work, and nothing is measured.
@@ -52,7 +53,7 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     label: str
     mean: Values = ()
-    spread: Values = ()
+    interval: Values = ()
     paper: PrintedValues = ()
     note: str = ""
     quoted: bool = False
@@ -108,7 +109,7 @@ def row_record(
     return RowRecord(
         label,
         tuple(sum(column) / len(column) for column in columns),
-        tuple((max(column) - min(column)) / 2 for column in columns),
+        tuple(half_interval(column) for column in columns),
         paper,
         note,
         quoted,

@@ -46,7 +46,7 @@ def markdown(record: TableRecord) -> str:
         lacking = "quoted" if row.quoted else f"not run: {row.reason}" if row.reason else "not run"
         for here, index in cells:
             if here:
-                texts.append(_format(row.mean[index], row.spread[index]) if row.mean else lacking)
+                texts.append(_format(row.mean[index], row.interval[index]) if row.mean else lacking)
                 lacking = "quoted" if row.quoted else "not run"
             else:
                 printed = row.paper[index] if index < len(row.paper) else None
@@ -60,8 +60,8 @@ def markdown(record: TableRecord) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _format(mean: float, spread: float) -> str:
-    return f"{mean:.2f} ± {spread:.2f}" if spread else f"{mean:.2f}"
+def _format(mean: float, interval: float) -> str:
+    return f"{mean:.2f} ± {interval:.2f}" if interval else f"{mean:.2f}"
 
 
 def _csv(record: TableRecord) -> bytes:
@@ -85,7 +85,7 @@ def figure(record: TableRecord) -> bytes:
         figsize=(8.2, 3.9) if steps else (8.2, 0.5 * len(labels) + 1.6), layout="constrained"
     )
     for index, (column, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
-        run = [(place, (row.mean[index], row.spread[index])) for place, row in enumerate(record.rows) if row.mean]
+        run = [(place, (row.mean[index], row.interval[index])) for place, row in enumerate(record.rows) if row.mean]
         paper = [
             (place, value)
             for place, row in enumerate(record.rows)
@@ -118,18 +118,18 @@ def _draw(
     run: Sequence[tuple[int, tuple[float, float]]],
     paper: Sequence[tuple[int, float]],
 ) -> None:
-    """Draw one column: measured values filled, with their spread, and the paper's hollow or dotted."""
+    """Draw one column: measured values filled, with their intervals, and the paper's hollow or dotted."""
     places = [place for place, _ in run]
-    means, spreads = [value[0] for _, value in run], [value[1] for _, value in run]
+    means, intervals = [value[0] for _, value in run], [value[1] for _, value in run]
     if steps:
-        axes.errorbar(places, means, spreads, color=colour, marker="o", capsize=3, label=column)
+        axes.errorbar(places, means, intervals, color=colour, marker="o", capsize=3, label=column)
         if paper:
             axes.plot(*zip(*paper, strict=True), color=colour, linestyle=":", marker="o", fillstyle="none", alpha=0.6,
                       label=f"{column}, paper")  # fmt: skip
         return
     height = 0.8 / of
     at = [place + (index - (of - 1) / 2) * height for place in places]
-    axes.barh(at, means, height * 0.9, xerr=spreads if any(spreads) else None, color=colour, label=column)
+    axes.barh(at, means, height * 0.9, xerr=intervals if any(intervals) else None, color=colour, label=column)
     if paper:
         label = {"label": "the paper"} if index == of - 1 else {}
         where = [place + (index - (of - 1) / 2) * height for place, _ in paper]

@@ -15,6 +15,8 @@
   const MANY = 15000;
   // How much smaller and larger than with all in sight a map may be drawn.
   const FARTHEST = 8, NEAREST = 1e5;
+  // Side in pixels of the cells whose queries are one pie on the ground.
+  const PIE_CELL = 26;
   const GREY = "#8a8a8a", PALE = "#515357", TILE = "#9aa1a8";
   const { clamp } = lpn;
   // The corners of what a drag encloses: its own, or those of the box that a straight one spans; null if it encloses nothing.
@@ -87,7 +89,7 @@
   const LabMap = (box) => {
     const [ground, points, overlay] = box.querySelectorAll("canvas");
     const counted = box.querySelector(".counted"), position = box.querySelector(".read");
-    let plane = null, flags = null, codes = null, palette = [], picture = null, order = null, groups = null;
+    let plane = null, flags = null, codes = null, palette = [], picture = null, order = null, groups = null, gathered = 0;
     let bounds = null, frame = 0, buffer = null, rest = 0, hovered = -1, lasso = null, asked = 0;
     const ratio = () => Math.min(window.devicePixelRatio || 1, 2);
     const x = (i) => plane[2 * i], y = (i) => plane[2 * i + 1];
@@ -128,15 +130,16 @@
       }
       order = layers.map((layer) => Int32Array.from(layer));
     };
-    // On the ground, selected queries of one place are one pie.
+    // On the ground, selected queries that would cover one another at this zoom are one pie. The cells that gather them do not
+    // move with the map, so a pie stays what it is while the map is dragged.
     const grouped = () => {
-      const at = new Map(), alone = new Uint8Array(data.queries).fill(1);
+      const cells = new Map(), alone = new Uint8Array(data.queries).fill(1), side = PIE_CELL / (gathered = map.view ? map.view.scale : 1);
       for (let i = 0; i < data.queries; i++) {
         if (!(flags[i] & SELECTED) || x(i) !== x(i)) continue;
-        const key = x(i) + "," + y(i);
-        at.has(key) ? at.get(key).push(i) : at.set(key, [i]);
+        const key = Math.floor(x(i) / side) + "," + Math.floor(y(i) / side);
+        cells.has(key) ? cells.get(key).push(i) : cells.set(key, [i]);
       }
-      groups = [...at.values()].filter((members) => members.length > 1);
+      groups = [...cells.values()].filter((members) => members.length > 1);
       for (const members of groups) for (const i of members) alone[i] = 0;
       return alone;
     };
@@ -146,6 +149,7 @@
       frame = 0;
       if (!ready()) return;
       const begun = performance.now(), k = ratio();
+      if (data.ground && gathered !== map.view.scale) sort(); // a zoom gathers other queries
       const [width, height] = map.size().map((side) => Math.round(side * k));
       if (!width || !height) return;
       for (const canvas of [ground, points, overlay]) if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
@@ -162,7 +166,7 @@
       const [left, top] = map.toPixels(data.ground.corners[0]), [right, bottom] = map.toPixels(data.ground.corners[1]);
       pen.imageSmoothingQuality = "high";
       pen.drawImage(picture, left, top, right - left, bottom - top);
-      pen.fillStyle = "rgba(0,0,0,.45)"; // points stand out
+      pen.fillStyle = "rgba(0,0,0,.3)"; // points stand out
       pen.fillRect(left, top, right - left, bottom - top);
     };
     const drawPoints = (pen, width, height, k) => {
@@ -228,7 +232,8 @@
       pen.putImageData(buffer, -pad, -pad);
     };
     const drawPie = (pen, members) => {
-      const [left, top] = map.toPixels([x(members[0]), y(members[0])]);
+      const middle = (axis) => members.reduce((sum, i) => sum + axis(i), 0) / members.length;
+      const [left, top] = map.toPixels([middle(x), middle(y)]);
       const [width, height] = map.size();
       if (left < -20 || top < -20 || left > width + 20 || top > height + 20) return;
       const radius = clamp(4 + 1.2 * Math.sqrt(members.length), 5, 12), shares = new Map();
@@ -458,7 +463,7 @@
       const none = counts[counts.length - 1];
       if (none) entries.push(entry(GREY, (data.colour ? "no value: " : "place not known: ") + none.toLocaleString("en")));
       if (data.colour && crosses) entries.push(entry("currentColor", "failed", "✕"));
-      if (groups?.length) entries.push(entry("currentColor", "a pie: the queries of one place", "◕"));
+      if (groups?.length) entries.push(entry("currentColor", "a pie: queries that lie close together", "◕"));
       if (!data.ground) entries.push(entry(TILE, "tiles", "■"));
       if (data.axes) entries.push(data.axes);
       if (data.query) entries.push("ringed: the query");
@@ -484,13 +489,13 @@
         if (data !== next) return; // a newer state has come meanwhile
         [plane, flags, codes, picture] = came;
         palette = next.palette; // it belongs to these codes
-        sort();
         bounds = extent() || [0, 0, 0, 0];
         map.view = views.get(next.view) || null;
         if (!map.view) {
           home();
           if (map.view) views.set(next.view + "fit", map.view.scale);
         }
+        sort();
         tell(next.selected);
         legend();
         draw();

@@ -36,7 +36,7 @@ def test_what_is_offered_and_shown_fits_the_number_of_queries_and_the_filter(fin
         html = table.bar(findings, lab, count)
         assert "lab-report" not in html
         assert f"A report holds up to 200 queries; {count} are shown" in html
-        assert '>Report<span class="roomy">: up to 200 queries<' in html
+        assert '>Report<span class="roomy"> (at most 200)<' in html
     rows = findings.table.rows()
     for before, shown in (("", "without a filter"), ("rank > 1", "of the last filter that could be read, rank &gt; 1")):
         wrong = state.set_filter(replace(lab, filter=before), "rank > 5 and", findings.table)

@@ -33,6 +33,7 @@ from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.paper_figures import retrievals
 from lpn.reproduce.pretrained import features_alone
 from lpn.reproduce.record import TableRecord, here, row_record
+from lpn.reproduce.seed_intervals import half_interval, half_interval_of_difference
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import SCALES, SHOWN, Scale, find, tables
 from lpn.retrieval.evaluate import evaluate
@@ -800,7 +801,7 @@ def record(key: str, values: dict[str, list[float]]) -> TableRecord:
     return TableRecord(key, table.title, table.columns, tuple(range(len(table.columns))), tuple(rows))
 
 
-def test_claims_are_judged_by_the_figures_and_the_seeds_spread() -> None:
+def test_claims_are_judged_by_the_figures_and_the_interval_of_the_seeds() -> None:
     def verdict(lpn: list[float], baseline: list[float]) -> str:
         return claims.verdicts(record("table1", {"LPN": lpn, "Instance loss (baseline)": baseline}))[0]
 
@@ -808,10 +809,18 @@ def test_claims_are_judged_by_the_figures_and_the_seeds_spread() -> None:
     assert "**held** (drone → satellite R@1: LPN 70.0, Instance loss (baseline) 50.0; drone → satellite AP" in held
     assert held.endswith("; one network each).")
     assert "**did not hold**" in verdict([50], [50])
-    assert "within the spread of the seeds for LPN, Instance loss (baseline)**" in verdict([49, 55], [47, 53])
+    assert "within the interval of the seeds for LPN, Instance loss (baseline)**" in verdict([49, 55], [47, 53])
     assert verdict([69, 71], [50]).endswith("; one network of Instance loss (baseline)).")
     assert verdict([69, 71], [50, 52]).endswith("Instance loss (baseline) 51.0).")
     assert "not known; LPN was not run" in claims.verdicts(record("table1", {"Instance loss (baseline)": [1]}))[0]
+
+
+def test_the_interval_of_seeds_is_students() -> None:
+    # The quantiles at 97.5 % are 4.3027 for two degrees of freedom and 2.7764 for four.
+    assert half_interval([49, 50, 51]) == pytest.approx(4.3027 / 3**0.5, abs=1e-3)
+    assert half_interval_of_difference([49, 50, 51], [59, 60, 61]) == pytest.approx(2.7764 * (2 / 3) ** 0.5, abs=1e-3)
+    assert half_interval([50]) == half_interval_of_difference([50], [49, 51]) == 0
+    assert half_interval_of_difference([50, 50], [51, 51]) == 0
 
 
 def test_a_drop_is_significant_beyond_the_papers_own() -> None:
@@ -827,14 +836,14 @@ def test_a_drop_is_significant_beyond_the_papers_own() -> None:
     assert "**held**" in verdicts(80 - 1.29)[1]
 
 
-def test_a_gain_within_the_spread_of_the_seeds_is_said_to_be_so() -> None:
+def test_a_gain_within_the_interval_of_the_seeds_is_said_to_be_so() -> None:
     def verdict(larger: list[float], smaller: list[float]) -> str:
         return claims.verdicts(record("table3", {"512": larger, "384": smaller}))[1]
 
     assert "bring drone queries nothing over 384 (Table III): **held** (" in verdict([50, 50], [60, 60])
-    assert "**held in the mean, but within the spread of the seeds**" in verdict([50, 70], [60, 61])
+    assert "**held in the mean, but within the interval of the seeds**" in verdict([50, 70], [60, 61])
     assert "**did not hold, 5.0 points where 0.0 are allowed**" in verdict([60, 60], [55, 55])
-    assert "**did not hold, 0.5 points where 0.0 are allowed, but within the spread of the seeds**" in verdict(
+    assert "**did not hold, 0.5 points where 0.0 are allowed, but within the interval of the seeds**" in verdict(
         [59, 62], [59, 61]
     )
 
