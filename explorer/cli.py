@@ -41,8 +41,8 @@ class ServeOptions:
     """Token to ask for, at least 12 characters; other users see it in the list of processes, so better set LPN_TOKEN."""
     ask_token: bool = False
     """Ask for a token on 127.0.0.1 too; otherwise other users of this machine can connect without one."""
-    allow_host: tuple[str, ...] = ()
-    """Further host names of the page, such as that of a reverse proxy (docs/serving.md)."""
+    allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A further host name of the page, such as that of a reverse proxy (docs/serving.md); once for each."""
 
     def authenticator(self) -> Authenticator:
         """Return what lets browsers in.

@@ -204,6 +204,7 @@ def _kml_points(text: str, name: str) -> _Points:
     points = _Points()
     parser: Any = ElementTree.XMLPullParser(("start", "end"))
     parents: list[ElementTree.Element] = []
+    angles = False
     try:
         parser.feed(text)
         parser.close()
@@ -215,9 +216,14 @@ def _kml_points(text: str, name: str) -> _Points:
                 parents.append(element)
                 continue
             parents.pop()
+            angles |= _tag(element) == "angles" and any(map(values.number, (element.text or "").split()))
             _add_element(element, parents[-1] if parents else None, points)
     except ElementTree.ParseError:
         pass  # the note is there already
+    if angles:
+        points.notes.append(
+            f"The gx:angles of {name} turn the model that moves along its track, not a camera, and were not read."
+        )
     return points
 
 

@@ -349,3 +349,12 @@ def test_each_geometry_of_kml_has_its_own_mode_and_tracks_have_that_of_the_multi
     several = f"<MultiGeometry>{points.format('relativeToGround', 40)}{points.format('absolute', 450)}</MultiGeometry>"
     rows = parse_track(f"{start}{times}{several}</Placemark></kml>".encode(), "a.kml").rows
     assert [(row.entry.altitude, row.entry.height_above_ground) for row in rows] == [(None, 40.0), (450.0, None)]
+
+
+@pytest.mark.parametrize(("angles", "noted"), [("45 0 0", True), ("0 0 0", False)])
+def test_angles_of_a_tracks_model_are_named_as_not_read(angles: str, noted: bool) -> None:
+    start = '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Placemark>'
+    inside = f"<when>2024-05-01T10:00:00Z</when><gx:coord>8.5 47.3 40</gx:coord><gx:angles>{angles}</gx:angles>"
+    track = parse_track(f"{start}<gx:Track>{inside}</gx:Track></Placemark></kml>".encode(), "a.kml")
+    assert len(track.rows) == 1
+    assert any("gx:angles of a.kml" in note for note in track.notes) == noted
