@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -157,7 +156,6 @@ class ClientViews:
             drawn: called when all but the panels is drawn.
         """
         self.sequence += 1
-        started = time.perf_counter()
         self.first_screen.show(analysis, self.stories.names)  # before the stage, which takes longer
         with self._client.atomic():  # the page draws one frame
             self.stage.show(analysis)
@@ -168,7 +166,7 @@ class ClientViews:
             self.flight.show(analysis)
             self.stories.show(analysis)
             drawn()
-            self.panels.show(analysis, self.sequence, started)
+            self.panels.show(analysis, self.sequence)
 
     def fail(self, error: Exception) -> None:
         """Say why there is no answer."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -60,14 +59,14 @@ class AnswerPanel:
 
         return on_click
 
-    def show(self, analysis: StateAnalysis, sequence: int, started: float) -> None:
-        """Show an analysis; `started` is when drawing began, by `time.perf_counter`."""
+    def show(self, analysis: StateAnalysis, sequence: int) -> None:
+        """Show an analysis."""
         workspace = self._workspace
         self.show_results(self._workspace.rankings[analysis.task.name])
         self._verdict.show(pages.verdict(analysis, workspace))
         self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
         self._table.show(pages.parts_table(analysis, workspace))
-        self._last = pages.ShownAnalysis(analysis, sequence, time.perf_counter() - started)
+        self._last = pages.ShownAnalysis(analysis, sequence)
         self.show_idle()
 
     def show_results(self, ranking: RankingJob) -> None:

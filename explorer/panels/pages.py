@@ -31,11 +31,10 @@ PARTS_NOTE = "Switch parts off or weight them: the ranking follows at once. R@1 
 
 
 class ShownAnalysis(NamedTuple):
-    """The analysis that a page shows, its sequence number, and the seconds spent on drawing it."""
+    """The analysis that a page shows, and its sequence number."""
 
     analysis: StateAnalysis
     sequence: int
-    drawing: float
 
 
 def hidden(ids: Sequence[str]) -> str:

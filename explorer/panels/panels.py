@@ -56,11 +56,11 @@ class Panels:
         self.controls.write(state)
         self.query.update(state)
 
-    def show(self, analysis: StateAnalysis, sequence: int, started: float) -> None:
-        """Show an analysis; `started` is when drawing began, by `time.perf_counter`."""
+    def show(self, analysis: StateAnalysis, sequence: int) -> None:
+        """Show an analysis."""
         with self._client.atomic():
             self.query.show(analysis)
-            self.answer.show(analysis, sequence, started)
+            self.answer.show(analysis, sequence)
 
     def fit(self, small: bool) -> None:
         """Minimize the left panel on a small screen, so that the stage has room."""

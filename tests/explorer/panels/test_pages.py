@@ -127,12 +127,11 @@ def test_what_alters_the_ranking_stands_beside_the_verdict_and_is_undone(workspa
 
 def test_a_status_line_that_waits_still_says_what_is_shown(workspace: Workspace) -> None:
     state = SessionState(next(iter(workspace.tasks)), 4, query=2)
-    shown = pages.ShownAnalysis(StateAnalyser(workspace).analyse(state, 5), 4, 0.001)
-    assert "answered in" in pages.status(shown)
+    shown = pages.ShownAnalysis(StateAnalyser(workspace).analyse(state, 5), 4)
+    assert "computing" not in pages.status(shown)
     waiting = pages.status(shown, "computing")
     assert 'data-seq="4" data-query="2"' in waiting
     assert "computing" in waiting
-    assert "answered" not in waiting
     assert "describing the first picture" in pages.status(None, "computing")
     assert "Busy" in pages.status(None, "full")
 

@@ -109,7 +109,7 @@ def test_names_from_files_never_become_html(workspace: Workspace) -> None:
     analysis = StateAnalyser(workspace).analyse(SessionState(task.name, 4, upload=own), 10)
     assert "<i>places" not in pages.header(workspace, task)
     assert "&lt;i&gt;places" in pages.header(workspace, task)
-    assert "<img src=x" not in pages.status(pages.ShownAnalysis(analysis, 1, 0.0))
+    assert "<img src=x" not in pages.status(pages.ShownAnalysis(analysis, 1))
 
 
 def test_a_true_tile_below_the_list_is_offered(workspace: Workspace) -> None:
