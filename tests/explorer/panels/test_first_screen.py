@@ -21,6 +21,7 @@ from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
+from lpn.core.numbers import rounded_to_sum
 from lpn.datasets import rendered
 from lpn.drawing import theme
 from lpn.sources import Published
@@ -358,6 +359,8 @@ def test_on_the_demo_what_comes_from_no_place_is_what_the_constants_of_both_tile
     rest = (1 if found else -1) * 2 * (answer - other)
     assert abs(rest) > 0.005, "the demo's network has constants"
     shown = text(first_screen.page(analysis, demo))
-    assert f"A further {rest:+.3f} comes from no place".replace("-", "−") in shown
-    assert f"All places together make {lead.total - rest:+.3f}.".replace("-", "−") in shown
+    places, further = rounded_to_sum([lead.total - rest, rest])
+    assert round(places + further, 3) == round(lead.total, 3), "what is shown adds up"
+    assert f"A further {further:+.3f} comes from no place".replace("-", "−") in shown
+    assert f"All places together make {places:+.3f}.".replace("-", "−") in shown
     assert f"and speaks for {lead.leader if rest > 0 else lead.follower}." in shown
