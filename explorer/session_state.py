@@ -46,6 +46,7 @@ class SessionState:
         region: cells of the query's feature map to search by, row by row; empty for the whole query.
         why: True while the explain window is open.
         why_tab: its tab.
+        beside: which of the models beside the workspace's own is compared, from 0.
         lab: True while the failure laboratory is open.
         laboratory: what it shows.
         flight: True while the flight window is open; it is visible while neither of the two other windows is.
@@ -78,6 +79,7 @@ class SessionState:
     region: tuple[int, ...] = ()
     why: bool = False
     why_tab: WhyTab = "evidence"
+    beside: int = 0
     lab: bool = False
     laboratory: LabChoices = field(default_factory=LabChoices)
     flight: bool = False

@@ -81,6 +81,7 @@ class UrlState:
             parameters.switch("city"),
             parameters.switch("why"),
             Parameter("reason", _write_why_tab, _read_why_tab),
+            Parameter("beside", self._write_beside, self._read_beside),
             Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
             *(_in_lab(choice.parameter) for choice in CHOICES if choice.parameter is not None),
             Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
@@ -201,6 +202,15 @@ class UrlState:
         if value != self._workspace.key:
             raise UnusableError(f"there is nothing else to show than {', '.join(self._workspace.choices) or 'this'}.")
         return state
+
+    def _write_beside(self, state: SessionState) -> str | None:
+        return self._workspace.beside[state.beside].label if state.beside else None
+
+    def _read_beside(self, state: SessionState, value: str) -> SessionState:
+        labels = [one.label for one in self._workspace.beside]
+        if value not in labels:
+            raise UnusableError(f"expected {' or '.join(labels)}." if labels else "there is no model beside this one.")
+        return replace(state, beside=labels.index(value))
 
     def _read_task(self, state: SessionState, value: str) -> SessionState:
         if value not in self._workspace.tasks:

@@ -92,8 +92,8 @@ class Workspace:
             f"saved descriptors, n = {contract.n_parts}, no network" if model is None else model.describe()
         )
         self.first_query = 0
-        # Another model on the same data to compare with, if there is one.
-        self.second: LazyWorkspace | None = None
+        # Other models on the same data to compare with; a state says which one is compared.
+        self.beside: list[LazyWorkspace] = []
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
@@ -115,6 +115,10 @@ class Workspace:
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.contract.input_size)
         self.load_picture = lru_cache(maxsize=64)(Picture.load)
+
+    def compared(self, state: SessionState) -> LazyWorkspace | None:
+        """Return the model beside this one that a state compares; None without one."""
+        return self.beside[state.beside] if state.beside < len(self.beside) else None
 
     def choose_first_query(self, query: str | None) -> None:
         """Choose by name the query that a new browser shows first.
@@ -327,6 +331,11 @@ class LazyWorkspace:
     def error(self) -> str:
         """One sentence if it could not be opened, else empty."""
         return "" if self._job is None else self._job.error or ""
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """The numbers of described and of all pictures while it is being opened; (0, 0) until they are known."""
+        return (0, 0) if self._job is None else (self._job.done, self._job.total)
 
     @property
     def opening(self) -> bool:

@@ -190,7 +190,7 @@ class ClientSession:
             return RETRY_AFTER
         finally:
             slow.cancel()
-        second, name = self._workspace.second, analysis.task.name
+        second, name = self._workspace.compared(analysis.state), analysis.task.name
         other = None if second is None or second.workspace is None else second.workspace.rankings.get(name)
         self._ranking_progress.follow(self._workspace.rankings[name], other)
         self._address.write(analysis.state)

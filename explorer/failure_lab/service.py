@@ -13,7 +13,7 @@ import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
 from explorer.lab_choices import MapKind
-from explorer.workspace import Workspace
+from explorer.workspace import LazyWorkspace, Workspace
 from lpn.analysis import embedding_map, named_views
 from lpn.analysis.named_views import NamedView
 from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
@@ -114,6 +114,8 @@ class FailureLab:
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._jobs, self._lock = workspace, BackgroundJobs(), threading.Lock()
         self._findings: dict[str, Findings] = {}
+        # The same with the ranks of one of the models beside, and the findings that they were added to.
+        self._compared: dict[tuple[str, int], tuple[Findings, Findings]] = {}
 
     @property
     def notes(self) -> Path:
@@ -130,10 +132,13 @@ class FailureLab:
         """Tell if the extra for UMAP is installed."""
         return find_spec("umap") is not None
 
-    def findings(self, task: str) -> Findings | None:
+    def findings(self, task: str, beside: int = 0) -> Findings | None:
         """Return a task's findings with all that is known by now; None before they are computed.
 
-        They include the newest notes, the newest answers of a flight, and the second model's ranks.
+        They include the newest notes, the newest answers of a flight, and the ranks of the second model.
+
+        Args:
+            beside: which of the models beside the workspace's own is the second one.
         """
         flight = self._workspace.flight
         with self._lock:
@@ -141,13 +146,22 @@ class FailureLab:
             if findings is not None and flight is not None and findings.flight is not flight:
                 table = findings.table.with_columns(stage_columns(flight))
                 findings = self._findings[task] = replace(findings, table=table, flight=flight)
-            if findings is not None and findings.second is None:
-                findings = self._findings[task] = self._with_second(findings)
-            return findings
+            if findings is None:
+                return None
+            before = self._compared.get((task, beside))
+            if before is None or before[0] is not findings:
+                compared = self._with_second(findings, self._second(beside))
+                if compared is findings:
+                    return findings
+                before = self._compared[task, beside] = findings, compared
+            return before[1]
 
-    def join_second(self, task: str, client: object) -> SecondProgress:
+    def _second(self, beside: int) -> LazyWorkspace | None:
+        return self._workspace.beside[beside] if beside < len(self._workspace.beside) else None
+
+    def join_second(self, task: str, client: object, beside: int = 0) -> SecondProgress:
         """Start or join the ranking of a task by the second model, once that is open; tell how far it is."""
-        second = self._workspace.second
+        second = self._second(beside)
         if second is None:
             return SecondProgress()
         if second.workspace is None:
@@ -166,20 +180,20 @@ class FailureLab:
             return SecondProgress(f"rank B: none. {ranking.error}")
         return SecondProgress(f"rank B: ranking {job.done:,} of {len(ranking.task.queries):,} queries", True)
 
-    def open_second(self) -> None:
+    def open_second(self, beside: int = 0) -> None:
         """Open the second model in the background, if there is one that is not open."""
-        second = self._workspace.second
+        second = self._second(beside)
         if second is not None and second.workspace is None:
             second.open()
 
     def leave_second(self, client: object) -> None:
-        """Stop waiting for the second model's ranks."""
-        second = self._workspace.second
-        for ranking in () if second is None or second.workspace is None else second.workspace.rankings.values():
-            ranking.leave(client)
+        """Stop waiting for the ranks of all models beside the workspace's own."""
+        for second in self._workspace.beside:
+            for ranking in () if second.workspace is None else second.workspace.rankings.values():
+                ranking.leave(client)
 
-    def _with_second(self, findings: Findings) -> Findings:
-        second = None if self._workspace.second is None else self._workspace.second.workspace
+    def _with_second(self, findings: Findings, other: LazyWorkspace | None) -> Findings:
+        second = None if other is None else other.workspace
         ranking = None if second is None else second.rankings.get(findings.task.name)
         if second is None or ranking is None or ranking.result is None:
             return findings

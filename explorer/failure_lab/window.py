@@ -73,6 +73,8 @@ class FailureLabWindow:
         self._lock = threading.RLock()
         task = next(iter(workspace.tasks))
         self._lab, self._view = LabState(task=task), _View(task, None, False)
+        # Which of the models beside the workspace's own is the second one.
+        self._beside = 0
         self._table_rows = np.zeros(0, np.int64)
         # The task and the choices of an address, until there is a table that they can be applied to.
         self._wanted: tuple[str, LabChoices] | None = None
@@ -108,7 +110,7 @@ class FailureLabWindow:
         session = analysis.state
         query = None if session.upload else session.query
         with self._lock:
-            self._lab = state.for_task(self._lab, session.task)
+            self._lab, self._beside = state.for_task(self._lab, session.task), session.beside
             before, reasons = self._view, session.shows_reasons
             order = before.order if session.lab else ""
             if session.lab and not before.open and reasons and not before.reasons:
@@ -123,7 +125,7 @@ class FailureLabWindow:
             whole: the state has the choices of a closed laboratory, too; an address has them only of an open one.
         """
         with self._lock:
-            self._lab = state.for_task(self._lab, session.task)
+            self._lab, self._beside = state.for_task(self._lab, session.task), session.beside
             if session.lab or whole:
                 self._wanted = session.task, session.laboratory
         self._worker.wake()
@@ -131,10 +133,13 @@ class FailureLabWindow:
     def order(self, session: SessionState) -> Int64Array | None:
         """Return the selected queries in the table's order, None while the window is closed; next and previous follow it."""
         with self._lock:
-            findings = self._service.findings(session.task)
+            findings = self._service.findings(session.task, session.beside)
             if not session.lab or findings is None or self._lab.task != session.task:
                 return None
             return self._rows(findings, self._lab)
+
+    def _findings(self, task: str) -> Findings | None:
+        return self._service.findings(task, self._beside)
 
     def commands(self) -> list[tuple[str, Callable[[], None]]]:
         """Return the window's commands for the palette."""
@@ -155,7 +160,7 @@ class FailureLabWindow:
 
     def receive(self, message: LabMessage) -> None:
         """Do what a message of the window's HTML asks for."""
-        findings = self._service.findings(self._lab.task)
+        findings = self._findings(self._lab.task)
         match message:
             case messages.OpenQuery(row):
                 self._open(row)
@@ -178,7 +183,7 @@ class FailureLabWindow:
             case messages.SaveReport():
                 self._report()
             case messages.OpenSecond():
-                self._service.open_second()
+                self._service.open_second(self._beside)
                 self._second_worker.wake()
             case messages.CloseLab():
                 self._change(lambda session: replace(session, lab=False))
@@ -237,7 +242,7 @@ class FailureLabWindow:
             if isinstance(message, messages.SelectLasso):
                 changed = self._map.select_lasso(self._lab, message)
             else:
-                changed = messages.apply(message, self._lab, self._service.findings(self._lab.task))
+                changed = messages.apply(message, self._lab, self._findings(self._lab.task))
             if changed == self._lab:
                 return
             self._lab = changed
@@ -250,7 +255,7 @@ class FailureLabWindow:
 
     def _show_one(self, lab: LabState) -> None:
         """Show the first of the selected queries, unless the page shows one of them."""
-        findings = self._service.findings(lab.task)
+        findings = self._findings(lab.task)
         if findings is None or not lab.selections:
             return
         rows = self._rows(findings, lab)
@@ -281,7 +286,7 @@ class FailureLabWindow:
 
     def _draw(self) -> None:
         with self._lock:
-            findings = self._service.findings(self._lab.task)
+            findings = self._findings(self._lab.task)
             wanted, restored = self._wanted, False
             if findings is not None and wanted is not None and wanted[0] == self._lab.task:
                 self._lab, self._wanted, restored = state.with_choices(findings, self._lab, wanted[1]), None, True
@@ -300,7 +305,7 @@ class FailureLabWindow:
             return
         if findings.second is not None:
             self._second.show("")
-        elif self._workspace.second is not None:
+        elif self._workspace.beside:
             self._second_worker.wake()
         rows = self._rows(findings, lab)
         chosen = state.chosen_rows(lab, rows)
@@ -329,9 +334,9 @@ class FailureLabWindow:
             task, is_open = self._lab.task, self._view.open
         if not is_open:
             return None
-        progress = self._service.join_second(task, self)
+        progress = self._service.join_second(task, self, self._beside)
         self._second.show(table.second_progress(progress))
-        findings = self._service.findings(task)
+        findings = self._findings(task)
         if findings is not None and findings.second is not None:
             self._worker.wake()
         if self._left:
@@ -369,7 +374,7 @@ class FailureLabWindow:
         shell = lab.columns, lab.sort_column, lab.descending
         if self._shell[0] != shell:
             self._shell = shell, self._shell[1] + 1
-        offered = self._workspace.second is not None and findings.second is None
+        offered = bool(self._workspace.beside) and findings.second is None
         frame = _FRAME_HEIGHT + (_OFFER_HEIGHT if offered else 0)
         height = max(self._size[1] - frame, 6 * _ROW_HEIGHT)
         self._body.show(table.table(findings, lab, len(rows), self._shell[1], height))
@@ -421,7 +426,7 @@ class FailureLabWindow:
             )
 
     def _download(self) -> None:
-        findings = self._service.findings(self._lab.task)
+        findings = self._findings(self._lab.task)
         if findings is None:
             self._say_no_table()
             return
@@ -435,7 +440,7 @@ class FailureLabWindow:
         )
 
     def _report(self) -> None:
-        lab, findings = self._lab, self._service.findings(self._lab.task)
+        lab, findings = self._lab, self._findings(self._lab.task)
         if findings is None:
             self._say_no_table()
             return

@@ -32,7 +32,7 @@ class QueryPanel:
         notify_error: shows an error with a title and a text.
 
     Attributes:
-        compare_models: called to compare with the second model.
+        compare_models: called to compare with another model.
         own: the user's own pictures; None without a network to describe them.
     """
 
@@ -63,8 +63,9 @@ class QueryPanel:
             flight = gui.add_button("Flight over its map", icon=viser.Icon.MAP_2)
             flight.on_click(lambda _: change(session_state.flip_flight))
         self.compare_models: Callable[[], None] = lambda: None
-        if workspace.second is not None:
-            compare = gui.add_button(f"Compare with {workspace.second.label}", icon=viser.Icon.COLUMNS_2)
+        if workspace.beside:
+            other = workspace.beside[0].label if len(workspace.beside) == 1 else "other models"
+            compare = gui.add_button(f"Compare with {other}", icon=viser.Icon.COLUMNS_2)
             compare.on_click(lambda _: self.compare_models())
         controls.slider("Rotate", "angle", -180, 180, 1, visible=has_model)
         if has_model:

@@ -67,7 +67,7 @@ class WindowSources:
         task = analysis.state.task
         try:
             _finish(self.lab.build(task, self), wait)
-            findings = self.lab.findings(task)
+            findings = self.lab.findings(task, analysis.state.beside)
             assert findings is not None
             lab = state.with_choices(findings, LabState(task=task), analysis.state.laboratory)
             rows = state.sorted_rows(findings, lab)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +17,7 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import cache_folder, linked_folder, printable
+from lpn.core.progress import CountProgress
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.partial_store import complete_store
@@ -52,7 +53,13 @@ def cached_descriptors(
     return _cached(model, pictures, view, change).descriptors
 
 
-def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> StoredDescriptors:
+def _cached(
+    model: Model,
+    pictures: Sequence[Picture],
+    view: View,
+    change: Change,
+    on_progress: CountProgress | None = None,
+) -> StoredDescriptors:
     files = _resolved(pictures)
     # The key has the folder, not the list of files, so that the other rows are reused if one picture changes.
     common = os.path.commonpath({file.parent for file in files})
@@ -69,7 +76,8 @@ def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Chang
     with in_cache():
         if (cached := _from_complete_store(model, files, view, folder, change, boxes)) is not None:
             return cached
-        store = describe(model, files, view, folder, change=change, boxes=boxes, title=title)
+        bar = None if on_progress is None else nullcontext(on_progress)
+        store = describe(model, files, view, folder, change=change, boxes=boxes, title=title, bar=bar)
         return StoredDescriptors(store.float32, store.identity)
 
 
@@ -131,13 +139,22 @@ def _shipped(
 
 
 def shipped_or_cached(
-    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
+    model: Model,
+    pictures: Sequence[Picture],
+    view: View,
+    root: Path,
+    role: Role,
+    on_progress: CountProgress | None = None,
 ) -> StoredDescriptors:
-    """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache."""
+    """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache.
+
+    Args:
+        on_progress: receives the numbers of described and of all pictures; by default the terminal shows them.
+    """
     for store in _stores(root, f"{role}_{view}"):
         if (shipped := _shipped(model, pictures, view, store)) is not None:
             return shipped
-    return _cached(model, pictures, view, UNCHANGED)
+    return _cached(model, pictures, view, UNCHANGED, on_progress)
 
 
 def descriptor_reader(root: Path) -> Reader:

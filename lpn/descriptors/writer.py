@@ -33,6 +33,7 @@ def describe(
     boxes: Sequence[CropBox | None] | None = None,
     title: str = "Describing",
     precision: Precision = "float32",
+    bar: AbstractContextManager[CountProgress] | None = None,
 ) -> Store:
     """Describe picture files, mirror included, into a store; existing rows are not computed again.
 
@@ -47,6 +48,7 @@ def describe(
         boxes: the crop of each picture, applied first; None for a whole picture.
         title: the label of the progress bar.
         precision: precision of the numbers on disk; the computation is in float32.
+        bar: shows the progress; by default on the terminal.
 
     Raises:
         PictureError: if files are broken (see `lpn.datasets.integrity`), before anything is computed.
@@ -67,7 +69,10 @@ def describe(
         load = images.load_without_orientation if change.released else images.load_picture
         return prepare_row(model, load(files[row]), rows[row], change, view)
 
-    return write_store(out, manifest, lambda partial: fill_store(model, partial, prepare, view, counting_bar(title)))
+    def fill(partial: PartialStore) -> None:
+        fill_store(model, partial, prepare, view, bar or counting_bar(title))
+
+    return write_store(out, manifest, fill)
 
 
 def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None], whole: bool = True) -> Store:

@@ -8,14 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError
 from lpn.core.files import exclusive_lock, write_json
 from lpn.core.formats import decode_json
 from lpn.descriptors.transforms import Change
+from lpn.explain.centre import VIEWS, centre_box, centre_shares
 from lpn.models.base import Model
-from lpn.reproduce.centre import VIEWS, centre_box, centre_shares
 from lpn.reproduce.paper_values import Values
 from lpn.reproduce.record import Provenance, TableRecord, here
 from lpn.reproduce.sources import TASKS, Source
@@ -126,7 +127,10 @@ def _checksum(file: _MeasurementsFile) -> int:
 
 def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Source], released: bool) -> MeasuredFigures:
     if measure == "centre":
-        return MeasuredFigures(centre_shares(model, data[0].dataset), _CENTRE.format(_box(model)), here())
+        means = tuple(
+            100 * float(np.mean(list(centre_shares(model, data[0].dataset.gallery(view), view)))) for view in VIEWS
+        )
+        return MeasuredFigures(means, _CENTRE.format(_box(model)), here())
     protocol = Protocol(Change(row.rotate), row.parts, row.branch, released=released)
     results = [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
     return MeasuredFigures(

@@ -12,7 +12,7 @@ import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
+from lpn.core.progress import CountProgress, Progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
@@ -99,6 +99,7 @@ def open_data(
     every: bool = False,
     names: Sequence[str] = (),
     weights: Sequence[float] | None = None,
+    on_progress: CountProgress | None = None,
 ) -> OpenedSource:
     """Open a data set under an opened model, see `Data`.
 
@@ -106,6 +107,7 @@ def open_data(
         model_name: the model's name to display.
         every: open every task that model and data set offer, in place of one.
         names, weights: see `TaskSource.open`.
+        on_progress: see `lpn.tasks.opening.open_task`, once for each task.
 
     Raises:
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
@@ -118,7 +120,7 @@ def open_data(
         query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
     calibration = calibrated(model, dataset) if calibrate else None
     tasks = [
-        open_task(model, model_name, dataset, name, weights, {}, calibration)
+        open_task(model, model_name, dataset, name, weights, {}, calibration, on_progress)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
     if calibration is None:

@@ -11,6 +11,7 @@ from lpn import descriptors
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
+from lpn.core.progress import CountProgress
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture
 from lpn.models.base import Model
@@ -32,6 +33,7 @@ def open_task(
     weights: npt.ArrayLike | None = None,
     tags_and_notes: Mapping[str, Note] | None = None,
     calibration: Calibration | None = None,
+    on_progress: CountProgress | None = None,
 ) -> GalleryTask:
     """Describe queries and gallery of a task, or read their stored descriptors.
 
@@ -41,6 +43,8 @@ def open_task(
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
         calibration: see `calibrated`; its zooms and means are applied to `model`, which is that before the calibration.
+        on_progress: receives the numbers of described and of all pictures, unless there is a calibration; by default the
+            terminal shows them.
 
     Raises:
         InputError: when model and data set do not offer the task, or the weights are invalid.
@@ -57,8 +61,10 @@ def open_task(
     geometry = GalleryGeometry.of_dataset(dataset, queries, gallery)
     try:
         if calibration is None:
-            query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query")
-            gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery")
+            both = len(queries) + len(gallery)
+            of_queries, of_gallery = (_shifted(on_progress, before, both) for before in (0, len(queries)))
+            query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query", of_queries)
+            gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery", of_gallery)
         else:
             query_side, gallery_side = (
                 calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
@@ -94,6 +100,11 @@ def open_task(
         columns=dataset.columns(queries),
         calibration=calibration,
     )
+
+
+def _shifted(on_progress: CountProgress | None, before: int, total: int) -> CountProgress | None:
+    """Return what reports the progress of one of several lists, given the pictures of the lists before it and of all."""
+    return None if on_progress is None else lambda done, _: on_progress(before + done, total)
 
 
 def calibrated(model: Model, dataset: Dataset) -> Calibration:

@@ -27,7 +27,6 @@ from lpn.models.network import LPN
 from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
 from lpn.reproduce import claims, footnotes, paper_values, report, sources, trainings, tuning
-from lpn.reproduce.centre import centre_box, centre_share
 from lpn.reproduce.command import KEYS, Reproduction
 from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.paper_figures import retrievals
@@ -855,16 +854,6 @@ def test_every_claim_holds_on_the_papers_own_values(key: str) -> None:
     found = claims.verdicts(TableRecord(key, table.title, table.columns, (), rows))
     # Figure 5 prints only a curve for the other n.
     assert all("**held**" in verdict or (key == "figure5" and "was not run" in verdict) for verdict in found), found
-
-
-def test_activation_in_the_centre_is_a_share_of_the_map() -> None:
-    assert centre_box(16, 16).sum() == 64
-    assert np.array_equal(centre_box(16, 16), Partition("rings", 4).labels(16, 16) < 2)
-    even, middle = np.ones((1, 3, 16, 16)), np.zeros((1, 3, 16, 16))
-    middle[:, :, 6:10, 6:10] = 5
-    # A quarter of the area only if both sides are multiples of four.
-    assert centre_box(14, 14).mean() == pytest.approx(0.184, abs=5e-4)
-    assert centre_share(np.concatenate([even, middle, 0 * even])).tolist() == [0.25, 1.0, 0.25]
 
 
 def test_the_command_collects_repeated_flags_and_wants_to_know_what(
