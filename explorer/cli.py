@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
@@ -99,15 +99,15 @@ class ExploreFlight(ExploreSource):
     """Lay each photo of the flight over the map; this goes on in the background, and its answers are kept."""
     query: str | None = None
     """Name of the frame to open with, as the picker shows it; by default the first that can be read."""
-    beside: Path | None = None
-    """Second trained model to compare on every frame (key Y, tab Two models)."""
-    beside_kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of --beside, as --kind is that of --model."""
+    beside: tuple[Path, ...] = ()
+    """Other trained models to compare on every frame (key Y, tab Two models)."""
+    beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
+    """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
 
     def workspaces(self) -> Workspaces:
         from explorer.opening import open_flight_over
 
-        _check_beside(self.beside, self.beside_kind)
+        kinds = _beside_kinds(self.beside, self.beside_kind)
         source, model = self.source, self.source.model
         return partial(
             open_flight_over,
@@ -119,7 +119,7 @@ class ExploreFlight(ExploreSource):
             self.register,
             model.provider,
             kind=model.kind,
-            second_kind=self.beside_kind,
+            beside_kinds=kinds,
         ), {}
 
 
@@ -145,10 +145,10 @@ class Explore(ExploreSource):
     docs/evaluation.md."""
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
-    beside: Path | None = None
-    """Second trained model to compare on every query (key Y, tab Two models), such as one with other parts."""
-    beside_kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of --beside, as --kind is that of --model."""
+    beside: tuple[Path, ...] = ()
+    """Other trained models to compare on every query (key Y, tab Two models), such as those with other parts or input sizes."""
+    beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
+    """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
 
     @staticmethod
     def in_background(
@@ -176,7 +176,7 @@ class Explore(ExploreSource):
 
         if self.kind is not None and self.model is None:
             raise InputError("--kind needs --model.")
-        _check_beside(self.beside, self.beside_kind)
+        kinds = _beside_kinds(self.beside, self.beside_kind)
         if self.data is not None and self.model is None:
             raise InputError(f"There is no model for {self.data}; give a trained LPN with --model.")
         if self.data is None and not DEMO.is_dir():
@@ -198,11 +198,17 @@ class Explore(ExploreSource):
             baseline,
             self.provider,
             self.kind,
-            self.beside_kind,
+            kinds,
             self.calibrate,
         ), others
 
 
-def _check_beside(beside: Path | None, kind: Kind | None) -> None:
-    if kind is not None and beside is None:
+def _beside_kinds(beside: Sequence[Path], kinds: Sequence[Kind | Literal["auto"]]) -> list[Kind | None]:
+    """Return the kind of each model beside; InputError unless there is one for each, or none at all."""
+    if kinds and not beside:
         raise InputError("--beside-kind needs --beside.")
+    if kinds and len(kinds) != len(beside):
+        raise InputError(
+            f"There are {len(kinds)} kinds for {len(beside)} models of --beside; give one for each in their order, or auto."
+        )
+    return [None if kind == "auto" else kind for kind in kinds] or [None] * len(beside)

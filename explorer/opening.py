@@ -15,7 +15,7 @@ import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import LazyWorkspace, Workspace
-from lpn.core.errors import DataError, LPNError
+from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import distinct_names, printable
 from lpn.core.progress import Progress
 from lpn.core.requirements import missing_package
@@ -29,6 +29,7 @@ from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, open_data
 from lpn.sources.opened import progress_bars
+from lpn.tasks.opening import choose_task
 from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
@@ -43,11 +44,11 @@ def open_model(
     data: Path,
     model: Path | Model,
     query: str | None = None,
-    second_model: Path | None = None,
+    beside: Sequence[Path] = (),
     baseline: Path | None = None,
     provider: ProviderName = "auto",
     kind: Kind | None = None,
-    second_kind: Kind | None = None,
+    beside_kinds: Sequence[Kind | None] = (),
     calibrate: bool = False,
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
@@ -55,31 +56,67 @@ def open_model(
     Args:
         model: a model, or what `lpn.load` opens.
         query: name of the query of the first task that a new browser shows; by default the task's first query.
-        second_model: another model to compare with on the same data; it is opened, too.
-        baseline: the model of one part to offer for comparison; it is opened when a browser asks for it.
+        beside: other models to compare with on the same data. All are loaded, and the first is opened; the others describe their
+            pictures when a browser asks for it.
+        baseline: the model of one part to offer for comparison without others; it is opened when a browser asks for it.
         provider: what computes the networks, see `lpn.load`.
-        kind, second_kind: methods of `model` and `second_model`, see `lpn.load`.
+        kind: the method of `model`, see `lpn.load`.
+        beside_kinds: those of `beside`; None for models that tell theirs.
         calibrate: calibrate all of these models on the pictures of all tasks, see `lpn.retrieval.calibration`.
 
     Raises:
-        LPNError: when model or data set cannot be used, or there is no such query.
+        LPNError: when a model or the data set cannot be used, a model is given twice, or there is no such query.
     """
-    name, second_name = _names(model, second_model)
+    kinds = beside_kinds or [None] * len(beside)
+    _check_different(model, kind, beside, kinds)
+    name, names = _names(model, beside)
     workspace, dataset = _open_one(data, model, provider, name, kind, calibrate)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
-    if second_model is not None:
-        second, _ = _open_one(data, second_model, provider, second_name, second_kind, calibrate)
-        workspace.second = LazyWorkspace(second.model_name, lambda _: second)
-        workspace.second.open()
-    elif baseline is not None:
-        workspace.second = LazyWorkspace(
-            "the baseline (n = 1)",
-            _naming_files(
-                [baseline], lambda _: _open_one(data, baseline, provider, baseline.name, calibrate=calibrate)[0]
-            ),
-        )
+    opens = []
+    for file, other_name, other_kind in zip(beside, names, kinds, strict=True):
+        other = lpn.load(file, provider, kind=other_kind)
+        choose_task(other, dataset)
+        opens.append(_opens(data, other, provider, other_name, calibrate))
+    _put_beside(workspace, names, opens)
+    if baseline is not None and not beside:
+        opens_it = _naming_files([baseline], _opens(data, baseline, provider, baseline.name, calibrate))
+        workspace.beside.append(LazyWorkspace("the baseline (n = 1)", opens_it))
     return workspace
+
+
+def _opens(
+    data: Path, model: Path | Model, provider: ProviderName, name: str, calibrate: bool
+) -> Callable[[ReportProgress | None], Workspace]:
+    """Return what opens a model on a data set, see `_open_one`."""
+    return lambda report: _open_one(data, model, provider, name, None, calibrate, report)[0]
+
+
+def _put_beside(
+    workspace: Workspace, names: Sequence[str], opens: Sequence[Callable[[ReportProgress | None], Workspace]]
+) -> None:
+    """Put models beside that of a workspace: open the first, and the others when a browser asks for them."""
+    for name, open_workspace in zip(names, opens, strict=True):
+        workspace.beside.append(LazyWorkspace(name, _naming_files([], open_workspace)))
+    if opens:
+        first = opens[0](None)
+        workspace.beside[0] = LazyWorkspace(names[0], lambda _: first)
+        workspace.beside[0].open()
+
+
+def _check_different(
+    model: Path | Model, kind: Kind | None, beside: Sequence[Path], kinds: Sequence[Kind | None]
+) -> None:
+    """Refuse a model that is given twice: a copy of itself has nothing to compare.
+
+    Raises:
+        InputError: with the name of the file.
+    """
+    given = [] if isinstance(model, Model) else [(model.absolute(), kind)]
+    for file, of_kind in zip(beside, kinds, strict=True):
+        if (file.absolute(), of_kind) in given:
+            raise InputError(f"{printable(file.name)} is given twice; --model and --beside need different models.")
+        given.append((file.absolute(), of_kind))
 
 
 def _open_one(
@@ -89,23 +126,24 @@ def _open_one(
     model_name: str,
     kind: Kind | None = None,
     calibrate: bool = False,
+    report: ReportProgress | None = None,
 ) -> tuple[Workspace, Dataset]:
     """Open one model on a data set, see `open_model`."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind)
         dataset = open_dataset(data)
-    source = open_data(opened, model_name, dataset, calibrate=calibrate, every=True)
+    source = open_data(opened, model_name, dataset, calibrate=calibrate, every=True, on_progress=report)
     _print_notes(source)
     return _workspace(source), dataset
 
 
-def _names(model: Path | Model, second: Path | None) -> tuple[str, str]:
-    """Return the display names of a model and of a second one, which is empty without one."""
+def _names(model: Path | Model, beside: Sequence[Path]) -> tuple[str, list[str]]:
+    """Return the display names of a model and of those beside it."""
     if isinstance(model, Model):
-        return printable(model.contract.method), "" if second is None else printable(second.name)
-    own, *other = distinct_names([model] if second is None else [model, second])
-    return own, other[0] if other else ""
+        return printable(model.contract.method), distinct_names(beside)
+    own, *others = distinct_names([model, *beside])
+    return own, others
 
 
 def _naming_files(
@@ -163,13 +201,13 @@ def open_flight_over(
     flight_path: Path,
     model: Path,
     query: str | None = None,
-    second_model: Path | None = None,
+    beside: Sequence[Path] = (),
     register: bool = True,
     provider: ProviderName = "auto",
     overlap: float = LocateOptions.overlap,
     report: ReportProgress | None = None,
     kind: Kind | None = None,
-    second_kind: Kind | None = None,
+    beside_kinds: Sequence[Kind | None] = (),
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
 
@@ -180,16 +218,20 @@ def open_flight_over(
         map_path: what `lpn.maps.open_map` opens.
         flight_path: a folder of lpn flight, or one of photos.
         query: name of the frame that a new browser shows first; by default the flight's first that can be read.
-        second_model: another model to compare with on the same flight; it is opened, too.
+        beside: other models to compare with on the same flight. All are loaded, and the first is opened; the others describe
+            windows and frames when a browser asks for it.
         register: whether photos are laid over the map.
         overlap: share of a window's side that its neighbour covers, too.
         report: receives the progress of the description; by default the terminal shows it.
-        kind, second_kind: methods of `model` and `second_model`, see `lpn.load`.
+        kind: the method of `model`, see `lpn.load`.
+        beside_kinds: those of `beside`; None for models that tell theirs.
 
     Raises:
-        LPNError: when map, flight, or model cannot be used, or there is no such frame.
+        LPNError: when map, flight, or a model cannot be used, a model is given twice, or there is no such frame.
     """
-    name, second_name = _names(model, second_model)
+    kinds = beside_kinds or [None] * len(beside)
+    _check_different(model, kind, beside, kinds)
+    name, names = _names(model, beside)
     source = Flown(map=map_path, flight=flight_path, model=ModelOptions(model=model, kind=kind, provider=provider))
     opened = _open_flown(source, name, overlap, report)
     workspace, located, network = _workspace(opened, with_city=False), opened.located, opened.network
@@ -199,14 +241,20 @@ def open_flight_over(
     broken = () if located.retrieval is None else located.retrieval.broken
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
-    if second_model is not None:
-        other = replace(source, model=ModelOptions(model=second_model, kind=second_kind, provider=provider))
-        second = _workspace(_open_flown(other, second_name, overlap, report), with_city=False)
-        workspace.second = LazyWorkspace(second.model_name, lambda _: second)
-        workspace.second.open()
+    opens = []
+    for file, other_name, other_kind in zip(beside, names, kinds, strict=True):
+        lpn.load(file, provider, kind=other_kind)  # one that cannot be loaded ends the start
+        other = replace(source, model=ModelOptions(model=file, kind=other_kind, provider=provider))
+        opens.append(_opens_flown(other, other_name, overlap))
+    _put_beside(workspace, names, opens)
     if register:
         _begin_registration(workspace, located, network, LocateOptions(register=False, overlap=overlap))
     return workspace
+
+
+def _opens_flown(source: Flown, name: str, overlap: float) -> Callable[[ReportProgress | None], Workspace]:
+    """Return what opens a flight under another model, see `_open_flown`."""
+    return lambda report: _workspace(_open_flown(source, name, overlap, report), with_city=False)
 
 
 def offered_flight(map_path: Path, flight_path: Path, model: Path, provider: ProviderName = "auto") -> LazyWorkspace:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from msgspec import Meta
 
+from explorer.session_state import HeatKind
 from explorer.web.messages import Message
 from lpn.explain.sweeps import SweptProperty
 
@@ -38,7 +39,20 @@ class ShareScale(ExplainMessage, tag="scale"):
     same: bool
 
 
-class CompareModels(ExplainMessage, tag="second"): ...
+class CompareModels(ExplainMessage, tag="second"):
+    """Open the compared model, again if that failed."""
+
+
+class ChooseModel(ExplainMessage, tag="beside"):
+    """Compare with another one of the models beside the workspace's own."""
+
+    model: _Index
+
+
+class ShowMaps(ExplainMessage, tag="maps"):
+    """Show activation or evidence."""
+
+    kind: HeatKind
 
 
 class CompareTile(ExplainMessage, tag="compare"):

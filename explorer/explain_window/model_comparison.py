@@ -1,29 +1,67 @@
-"""The tab "Two models": the answers of a second model to the same query, and the queries that they rank differently."""
+"""The tab "Two models": what another model answers and looks at beside the workspace's own, and how several models compare."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+from markupsafe import Markup
 
+from explorer.browse.feeds import Side
+from explorer.compute.centre_mean import CentreMean
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.session_state import SessionState
 from explorer.stage.pictures import draw_parts
-from explorer.web.render import render
-from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
-from lpn.core.arrays import Int64Array
-from lpn.drawing import overlays
+from explorer.web.render import render, send
+from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
+from lpn.core.arrays import FloatingArray, Int64Array
+from lpn.core.views import View
+from lpn.drawing import charts, heatmaps, overlays
+from lpn.drawing.charts import ModelPoint
 from lpn.drawing.verdicts import ordinal
-from lpn.retrieval import Match
+from lpn.explain.centre import centre_box, centre_share, has_centre
+from lpn.models.contract import Contract
+from lpn.retrieval import DescribedPicture, Match
+from lpn.tasks.task import Task
 
-# Numbers of matches and of queries listed, and the size of the picture with evidence.
-_MATCHES, _QUERIES, _SIZE = 5, 8, (240, 700)
+# Numbers of matches and of queries listed, and the size of a picture with its heatmap: height, and the largest width.
+_MATCHES, _QUERIES, _SIZE = 5, 8, (256, 700)
+_LETTERS = "AB"
+# Seconds between two looks at models that are being opened or ranked, and at means: each sends the tab's pictures again.
+_OPENING_INTERVAL, _MEAN_INTERVAL = 0.5, 3.0
+
+
+@dataclass(frozen=True)
+class _Map:
+    """One picture under one model.
+
+    Attributes:
+        caption: the side, and the name of the picture.
+        picture: a data URI.
+        labels: of the scale of its colours, and their places in percent.
+        share: of its activation in the centre box, in percent; None without a centre.
+        mean: of the test set, as far as it is known; None without a centre.
+    """
+
+    side: Side
+    caption: str
+    picture: str
+    labels: list[tuple[float, str]]
+    share: float | None
+    mean: CentreMean | None
 
 
 @dataclass(frozen=True)
 class _Column:
-    """One model's answer; `map` is the query with its evidence for and against the compared tile."""
+    """One model's answer.
+
+    Attributes:
+        chosen: gallery position of the compared tile.
+        comparable: its matches may be compared, as they are in the gallery of the workspace's own model.
+    """
 
     description: str
     claim: str
@@ -32,9 +70,9 @@ class _Column:
     verdict: bool | None
     rank: int | None
     matches: list[tuple[Match, str, str]]
-    map: str | None = None
-    limit: float = 0.0
-    compared: str = ""
+    chosen: int
+    comparable: bool
+    maps: list[_Map]
 
 
 @dataclass(frozen=True)
@@ -46,65 +84,298 @@ class Changes:
     worse: list[tuple[int, int, int]]
 
 
+@dataclass(frozen=True)
+class _Choice:
+    """One of the models beside the workspace's own."""
+
+    index: int
+    label: str
+    recall: float | None
+    chosen: bool
+    note: str
+
+
 class ModelComparison:
-    """Answers one browser's states with the second model."""
+    """Opens the models beside a workspace's own for one browser, and draws the compared one beside it.
 
-    def __init__(self, other: Workspace, requests: RequestContext) -> None:
-        self._other, self._analyser = other, StateAnalyser(other, requests.queued(other.model, background=True))
+    Args:
+        requests: gives access to the networks for this browser.
+    """
 
-    def page(self, analysis: StateAnalysis, workspace: Workspace) -> str:
-        """Render the tab."""
-        other, task = self._other, analysis.task
-        names = workspace.model_name, other.model_name
-        other_ranking = other.rankings.get(task.name)
-        if other_ranking is None:
-            return render("explain/model_comparison", columns=None, names=names, task=task.name)
-        second = self._analyser.analyse(_state(analysis.state, other), _MATCHES)
+    def __init__(self, workspace: Workspace, requests: RequestContext) -> None:
+        self._workspace, self._requests = workspace, requests
+        self._analysers: dict[int, StateAnalyser] = {}
+        self._joined: list[RankingJob | CentreMean] = []
+
+    def advance(self, state: SessionState) -> float | None:
+        """Open the compared model, then the others one at a time, rank them, and then find the means of the compared pair.
+
+        Returns:
+            Seconds until the next call, None once all is known.
+        """
+        compared = self._workspace.compared(state)
+        beside = self._workspace.beside
+        waiting = [one for one in (compared, *beside) if one is not None and one.workspace is None and not one.error]
+        if waiting and not any(one.opening for one in beside):
+            waiting[0].open()
+        workspaces = [self._workspace, *(one.workspace for one in beside if one.workspace is not None)]
+        rankings = [one.rankings[state.task] for one in workspaces if state.task in one.rankings]
+        of_pair = [self._workspace, None if compared is None else compared.workspace]
+        means = [
+            mean
+            for side in ("tile", "query")
+            for one in of_pair
+            if one is not None and (mean := self._mean(one, state.task, side)) is not None
+        ]
+        wanted = [ranking for ranking in rankings if ranking.result is None and not ranking.error]
+        pending: list[RankingJob | CentreMean] = [*wanted, *(mean for mean in means if mean.pending)]
+        self._join(pending[:1])
+        if wanted or any(one.opening for one in beside):
+            return _OPENING_INTERVAL
+        return _MEAN_INTERVAL if pending else None
+
+    def open(self, state: SessionState) -> None:
+        """Open the compared model in the background, again if that failed."""
+        compared = self._workspace.compared(state)
+        if compared is not None and compared.workspace is None:
+            compared.open()
+
+    def leave(self) -> None:
+        """Stop waiting for what is computed in the background."""
+        self._join([])
+
+    def page(self, analysis: StateAnalysis) -> str:
+        """Render the tab; the column of a model that is being opened says how far it is."""
+        workspace, task, state = self._workspace, analysis.task, analysis.state
+        lazy = workspace.compared(state)
+        assert lazy is not None
+        other = lazy.workspace
+        pairs, reason = [(workspace, analysis)], ""
+        if other is None:
+            reason = _opening(lazy, workspace.beside)
+        elif task.name not in other.rankings:
+            reason = f"{other.model_name} does not know the views of {task.name}; choose another task."
+        else:
+            pairs.append((other, self._analyse(state, other, analysis)))
+        maps = self._maps(pairs, state)
+        columns = [_column(one, of_one, drawn, analysis) for (one, of_one), drawn in zip(pairs, maps, strict=True)]
+        rankings = [one.rankings[task.name] for one, _ in pairs]
         return render(
             "explain/model_comparison",
-            names=names,
-            columns=[_column(analysis, workspace), _column(second, other)],
-            changes=changes(workspace.rankings[task.name], other_ranking),
+            names=(workspace.model_name, lazy.label if other is None else other.model_name),
+            letters=_LETTERS,
+            columns=columns,
+            reason=reason,
+            error=lazy.error,
+            opening=other is None,
+            kind=state.heat_kind,
+            same_scale=state.same_scale,
+            scale=overlays.data_uri(
+                overlays.heat_scale(200, 10) if state.heat_kind == "activation" else overlays.evidence_scale(200, 10),
+                95,
+            ),
+            has_box=any(one.share is not None for drawn in maps for one in drawn),
+            changes=changes(*rankings) if len(rankings) == 2 else None,
             queries=task.queries,
             thumbnail=workspace.thumbnail,
             ordinal=ordinal,
+            charts=self._charts(state) if len(workspace.beside) > 1 else [],
+            choices=self._choices(state) if len(workspace.beside) > 1 else [],
         )
 
+    def _analyse(self, state: SessionState, other: Workspace, analysis: StateAnalysis) -> StateAnalysis:
+        """Analyse the same query and, where it is in its gallery, the same tile under another model."""
+        analyser = self._analysers.get(state.beside)
+        if analyser is None:
+            model = self._requests.queued(other.model, background=True)
+            analyser = self._analysers[state.beside] = StateAnalyser(other, model)
+        tile = (
+            analysis.chosen.index if _same_tile(analysis.task, other.tasks[state.task], analysis.chosen.index) else None
+        )
+        return analyser.analyse(_state(state, other, tile), _MATCHES)
 
-def _state(state: SessionState, other: Workspace) -> SessionState:
+    def _maps(self, pairs: Sequence[tuple[Workspace, StateAnalysis]], state: SessionState) -> list[list[_Map]]:
+        """Draw query and tile under each model that has cells, on scales of their own or on one."""
+        drawn = []
+        values = [_values(analysis, state) for _, analysis in pairs]
+        everything = [cells for of_model in values for cells in of_model]
+        for (workspace, analysis), of_model in zip(pairs, values, strict=True):
+            pictures: list[_Map] = []
+            limit = overlays.evidence_limit(*(everything if state.same_scale else of_model)) if of_model else 0.0
+            for side, cells in zip(("query", "tile"), of_model, strict=False):
+                scaled = everything if state.same_scale else [cells]
+                low, high = (
+                    (-limit, limit)
+                    if state.heat_kind == "evidence"
+                    else (min(float(one.min()) for one in scaled), max(float(one.max()) for one in scaled))
+                )
+                pictures.append(self._map(workspace, analysis, side, cells, low, high))
+            drawn.append(pictures)
+        return drawn
+
+    def _map(
+        self, workspace: Workspace, analysis: StateAnalysis, side: Side, cells: FloatingArray, low: float, high: float
+    ) -> _Map:
+        task = analysis.task
+        described, view = _side(analysis, side)
+        assert described.trace is not None
+        if analysis.state.heat_kind == "evidence":
+            picture = draw_parts(workspace, described, view, _SIZE, np.asarray(cells, np.float64), high)
+        else:
+            heat = np.asarray((cells - low) / max(high - low, 1e-12), np.float32)
+            picture = draw_parts(workspace, described, view, _SIZE, heat=heat)
+        mean = self._mean(workspace, task.name, side)
+        if mean is not None:
+            picture = overlays.with_box(picture, centre_box(*described.trace.size))
+        return _Map(
+            side,
+            analysis.name if side == "query" else task.gallery[analysis.chosen.index].name,
+            overlays.data_uri(picture, 88),
+            heatmaps.scale_labels(low, high),
+            None if mean is None else 100 * centre_share(described.trace.activation),
+            mean,
+        )
+
+    def _mean(self, workspace: Workspace, task: str, side: Side) -> CentreMean | None:
+        """Return the test set's mean of a side under a model; None where pictures have no centre."""
+        opened = workspace.tasks.get(task)
+        if opened is None or workspace.model is None:
+            return None
+        view = opened.query_view if side == "query" else opened.gallery_view
+        return self._workspace.centre_mean(workspace, task, side) if has_centre(workspace.contract, view) else None
+
+    def _join(self, wanted: list[RankingJob | CentreMean]) -> None:
+        for job in self._joined:
+            if job not in wanted:
+                job.leave(self)
+        self._joined = wanted
+        for job in wanted:
+            job.join(self)
+
+    def _choices(self, state: SessionState) -> list[_Choice]:
+        opening = next((one for one in self._workspace.beside if one.opening), None)
+        return [
+            _Choice(
+                index,
+                one.label,
+                None if one.workspace is None else _recall(one.workspace, state.task),
+                index == state.beside,
+                _progress(one) if one is opening else "not opened" if one.error else "",
+            )
+            for index, one in enumerate(self._workspace.beside)
+        ]
+
+    def _charts(self, state: SessionState) -> list[Markup]:
+        """Draw R@1 of all models that are ranked by their number of parts and by their input size, whichever differ."""
+        opened: list[tuple[int | None, str, Workspace]] = [(None, self._workspace.model_name, self._workspace)]
+        opened += [
+            (index, one.label, one.workspace)
+            for index, one in enumerate(self._workspace.beside)
+            if one.workspace is not None
+        ]
+        known = [
+            (key, name, one.contract, recall)
+            for key, name, one in opened
+            if (recall := _recall(one, state.task)) is not None
+        ]
+        drawn = []
+        for title, property_of in (("number of parts n", _parts), ("input size in pixels", _size)):
+            points = [
+                ModelPoint(key, name, *property_of(contract), recall, _role(key, state))
+                for key, name, contract, recall in known
+            ]
+            if len({point.number for point in points}) > 1:
+                drawn.append(charts.model_chart(points, "R@1 of the whole task, %", title, _attributes))
+        return drawn
+
+
+def _parts(contract: Contract) -> tuple[int, str]:
+    return contract.n_parts, str(contract.n_parts)
+
+
+def _size(contract: Contract) -> tuple[int, str]:
+    height, width = contract.input_size
+    return height * width, str(height) if height == width else f"{height} x {width}"
+
+
+def _role(key: int | None, state: SessionState) -> Literal["own", "compared", "other"]:
+    return "own" if key is None else "compared" if key == state.beside else "other"
+
+
+def _attributes(point: ModelPoint) -> Markup:
+    """Make a model's circle choose it when it is clicked; the workspace's own is always compared."""
+    return Markup('role="img"') if point.key is None else send("beside", point.key)
+
+
+def _opening(lazy: LazyWorkspace, beside: Sequence[LazyWorkspace]) -> str:
+    """Say what the compared model waits for, while it is not open."""
+    if lazy.error:
+        return lazy.error
+    ahead = next((one for one in beside if one.opening), lazy)
+    first = "" if ahead is lazy else f"{lazy.label} is opened after {ahead.label}. "
+    return f"{first}Opening {ahead.label}: {_progress(ahead)}."
+
+
+def _progress(lazy: LazyWorkspace) -> str:
+    done, total = lazy.progress
+    return f"{done:,} of {total:,} pictures are described" if total else "its file and the data set are read"
+
+
+def _recall(workspace: Workspace, task: str) -> float | None:
+    ranking = workspace.rankings.get(task)
+    return None if ranking is None or ranking.result is None else ranking.results["recall@1"]
+
+
+def _same_tile(first: Task, second: Task, index: int) -> bool:
+    """Return whether a position means the same tile in two galleries; a data set that changed in between has others."""
+    return index < len(second.gallery) and first.gallery[index].path == second.gallery[index].path
+
+
+def _state(state: SessionState, other: Workspace, tile: int | None) -> SessionState:
     """Return the state for a model with other parts: everything about parts and cells is reset."""
     return replace(
         state,
         n_parts=other.contract.n_parts,
         weights=(),
         enabled=(),
+        heat=True,
         heat_part=None,
         region=(),
-        selected=None,
-        why=True,
+        selected=tile,
+        why=False,
     )
 
 
-def _column(analysis: StateAnalysis, workspace: Workspace) -> _Column:
-    task, truth, ranking = analysis.task, analysis.positive, workspace.rankings[analysis.task.name]
-    column = _Column(
+def _side(analysis: StateAnalysis, side: Side) -> tuple[DescribedPicture, View]:
+    query, tile = analysis.task.views
+    return (analysis.query, query) if side == "query" else (analysis.tile, tile)
+
+
+def _values(analysis: StateAnalysis, state: SessionState) -> list[FloatingArray]:
+    """Return the cells of query and tile that the state shows, (h, w) each; none without cells."""
+    if state.heat_kind == "evidence":
+        return [] if analysis.pair_evidence is None else list(analysis.pair_evidence.evidence.cell_maps())
+    traces = [analysis.query.trace, analysis.tile.trace]
+    return [trace.activation for trace in traces if trace is not None] if None not in traces else []
+
+
+def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own: StateAnalysis) -> _Column:
+    task, truth = analysis.task, analysis.positive
+    return _Column(
         workspace.description,
         workspace.contract.claim,
         workspace.without_cells,
-        None if ranking.result is None else ranking.results["recall@1"],
+        _recall(workspace, task.name),
         analysis.matches[0].true,
         None if truth is None else truth.rank,
         [
             (match, task.gallery[match.index].name, workspace.thumbnail(task.gallery[match.index]))
             for match in analysis.matches[:_MATCHES]
         ],
+        analysis.chosen.index,
+        all(_same_tile(task, own.task, match.index) for match in analysis.matches[:_MATCHES]),
+        maps,
     )
-    if analysis.pair_evidence is None:
-        return column
-    cells, _ = maps = analysis.pair_evidence.evidence.cell_maps()
-    limit = overlays.evidence_limit(*maps)
-    picture = overlays.data_uri(draw_parts(workspace, analysis.query, task.query_view, _SIZE, cells, limit), 88)
-    return replace(column, map=picture, limit=limit, compared=task.gallery[analysis.chosen.index].name)
 
 
 def changes(first: RankingJob, second: RankingJob) -> Changes | None:

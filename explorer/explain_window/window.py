@@ -42,8 +42,6 @@ _TABS: dict[WhyTab, str] = {
 _MAX_SIZE = (1000, 900)
 # Seconds between two drawings of a sweep in progress.
 _DRAW_INTERVAL = 0.15
-# Seconds between two looks at a second model that is being opened.
-_OPENING_INTERVAL = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,14 +133,13 @@ class ExplainWindow:
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
         self._model = requests.queued(workspace.model, background=True)
-        self._requests = requests
-        self._model_comparison: ModelComparison | None = None
+        self._models = ModelComparison(workspace, requests)
         self._open_tab = open_tab
         # The tab that the page shows, None until it is known.
         self._tab_shown: WhyTab | None = None
         self._lock = Lock()
         self._content: WindowContent | None = None
-        self._open = False
+        self._open = self._left = False
         tabs: list[tuple[str, Any, Callable[[WindowContent], str]]] = [
             (_EVIDENCE, viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
             (_HEATMAPS, viser.Icon.GRID_DOTS, lambda content: activation.page(content.analysis, workspace)),
@@ -150,8 +147,8 @@ class ExplainWindow:
             (_SWEEP, viser.Icon.CHART_LINE, self._sweep_html),
             (_REGION, viser.Icon.BRUSH, lambda content: region.page(content.analysis, workspace)),
         ]
-        if workspace.second is not None:
-            tabs.append((_MODELS, viser.Icon.COLUMNS_2, self._models_html))
+        if workspace.beside:
+            tabs.append((_MODELS, viser.Icon.COLUMNS_2, lambda content: self._models.page(content.analysis)))
         self._panel = client.gui.add_panel(visible=False)
         self._tabs: list[_Tab] = []
         for name, icon, content in tabs:
@@ -159,7 +156,7 @@ class ExplainWindow:
                 self._tabs.append(_Tab(client.gui, self._renderer(content)))
         self._comparison_tab, self._sweep_tab = self._tabs[2:4]
         self._worker = Worker(self._compute, on_error)
-        # The second model runs in its own thread, so that the first model's answer need not wait for it.
+        # The model beside runs in its own thread, so that the workspace's own answer need not wait for it.
         self._models_worker = Worker(self._draw_models, on_error)
         viewport.watch(self._place)
 
@@ -176,6 +173,10 @@ class ExplainWindow:
                 self._change(lambda state: replace(state, same_scale=same))
             case messages.CompareModels():
                 self.compare_models()
+            case messages.ChooseModel(model) if model < len(self._workspace.beside):
+                self._change(lambda state: replace(state, beside=model))
+            case messages.ShowMaps(kind):
+                self._change(lambda state: replace(state, heat_kind=kind))
             case messages.CompareTile(tile):
                 self._compare(tile)
             case messages.ChooseQuery(query):
@@ -218,9 +219,11 @@ class ExplainWindow:
                 self._command(_HEATMAPS, partial(self._change, session_state.flip_same_scale)),
             ),
         ]
-        second = self._workspace.second
         return [
-            *([] if second is None else [(f"Compare with {second.label}", self.compare_models)]),
+            *(
+                (f"Compare with {other.label}", partial(self._compare_with, index))
+                for index, other in enumerate(self._workspace.beside)
+            ),
             *([] if self._workspace.without_cells else heatmaps),
             *sweep_commands,
             ("Stop the sweep", self._command(_SWEEP, self._cancel_sweep)),
@@ -234,11 +237,16 @@ class ExplainWindow:
         ]
 
     def compare_models(self) -> None:
-        """Open the second model, unless it is open, and show the tab; without a second model, do nothing."""
-        if self._workspace.second is not None:
-            self._workspace.second.open()
+        """Show the tab, which opens the compared model, again if that failed; without models beside, do nothing."""
+        if self._workspace.beside:
+            if self._content is not None:
+                self._models.open(self._content.analysis.state)
             self._reveal(_MODELS)
             self._models_worker.wake()
+
+    def _compare_with(self, index: int) -> None:
+        self._change(lambda state: replace(state, beside=index))
+        self.compare_models()
 
     def _reveal(self, tab: str) -> None:
         """Open the window at a tab, also if the user has collapsed it."""
@@ -250,21 +258,25 @@ class ExplainWindow:
 
     def show_tab(self, tab: WhyTab) -> None:
         """Open a tab of the page and bring the window to the front; `show` does it for "best"."""
-        if tab not in ("best", self._tab_shown) and not (tab == "models" and self._workspace.second is None):
+        if tab not in ("best", self._tab_shown) and not (tab == "models" and not self._workspace.beside):
             self._tab_shown = tab
+            self._models_worker.wake()
             self._open_tab(_TABS[tab])
 
     def _follow_tab(self, name: str) -> None:
         tab = next((key for key, label in _TABS.items() if label == name), None)
         if self._open and tab is not None:
             self._tab_shown = tab
+            self._models_worker.wake()
             self._change(lambda state: replace(state, why_tab=tab))
 
     def leave(self) -> None:
         """Stop all computations; the browser has disconnected."""
+        self._left = True
         self._cancel_sweep()
         self._worker.stop()
         self._models_worker.stop()
+        self._models.leave()
 
     def announce(self) -> None:
         """Open the window at once, and say what is being computed until `show` is called."""
@@ -289,6 +301,7 @@ class ExplainWindow:
         """Close the window at once."""
         self._open = False
         self._panel.visible = False
+        self._models_worker.wake()
 
     def show(self, analysis: StateAnalysis) -> None:
         """Keep the analysis. Draw it if the window is open and was open in the analysed state."""
@@ -308,8 +321,7 @@ class ExplainWindow:
                 self._change(lambda state: replace(state, why_tab=best) if state.why_tab == "best" else None)
             for tab in self._tabs[:5]:
                 tab.draw()
-            if self._workspace.second is not None:
-                self._models_worker.wake()
+            self._models_worker.wake()
 
     def _renderer(self, render: Callable[[WindowContent], str]) -> Callable[[], str | None]:
         """Wrap a tab's function so that it renders the newest content."""
@@ -331,23 +343,17 @@ class ExplainWindow:
         profile = sweep.profile(analysis)
         return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped)
 
-    def _models_html(self, content: WindowContent) -> str:
-        second = self._workspace.second
-        assert second is not None
-        if second.workspace is None:
-            return render("explain/second_model", label=second.label, opening=second.opening, error=second.error)
-        if self._model_comparison is None:
-            self._model_comparison = ModelComparison(second.workspace, self._requests)
-        return self._model_comparison.page(content.analysis, self._workspace)
-
     def _draw_models(self) -> float | None:
-        """Draw the tab; return the seconds after which to look again while the second model is being opened."""
-        if self._content is None or not self._open:
+        """Draw the tab while it is shown; return the seconds after which to look again while something is still to come."""
+        content = self._content
+        if content is None or not self._open or self._tab_shown != "models":
+            self._models.leave()
             return None
-        second = self._workspace.second
-        opening = second is not None and second.opening
+        interval = self._models.advance(content.analysis.state)
         self._tabs[-1].draw()
-        return _OPENING_INTERVAL if opening else None
+        if self._left:  # meanwhile, what was joined would go on for nobody
+            self._models.leave()
+        return interval
 
     def _place(self) -> None:
         """Put the window over the stage, as large as fits."""

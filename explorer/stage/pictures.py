@@ -5,11 +5,14 @@ from __future__ import annotations
 from explorer.workspace import StateAnalysis, Workspace
 from lpn import explain
 from lpn.core import images
-from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.views import View
 from lpn.drawing import overlays, theme
 from lpn.drawing.theme import Colour
 from lpn.retrieval import DescribedPicture
+
+# Opacity of a heatmap of activation where it is strongest.
+_OPACITY = 0.85
 
 
 def draw_parts(
@@ -20,6 +23,7 @@ def draw_parts(
     cells: Float64Array | None = None,
     limit: float = 1.0,
     colours: tuple[Colour, Colour] | None = None,
+    heat: Float32Array | None = None,
 ) -> UInt8Array:
     """Draw a picture's parts, and its evidence where `cells` (h, w) are given: (H, W, 3) uint8.
 
@@ -27,6 +31,7 @@ def draw_parts(
         size: height, and the largest width of a panorama.
         limit: absolute value of a cell at which the colour of evidence is opaque.
         colours: `cells` are a lead, whose strong ones are painted in these, see `overlays.with_lead`.
+        heat: activation (h, w) from 0 to 1 to draw in place of evidence.
     """
     across, down = workspace.layout.picture
     height, max_width = size
@@ -37,6 +42,8 @@ def draw_parts(
         drawn = overlays.with_lead(drawn, cells, colours)
     elif cells is not None:
         drawn = overlays.with_evidence(drawn, cells, limit)
+    elif heat is not None:
+        drawn = overlays.with_heat(drawn, heat, None, _OPACITY)
     return overlays.with_parts(drawn, workspace.areas(view, described))
 
 

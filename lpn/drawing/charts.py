@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from markupsafe import Markup
@@ -36,6 +36,7 @@ _LABEL_ROOM = 13.0
 # Narrowest bar that has its number written in it, in percent.
 _LABELLED = 7.5
 _LEFT, _RIGHT = 52, 20
+_CHART_WIDTH, _CHART_HEIGHT = 340, 150
 _RANKS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 10_000, 100_000)
 
 Span = tuple[float, float]
@@ -72,6 +73,25 @@ class _Panel:
     high: float
     ticks: Sequence[tuple[float, str]]
     clickable: bool = True
+
+
+@dataclass(frozen=True)
+class ModelPoint:
+    """One model of a `model_chart`.
+
+    Attributes:
+        key: stands for the model.
+        number, label: what the models differ in, as a number by which they are ordered, and in words.
+        percent: the model's height.
+        role: "own" for the model that all others are compared with, "compared" for the one that is.
+    """
+
+    key: int | None
+    name: str
+    number: float
+    label: str
+    percent: float
+    role: Literal["own", "compared", "other"]
 
 
 def part_colour(part: int) -> str:
@@ -211,6 +231,31 @@ def profile_charts(
     line = x(current) if current is not None and numbers[0] <= current <= numbers[-1] else None
     labels = [(x(number), f"{number:.3g}{UNITS[over]}") for number in _spread(numbers)]
     return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, line, attributes)
+
+
+def model_chart(
+    points: Sequence[ModelPoint], title: str, x_title: str, attributes: Callable[[ModelPoint], Markup]
+) -> Markup:
+    """Draw a percentage of several models over what they differ in, in even steps.
+
+    Args:
+        attributes: HTML attributes of a model's circle; empty for one that cannot be chosen.
+    """
+    panel = _fitted(title, _CHART_HEIGHT, [_Series([point.percent for point in points])])
+    numbers = sorted({point.number: point.label for point in points}.items())
+    step = (_CHART_WIDTH - _LEFT - _RIGHT) / max(len(numbers), 1)
+    place = {number: round(_LEFT + step * (i + 0.5), 1) for i, (number, _) in enumerate(numbers)}
+    heights = _heights(panel, [point.percent for point in points], 0)
+    spots = sorted(
+        zip([place[point.number] for point in points], heights, points, strict=True), key=lambda spot: spot[0]
+    )
+    line = " ".join(f"{x},{y}" for x, y, _ in spots) if len(numbers) == len(points) else ""
+    ticks = list(zip(_heights(panel, [tick for tick, _ in panel.ticks], 0), panel.ticks, strict=True))
+    labels = [(place[number], label) for number, label in numbers]
+    right = _CHART_WIDTH - _RIGHT
+    return _draw(
+        "models", _CHART_WIDTH, _CHART_HEIGHT, _LEFT, right, title, x_title, ticks, line, spots, labels, attributes
+    )
 
 
 def _panels(points: Sequence[SweepPoint], names: Sequence[str]) -> list[_Panel]:

@@ -103,6 +103,11 @@ def colour_bar(low: float, high: float) -> ColourBar:
     Labels have up to six digits. If both ends have the same label, there is one in the middle.
     """
     gradient = overlays.png_data_uri(overlays.heat_cells(np.linspace(low, high, 256)[None], low, high))
+    return ColourBar(gradient, scale_labels(low, high))
+
+
+def scale_labels(low: float, high: float) -> list[tuple[float, str]]:
+    """Return the labels of a scale and their places in percent, see `colour_bar`."""
     largest = max(abs(low), abs(high))
     notation = ".6g"
     if high > low:
@@ -111,9 +116,9 @@ def colour_bar(low: float, high: float) -> ColourBar:
         notation = f".{max(0, min(decimals, most))}f" if 1e-3 <= largest < 1e6 else ".3g"
     labels = [_label(value, notation) for value in (low, (low + high) / 2, high)]
     if labels[0] == labels[2]:
-        return ColourBar(gradient, [(50.0, labels[0])])
+        return [(50.0, labels[0])]
     ticks = [(0.0, labels[0]), (50.0, labels[1]), (100.0, labels[2])]
-    return ColourBar(gradient, ticks if max(map(len, labels)) <= _SHORT else ticks[::2])
+    return ticks if max(map(len, labels)) <= _SHORT else ticks[::2]
 
 
 def _label(value: float, notation: str) -> str:

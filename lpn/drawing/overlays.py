@@ -14,6 +14,9 @@ from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, Int64Array, 
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import AGAINST, FOR, UNKNOWN_COLOUR, Colour, part_colour
 
+# Pixels of a dash.
+_DASH = 7
+
 
 def square(picture: UInt8Array, size: int) -> UInt8Array:
     """Resize a whole picture to a square, as the network sees it."""
@@ -144,6 +147,23 @@ def _with_outlines(drawn: UInt8Array, labels: Int64Array, thickness: int, off: C
         innermost = cv2.erode(inner, np.ones((3, 3), np.uint8))
         drawn[(inside > outer) | (inner > innermost)] = 0
         drawn[outer > inner] = _border_colour(part, off)
+    return drawn
+
+
+def with_box(picture: UInt8Array, cells: BoolArray) -> UInt8Array:
+    """Draw the box around the cells (h, w) that are True as a dashed white line with a dark outline."""
+    drawn = np.ascontiguousarray(picture).copy()
+    inside = images.enlarge(cells.astype(np.float32), *picture.shape[:2]) > 0.5
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    corners = [(x, y) for x, y in ((0, 0), (-1, 0), (-1, -1), (0, -1))]
+    places = [(int(columns[x]), int(rows[y])) for x, y in corners]
+    for (x, y), (right, down) in zip(places, [*places[1:], places[0]], strict=True):
+        length = max(abs(right - x), abs(down - y))
+        count = 2 * max(round(length / (2 * _DASH)), 1) + 1
+        ends = [(round(x + (right - x) * i / count), round(y + (down - y) * i / count)) for i in range(count + 1)]
+        for begin, end in zip(ends[::2], ends[1::2], strict=True):
+            cv2.line(drawn, begin, end, (0, 0, 0), 4)
+            cv2.line(drawn, begin, end, (255, 255, 255), 2)
     return drawn
 
 

@@ -7,7 +7,7 @@
   const PERIOD = 150, WAIT = 3000;
   const { SELECTORS } = lpn.viser;
   const DIALOG = `${SELECTORS.dialog}, ${SELECTORS.palette}`;
-  const WHY = "#lpn-why, #lpn-heatmaps, #lpn-counterfactual, #lpn-profile, #lpn-region, #lpn-second-model, #lpn-model-comparison";
+  const WHY = "#lpn-why, #lpn-heatmaps, #lpn-counterfactual, #lpn-profile, #lpn-region, #lpn-model-comparison";
   // What shows that a window is open, and what of it takes the focus.
   const WINDOWS = [
     ["#lpn-first", "#lpn-first [data-act=why]"],

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from rich.console import Console
@@ -24,7 +23,6 @@ from lpn.datasets import open_dataset
 from lpn.datasets.rendered import UNFINISHED
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
-from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
 from lpn.reproduce import claims, footnotes, paper_values, report, sources, trainings, tuning
 from lpn.reproduce.command import KEYS, Reproduction
