@@ -15,7 +15,7 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.session_state import SessionState
 from explorer.stage.pictures import draw_parts
-from explorer.web.render import render, send
+from explorer.web.render import call, render, run, send
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn.core.arrays import FloatingArray, Int64Array
 from lpn.core.views import View
@@ -30,8 +30,8 @@ from lpn.tasks.task import Task
 # Numbers of matches and of queries listed, and the size of a picture with its heatmap: height, and the largest width.
 _MATCHES, _QUERIES, _SIZE = 5, 8, (256, 700)
 _LETTERS = "AB"
-# Seconds between two looks at models that are being opened or ranked, and at means: each sends the tab's pictures again.
-_OPENING_INTERVAL, _MEAN_INTERVAL = 0.5, 3.0
+# Seconds between two looks at models that are being opened or ranked, and at means.
+_OPENING_INTERVAL, _MEAN_INTERVAL = 0.5, 1.0
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,6 @@ class _Map:
         picture: a data URI.
         labels: of the scale of its colours, and their places in percent.
         share: of its activation in the centre box, in percent; None without a centre.
-        mean: of the test set, as far as it is known; None without a centre.
     """
 
     side: Side
@@ -51,7 +50,6 @@ class _Map:
     picture: str
     labels: list[tuple[float, str]]
     share: float | None
-    mean: CentreMean | None
 
 
 @dataclass(frozen=True)
@@ -106,6 +104,8 @@ class ModelComparison:
         self._workspace, self._requests = workspace, requests
         self._analysers: dict[int, StateAnalyser] = {}
         self._joined: list[RankingJob | CentreMean] = []
+        # The last page, and how many there were.
+        self._drawn = "", 0
 
     def advance(self, state: SessionState) -> float | None:
         """Open the compared model, then the others one at a time, rank them, and then find the means of the compared pair.
@@ -160,7 +160,7 @@ class ModelComparison:
         maps = self._maps(pairs, state)
         columns = [_column(one, of_one, drawn, analysis) for (one, of_one), drawn in zip(pairs, maps, strict=True)]
         rankings = [one.rankings[task.name] for one, _ in pairs]
-        return render(
+        html = render(
             "explain/model_comparison",
             names=(workspace.model_name, lazy.label if other is None else other.model_name),
             letters=_LETTERS,
@@ -182,6 +182,22 @@ class ModelComparison:
             charts=self._charts(state) if len(workspace.beside) > 1 else [],
             choices=self._choices(state) if len(workspace.beside) > 1 else [],
         )
+        if html != self._drawn[0]:
+            self._drawn = html, self._drawn[1] + 1
+        return html
+
+    def means(self, state: SessionState) -> str:
+        """Return a script that writes the test set's means into the page, which need not be sent again for them."""
+        compared = self._workspace.compared(state)
+        other = None if compared is None else compared.workspace
+        sides: tuple[Side, ...] = ("query", "tile")
+        texts = {
+            f"{letter} {side}": _mean_text(mean)
+            for letter, one in zip(_LETTERS, (self._workspace, other), strict=True)
+            for side in sides
+            if one is not None and (mean := self._mean(one, state.task, side)) is not None
+        }
+        return run(call("fill", "mean", texts, self._drawn[1]))
 
     def _analyse(self, state: SessionState, other: Workspace, analysis: StateAnalysis) -> StateAnalysis:
         """Analyse the same query and, where it is in its gallery, the same tile under another model."""
@@ -233,7 +249,6 @@ class ModelComparison:
             overlays.data_uri(picture, 88),
             heatmaps.scale_labels(low, high),
             None if mean is None else 100 * centre_share(described.trace.activation),
-            mean,
         )
 
     def _mean(self, workspace: Workspace, task: str, side: Side) -> CentreMean | None:
@@ -319,6 +334,19 @@ def _opening(lazy: LazyWorkspace, beside: Sequence[LazyWorkspace]) -> str:
 def _progress(lazy: LazyWorkspace) -> str:
     done, total = lazy.progress
     return f"{done:,} of {total:,} pictures are described" if total else "its file and the data set are read"
+
+
+def _mean_text(mean: CentreMean) -> str:
+    """Say in words how far a mean over the test set is known."""
+    if mean.error:
+        return f"test set: no mean. {mean.error}"
+    if mean.percent is None:
+        return "test set: not known yet"
+    value = f"test set: {mean.percent:.1f} %"
+    if mean.done < mean.total:
+        return f"{value} so far ({mean.done:,} of {mean.total:,})"
+    drawn = f" of {mean.pictures:,} drawn at random" if mean.total < mean.pictures else ""
+    return f"{value} (mean of {mean.total:,}{drawn})"
 
 
 def _recall(workspace: Workspace, task: str) -> float | None:

@@ -125,6 +125,12 @@
     lpn.hover(map, event, true);
   };
 
+  // Write texts into the elements that have these values of a data attribute.
+  lpn.fill = (name, texts) =>
+    Object.entries(texts).forEach(([key, text]) => {
+      document.querySelectorAll(`[data-${name}="${key}"]`).forEach((one) => (one.textContent = text));
+    });
+
   // Show the value of the cell of a heatmap under the mouse.
   lpn.value = (map, event) => {
     const read = map.closest(".lpn").querySelector(".lpn-value");
