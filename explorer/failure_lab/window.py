@@ -46,6 +46,7 @@ class _View:
     Attributes:
         reasons: the explain window is open.
         order: a script that raises the explain window, where both windows were opened at once, as a link does; else empty.
+        beside: which of the models beside the workspace's own is compared.
     """
 
     task: str
@@ -53,6 +54,7 @@ class _View:
     open: bool
     reasons: bool = False
     order: str = ""
+    beside: int = 0
 
 
 class FailureLabWindow:
@@ -110,12 +112,12 @@ class FailureLabWindow:
         session = analysis.state
         query = None if session.upload else session.query
         with self._lock:
-            self._lab, self._beside = state.for_task(self._lab, session.task), session.beside
+            self._lab = state.for_task(self._lab, session.task)
             before, reasons = self._view, session.shows_reasons
             order = before.order if session.lab else ""
             if session.lab and not before.open and reasons and not before.reasons:
                 order = run_once(call("raiseReasons"))
-            self._view = _View(session.task, query, session.lab, reasons, order)
+            self._view = _View(session.task, query, session.lab, reasons, order, session.beside)
         self._worker.wake()
 
     def restore(self, session: SessionState, whole: bool = False) -> None:
@@ -125,7 +127,7 @@ class FailureLabWindow:
             whole: the state has the choices of a closed laboratory, too; an address has them only of an open one.
         """
         with self._lock:
-            self._lab, self._beside = state.for_task(self._lab, session.task), session.beside
+            self._lab = state.for_task(self._lab, session.task)
             if session.lab or whole:
                 self._wanted = session.task, session.laboratory
         self._worker.wake()
@@ -133,7 +135,7 @@ class FailureLabWindow:
     def order(self, session: SessionState) -> Int64Array | None:
         """Return the selected queries in the table's order, None while the window is closed; next and previous follow it."""
         with self._lock:
-            findings = self._service.findings(session.task, session.beside)
+            findings = self._findings(session.task)
             if not session.lab or findings is None or self._lab.task != session.task:
                 return None
             return self._rows(findings, self._lab)
@@ -286,8 +288,11 @@ class FailureLabWindow:
 
     def _draw(self) -> None:
         with self._lock:
+            switched, self._beside = self._beside != self._view.beside, self._view.beside
             findings = self._findings(self._lab.task)
             wanted, restored = self._wanted, False
+            if findings is not None and switched:  # a filter may name ranks that are not known yet
+                self._lab, restored = state.with_choices(findings, self._lab, state.choices(self._lab)), True
             if findings is not None and wanted is not None and wanted[0] == self._lab.task:
                 self._lab, self._wanted, restored = state.with_choices(findings, self._lab, wanted[1]), None, True
             lab, view = self._lab, self._view

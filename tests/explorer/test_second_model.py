@@ -1,8 +1,9 @@
-"""The second model: offered for the demo, opened once on request, and shown in the tab "Two models"."""
+"""Models beside the workspace's own: the demo's baseline, one or many of --beside, each opened once."""
 
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ from lpn.tasks.task import Task
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
 from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector
+from tools.fixtures.small_contracts import RegionModel
 
 PATIENCE = 120.0
 
@@ -35,8 +37,7 @@ def workspace(data: Path, model_file: Path, one_part_model_file: Path, tmp_path:
 
 
 def test_an_offered_model_is_opened_once_and_on_request(workspace: Workspace) -> None:
-    second = workspace.second
-    assert second is not None
+    (second,) = workspace.beside
     assert (second.label, second.workspace, second.opening, second.error) == ("the baseline (n = 1)", None, False, "")
     job = second.open()
     assert second.open() is job
@@ -50,8 +51,7 @@ def test_an_offered_model_is_opened_once_and_on_request(workspace: Workspace) ->
 def test_a_damaged_model_is_reported_and_may_be_tried_again(
     workspace: Workspace, one_part_model_file: Path, tmp_path: Path
 ) -> None:
-    second = workspace.second
-    assert second is not None
+    (second,) = workspace.beside
     (tmp_path / "baseline.onnx").write_bytes(b"no model")
     assert second.open().wait(PATIENCE)
     assert second.workspace is None
@@ -90,27 +90,28 @@ def test_a_model_given_at_the_start_is_open(
 ) -> None:
     data = shutil.copytree(data, tmp_path / "places")
     (data / "test" / "gallery_satellite" / "0007" / "photo.heic").write_bytes(b"")
-    second = open_model(data, model_file, second_model=one_part_model_file).second
+    (second,) = open_model(data, model_file, beside=[one_part_model_file]).beside
     assert [record.getMessage() for record in caplog.records if record.name == "lpn.datasets.base"] == [
         "places: 1 pictures are not read: test/gallery_satellite/0007/photo.heic (is of a kind that is not read; save it as "
         "JPEG); they are left out."
     ]
-    assert second is not None
     wait_until(lambda: second.workspace is not None)
     assert second.workspace is not None
     assert second.workspace.contract.n_parts == 1
     # Both files are called model.onnx.
     assert second.label == "/".join(one_part_model_file.parts[-3:])
-    assert open_model(data, model_file).second is None
+    assert open_model(data, model_file).beside == []
 
 
-def test_the_tab_offers_the_model_opens_it_and_compares(workspace: Workspace) -> None:
+def test_the_tab_opens_the_model_and_compares(workspace: Workspace) -> None:
     gui, tabs, errors = WindowGui(), [], []
     window: ExplainWindow = make_window(workspace, gui, errors, tabs.append)
     analysis = StateAnalyser(workspace).analyse(SessionState("drone-to-satellite", 4, why=True), 10)
     window.announce()
     window.show(analysis)
-    wait_until(lambda: "Compare with the baseline (n = 1)" in gui.shown("lpn-second-model"))
+    (second,) = workspace.beside
+    assert not gui.shown("lpn-model-comparison")
+    assert (second.workspace, second.opening) == (None, False)  # nothing is opened for those who look elsewhere
     expanded = gui.expanded
     window.compare_models()
     assert tabs == ["Two models"]
@@ -168,18 +169,53 @@ def test_the_kinds_of_both_models_may_be_named(
     weights = tmp_path / "weights.pth"
     torch.save(state, weights)
     (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")
-    Explore(data=data, model=weights, kind="camp", beside=weights, beside_kind="dac").run()
+    Explore(data=data, model=weights, kind="camp", beside=(weights,), beside_kind=("dac",)).run()
     (workspace,) = opened
     assert workspace.contract.method == "CAMP"
-    assert workspace.second is not None
-    wait_until(lambda: workspace.second.workspace is not None)  # type: ignore[union-attr]
-    assert workspace.second.workspace is not None
-    assert workspace.second.workspace.contract.method == "DAC"
+    (second,) = workspace.beside
+    wait_until(lambda: second.workspace is not None)
+    assert second.workspace is not None
+    assert second.workspace.contract.method == "DAC"
     with pytest.raises(ModelFileError, match="--kind dac or --kind camp, of a second model with --beside-kind"):
-        Explore(data=data, model=model_file, beside=weights).run()
+        Explore(data=data, model=model_file, beside=(weights,)).run()
     with pytest.raises(InputError, match="--kind needs --model"):
         Explore(data=tmp_path, kind="camp").run()
     source = Data(data=data, model=ModelOptions(model=model_file))
-    for command in (Explore(data=tmp_path, beside_kind="dac"), FailuresCommand(source=source, beside_kind="dac")):
+    with pytest.raises(
+        InputError, match="There are 1 kinds for 2 models of --beside; give one for each in their order, or auto"
+    ):
+        Explore(data=tmp_path, model=model_file, beside=(weights, model_file), beside_kind=("dac",)).run()
+    for command in (Explore(data=tmp_path, beside_kind=("dac",)), FailuresCommand(source=source, beside_kind="dac")):
         with pytest.raises(InputError, match="--beside-kind needs --beside"):
             command.run()
+
+
+def test_of_many_models_the_first_is_open_and_the_others_wait_for_a_browser(
+    data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path
+) -> None:
+    two = small_worlds.make_model(tmp_path / "two", n_parts=2)
+    workspace = open_model(data, model_file, beside=[one_part_model_file, two])
+    first, last = workspace.beside
+    wait_until(lambda: first.workspace is not None)
+    assert (last.workspace, last.opening, last.progress) == (None, False, (0, 0))
+    state = SessionState("drone-to-satellite", 4)
+    assert [workspace.compared(replace(state, beside=i)) for i in (0, 1, 2)] == [first, last, None]
+    assert last.open().wait(PATIENCE)
+    assert last.workspace is not None
+    assert last.workspace.contract.n_parts == 2
+    pictures = sum(len(side) for side in (workspace.tasks[state.task].queries, workspace.tasks[state.task].gallery))
+    assert last.progress[0] == last.progress[1] >= pictures
+
+
+def test_a_model_that_is_given_twice_or_cannot_be_compared_ends_the_start(
+    data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path
+) -> None:
+    for beside in ([model_file], [one_part_model_file, one_part_model_file]):
+        with pytest.raises(InputError, match=r"model\.onnx is given twice; --model and --beside need different models"):
+            open_model(data, model_file, beside=beside)
+    (tmp_path / "broken.onnx").write_bytes(b"no model")
+    with pytest.raises(ModelFileError, match=r"broken\.onnx"):
+        open_model(data, model_file, beside=[one_part_model_file, tmp_path / "broken.onnx"])
+    street = replace(RegionModel().contract, views=("satellite", "street"), groups=(), part_names={})
+    with pytest.raises(DataError, match="knows only satellite and street pictures"):
+        open_model(data, RegionModel(street))

@@ -38,17 +38,16 @@ from tools.fixtures.small_contracts import GateModel, RegionModel
 def two(workspace: Workspace) -> Workspace:
     """A model whose parts are regions of each picture (A), beside one whose parts are gates (B)."""
     opened = open_model(workspace.root, RegionModel())
-    opened.second = LazyWorkspace("gates", lambda _: open_model(workspace.root, GateModel()))
-    assert opened.second.open().wait(120)
+    opened.beside = [LazyWorkspace("gates", lambda _: open_model(workspace.root, GateModel()))]
+    assert opened.beside[0].open().wait(120)
     return opened
 
 
 @pytest.fixture(scope="module")
 def ranks(two: Workspace) -> tuple[Int64Array, Int64Array]:
     """The ranks of both models from 0, each from its outcomes rather than from a ranking job."""
-    assert two.second is not None
-    assert two.second.workspace is not None
-    models = two.model, two.second.workspace.model
+    assert two.beside[0].workspace is not None
+    models = two.model, two.beside[0].workspace.model
     dataset = open_dataset(two.root)
     first, second = (open_task(m.model, "", dataset, TASK).outcomes.rank for m in models if m is not None)
     # The untrained networks happen to differ; the tests need that.
@@ -113,9 +112,8 @@ def test_the_page_names_the_models_and_shows_both_ranks_in_place_of_one(
     two: Workspace, ranks: tuple[Int64Array, Int64Array], lab: LabState
 ) -> None:
     findings = built(two)
-    assert two.second is not None
-    assert two.second.workspace is not None
-    names = two.model_name, two.second.workspace.model_name
+    assert two.beside[0].workspace is not None
+    names = two.model_name, two.beside[0].workspace.model_name
     bar = table.bar(findings, lab, 3)
     for letter, name, count in zip(
         "AB", names, ((ranks[0] == 0) & (ranks[1] > 0), (ranks[1] == 0) & (ranks[0] > 0)), strict=True
@@ -143,6 +141,60 @@ def test_one_model_alone_has_neither_column_nor_choice(workspace: Workspace, fin
     assert FailureLab(workspace).join_second(TASK, None) == SecondProgress()
 
 
+def test_ranks_are_those_of_the_model_that_is_compared(workspace: Workspace) -> None:
+    opened = open_model(workspace.root, RegionModel())
+    others = GateModel(), GateModel(seed=7)
+    opened.beside = [
+        LazyWorkspace(name, lambda _, model=model: open_model(workspace.root, model))  # type: ignore[misc]
+        for name, model in zip(("one", "two"), others, strict=True)
+    ]
+    assert all(one.open().wait(120) for one in opened.beside)
+    service, dataset = FailureLab(opened), open_dataset(workspace.root)
+    assert service.build(TASK, None).wait(120)
+    for beside, model in [*enumerate(others), (0, others[0])]:
+        findings = service.findings(TASK, beside)
+        assert findings is not None
+        ranks = open_task(model, "", dataset, TASK).outcomes.rank
+        np.testing.assert_array_equal(findings.table.columns["rank B"].values, ranks + 1)
+        assert service.findings(TASK, beside) is findings
+    # There is no third one.
+    alone = service.findings(TASK, 2)
+    assert alone is not None
+    assert alone.second is None
+
+
+def test_a_filter_on_the_ranks_of_one_model_is_refused_until_those_of_the_next_are_known(
+    waiting: Workspace, held: tuple[Event, Event]
+) -> None:
+    held[1].set()
+    waiting.beside = [*waiting.beside, LazyWorkspace("the next", lambda _: open_model(waiting.root, GateModel(seed=7)))]
+    gui, client = WindowGui(), SimpleNamespace()
+    client.gui = gui
+    window = FailureLabWindow(
+        client,  # type: ignore[arg-type]
+        waiting,
+        FailureLab(waiting),
+        Feeds(waiting),
+        lambda _: None,
+        Viewport(),
+        SimpleNamespace(),  # type: ignore[arg-type]
+    )
+    analysis = StateAnalyser(waiting).analyse(SessionState(TASK, 4, lab=True), 10)
+    window.show(analysis)
+    wait_until(lambda: "Compare the ranks with the other" in gui.shown("lpn-lab-second"))
+    window.receive(messages.OpenSecond())
+    wait_until(lambda: "rank B" in gui.shown("lpn-lab-table"))
+    window.receive(messages.SetFilter("rank B > 1"))
+    wait_until(lambda: window._lab.filter == "rank B > 1")
+    window.show(replace(analysis, state=replace(analysis.state, beside=1)))
+    wait_until(lambda: "There is no column" in gui.shown("lpn-lab-count"))
+    wait_until(lambda: "Compare the ranks with the next" in gui.shown("lpn-lab-second"))
+    order = window.order(replace(analysis.state, beside=1))
+    assert order is not None
+    assert len(order) == 13
+    window.leave()
+
+
 @pytest.fixture
 def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Event, Event]]:
     """Rankings of new workspaces wait in the background until the second event is set; the first says that one has begun."""
@@ -166,9 +218,9 @@ def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Event, Event]]:
 @pytest.fixture
 def waiting(workspace: Workspace) -> Iterator[Workspace]:
     """The laboratory's workspace of an LPN, ranked, which offers a second model on request."""
-    workspace.second = LazyWorkspace("the other", lambda _: open_model(workspace.root, GateModel()))
+    workspace.beside = [LazyWorkspace("the other", lambda _: open_model(workspace.root, GateModel()))]
     yield workspace
-    workspace.second = None
+    workspace.beside = []
 
 
 def test_ranks_that_are_computed_in_the_background_join_the_table(
@@ -177,8 +229,7 @@ def test_ranks_that_are_computed_in_the_background_join_the_table(
     begun, go = held
     assert service.join_second(TASK, "one") == SecondProgress(offered="the other")
     service.open_second()
-    assert waiting.second is not None
-    assert waiting.second.open().wait(120)
+    assert waiting.beside[0].open().wait(120)
     assert service.join_second(TASK, "one").pending
     assert begun.wait(120)
     assert service.join_second(TASK, "one") == SecondProgress("rank B: ranking 5 of 13 queries", True)
@@ -205,10 +256,9 @@ def test_the_last_browser_that_leaves_cancels_the_ranking(
 ) -> None:
     begun, go = held
     service.open_second()
-    assert waiting.second is not None
-    assert waiting.second.open().wait(120)
-    assert waiting.second.workspace is not None
-    ranking = waiting.second.workspace.rankings[TASK]
+    assert waiting.beside[0].open().wait(120)
+    assert waiting.beside[0].workspace is not None
+    ranking = waiting.beside[0].workspace.rankings[TASK]
     service.join_second(TASK, "one")
     assert begun.wait(120)
     service.leave_second("one")
@@ -224,7 +274,7 @@ def test_a_second_model_that_cannot_be_opened_says_why(
     workspace: Workspace, service: FailureLab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     second = LazyWorkspace("the other", lambda _: open_model(workspace.root, Path("other.onnx")))
-    monkeypatch.setattr(workspace, "second", second)
+    monkeypatch.setattr(workspace, "beside", [second])
     service.open_second()
     assert second.open().wait(120)
     progress = service.join_second(TASK, None)

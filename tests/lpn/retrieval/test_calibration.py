@@ -214,11 +214,12 @@ def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Pat
 def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
     model_file: Path, one_part_model_file: Path, wide: Path
 ) -> None:
-    workspace = open_model(wide, model_file, second_model=one_part_model_file, calibrate=True)
+    workspace = open_model(wide, model_file, beside=[one_part_model_file], calibrate=True)
     assert "calibrated" in workspace.description
-    assert workspace.second is not None
-    assert workspace.second.workspace is not None
-    assert "calibrated" in workspace.second.workspace.description
+    other = workspace.beside[0].open()
+    assert other.wait(60)
+    assert other.value is not None
+    assert "calibrated" in other.value.description
     task = workspace.tasks["satellite-to-drone"]
     tile = task.gallery[0]
     assert tile.note == f"zoomed by {tile.zoom:.2f}"
