@@ -69,7 +69,7 @@ def started(
     cache: Path,
     default: bool = False,
     saved: Path | None = None,
-    beside: Path | None = None,
+    beside: Sequence[Path] = (),
     options: Sequence[str] = (),
     program: Sequence[str] = ("-m", "lpn"),
     port: int = 0,
@@ -79,14 +79,14 @@ def started(
     Args:
         default: name neither data nor model on the command line, which opens the demo.
         saved: a published result to open in place of the model.
-        beside: a second model.
+        beside: further models.
         program: what Python runs.
         port: any that is free by default.
     """
     source = ["--data", data, "--model", model]
     if saved is not None:
         source = ["published", "--data", data, "--saved", saved, "--n-parts", "4"]
-    source += [] if beside is None else ["--beside", beside]
+    source += ["--beside", *beside] if beside else []
     inputs = [] if default else source
     command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port or free_port())]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
@@ -120,7 +120,17 @@ def two_models(data: Path, model_file: Path, one_part_model_file: Path, tmp_path
     """The app with a network of one part beside that of four."""
     whole = tmp_path / "whole.onnx"
     whole.symlink_to(one_part_model_file)
-    with started(data, model_file, tmp_path / "cache", beside=whole) as running:
+    with started(data, model_file, tmp_path / "cache", beside=[whole]) as running:
+        yield running
+
+
+@pytest.fixture
+def three_models(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
+    """The app with networks of one part, and of two parts and more pixels, beside that of four."""
+    whole, two = tmp_path / "whole.onnx", tmp_path / "two.onnx"
+    whole.symlink_to(one_part_model_file)
+    two.symlink_to(small_worlds.make_model(tmp_path / "large", n_parts=2, size=96))
+    with started(data, model_file, tmp_path / "cache", beside=[whole, two]) as running:
         yield running
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -224,6 +224,48 @@ def test_two_models_answer_the_same_query(two_models: RunningApp, contexts: Call
     query = row.get_attribute("data-query")
     row.click()
     explorer.expect_status("query", query or "")
+
+
+def test_a_link_opens_both_models_on_query_and_tile_and_the_chart_chooses_another(
+    three_models: RunningApp, contexts: Callable[[], BrowserContext]
+) -> None:
+    explorer = ExplorerPage(contexts().new_page())
+    explorer.open(f"{three_models.url}/?why=1&reason=models")
+    shown = explorer.page.locator("#lpn-model-comparison")
+    pictures = shown.locator("[data-model] .map img")
+    expect(pictures).to_have_count(4)  # without another click
+    for i in range(4):
+        expect(pictures.nth(i)).to_be_visible()
+    expect(shown.locator(".share")).to_have_count(4)
+    for mean in shown.locator("[data-mean]").all():
+        expect(mean).to_contain_text(re.compile(r"test set: \d+\.\d % \(mean of \d+\)"))
+    before = [picture.get_attribute("src") for picture in pictures.all()]
+    shown.get_by_role("button", name="Evidence").click()
+    expect(shown.locator(".chips a.chosen").first).to_have_text("Evidence")
+    expect(pictures.first).not_to_have_attribute("src", before[0] or "")
+    explorer.eventually(lambda: _expect_address(explorer, ("shows=evidence", "reason=models")))
+    shown.get_by_label("One scale for all pictures").click()
+    expect(shown.get_by_label("One scale for all pictures")).to_be_checked()
+    scales = shown.locator("svg.colours")
+    expect(scales).to_have_count(4)
+    assert len({scale.get_attribute("aria-label") for scale in scales.all()}) == 1
+    chart = shown.get_by_role("group", name="R@1 of the whole task, % by number of parts n")
+    expect(chart.locator(".model")).to_have_count(3)
+    expect(chart.locator(".model.compared")).to_have_attribute("aria-label", re.compile(r"^whole\.onnx: 1, "))
+    chart.get_by_role("button", name="two.onnx: 2").click()
+    expect(chart.locator(".model.compared")).to_have_attribute("aria-label", re.compile(r"^two\.onnx: 2, "))
+    expect(shown.locator("[data-model=B] h2")).to_contain_text("two.onnx")
+    expect(shown.locator("[data-model=B]")).to_contain_text("n = 2, 96 x 96")
+    expect(pictures).to_have_count(4)
+    explorer.eventually(lambda: _expect_address(explorer, ("beside=two.onnx",)))
+    again = ExplorerPage(contexts().new_page())
+    again.open(explorer.page.url)
+    expect(again.page.locator("#lpn-model-comparison [data-model=B] h2")).to_contain_text("two.onnx")
+
+
+def _expect_address(explorer: ExplorerPage, pieces: Sequence[str]) -> None:
+    for piece in pieces:
+        assert piece in explorer.page.url
 
 
 def test_one_click_compares_with_the_baseline_and_one_turns_the_task_around(
