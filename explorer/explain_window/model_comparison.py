@@ -152,7 +152,7 @@ class ModelComparison:
         other = lazy.workspace
         pairs, reason = [(workspace, analysis)], ""
         if other is None:
-            reason = _opening(lazy, workspace.beside)
+            reason = lazy.error
         elif task.name not in other.rankings:
             reason = f"{other.model_name} does not know the views of {task.name}; choose another task."
         else:
@@ -167,7 +167,7 @@ class ModelComparison:
             columns=columns,
             reason=reason,
             error=lazy.error,
-            opening=other is None,
+            opening=other is None and not lazy.error,
             kind=state.heat_kind,
             same_scale=state.same_scale,
             scale=overlays.data_uri(
@@ -186,10 +186,11 @@ class ModelComparison:
             self._drawn = html, self._drawn[1] + 1
         return html
 
-    def means(self, state: SessionState) -> str:
-        """Return a script that writes the test set's means into the page, which need not be sent again for them."""
+    def live(self, state: SessionState) -> str:
+        """Return a script that writes means and progress into the page: if it were sent again, clicks would be lost."""
         compared = self._workspace.compared(state)
-        other = None if compared is None else compared.workspace
+        assert compared is not None
+        other = compared.workspace
         sides: tuple[Side, ...] = ("query", "tile")
         texts = {
             f"{letter} {side}": _mean_text(mean)
@@ -197,7 +198,10 @@ class ModelComparison:
             for side in sides
             if one is not None and (mean := self._mean(one, state.task, side)) is not None
         }
-        return run(call("fill", "mean", texts, self._drawn[1]))
+        texts |= {f"choice {i}": _progress(one) for i, one in enumerate(self._workspace.beside) if one.opening}
+        if other is None and not compared.error:
+            texts["opening"] = _opening(compared, self._workspace.beside)
+        return run(call("fill", "live", texts, self._drawn[1]))
 
     def _analyse(self, state: SessionState, other: Workspace, analysis: StateAnalysis) -> StateAnalysis:
         """Analyse the same query and, where it is in its gallery, the same tile under another model."""
@@ -268,14 +272,13 @@ class ModelComparison:
             job.join(self)
 
     def _choices(self, state: SessionState) -> list[_Choice]:
-        opening = next((one for one in self._workspace.beside if one.opening), None)
         return [
             _Choice(
                 index,
                 one.label,
                 None if one.workspace is None else _recall(one.workspace, state.task),
                 index == state.beside,
-                _progress(one) if one is opening else "not opened" if one.error else "",
+                "" if one.opening else "not opened" if one.error else "R@1 not known yet",
             )
             for index, one in enumerate(self._workspace.beside)
         ]
@@ -294,13 +297,18 @@ class ModelComparison:
             if (recall := _recall(one, state.task)) is not None
         ]
         drawn = []
-        for title, property_of in (("number of parts n", _parts), ("input size in pixels", _size)):
+        differ = {
+            title: property_of
+            for title, property_of in (("number of parts n", _parts), ("input size in pixels", _size))
+            if len({property_of(contract) for _, _, contract, _ in known}) > 1
+        }
+        for title, property_of in differ.items():
             points = [
                 ModelPoint(key, name, *property_of(contract), recall, _role(key, state))
                 for key, name, contract, recall in known
             ]
-            if len({point.number for point in points}) > 1:
-                drawn.append(charts.model_chart(points, "R@1 of the whole task, %", title, _attributes))
+            chart = charts.model_chart(points, "R@1 of the whole task, %", title, _attributes, joined=len(differ) == 1)
+            drawn.append(chart)
         return drawn
 
 
@@ -324,8 +332,6 @@ def _attributes(point: ModelPoint) -> Markup:
 
 def _opening(lazy: LazyWorkspace, beside: Sequence[LazyWorkspace]) -> str:
     """Say what the compared model waits for, while it is not open."""
-    if lazy.error:
-        return lazy.error
     ahead = next((one for one in beside if one.opening), lazy)
     first = "" if ahead is lazy else f"{lazy.label} is opened after {ahead.label}. "
     return f"{first}Opening {ahead.label}: {_progress(ahead)}."

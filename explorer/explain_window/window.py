@@ -155,7 +155,7 @@ class ExplainWindow:
             with self._panel.add_tab(name, icon):
                 self._tabs.append(_Tab(client.gui, self._renderer(content)))
                 if name == _MODELS:
-                    self._means = Html(client.gui)
+                    self._live = Html(client.gui)
         self._comparison_tab, self._sweep_tab = self._tabs[2:4]
         self._worker = Worker(self._compute, on_error)
         # The model beside runs in its own thread, so that the workspace's own answer need not wait for it.
@@ -353,7 +353,7 @@ class ExplainWindow:
             return None
         interval = self._models.advance(content.analysis.state)
         self._tabs[-1].draw()
-        self._means.show(self._models.means(content.analysis.state))
+        self._live.show(self._models.live(content.analysis.state))
         if self._left:  # meanwhile, what was joined would go on for nobody
             self._models.leave()
         return interval

@@ -234,12 +234,17 @@ def profile_charts(
 
 
 def model_chart(
-    points: Sequence[ModelPoint], title: str, x_title: str, attributes: Callable[[ModelPoint], Markup]
+    points: Sequence[ModelPoint],
+    title: str,
+    x_title: str,
+    attributes: Callable[[ModelPoint], Markup],
+    joined: bool = True,
 ) -> Markup:
     """Draw a percentage of several models over what they differ in, in even steps.
 
     Args:
         attributes: HTML attributes of a model's circle; empty for one that cannot be chosen.
+        joined: a line joins the models where they differ in nothing else, and no two are alike in it.
     """
     panel = _fitted(title, _CHART_HEIGHT, [_Series([point.percent for point in points])])
     numbers = sorted({point.number: point.label for point in points}.items())
@@ -249,7 +254,7 @@ def model_chart(
     spots = sorted(
         zip([place[point.number] for point in points], heights, points, strict=True), key=lambda spot: spot[0]
     )
-    line = " ".join(f"{x},{y}" for x, y, _ in spots) if len(numbers) == len(points) else ""
+    line = " ".join(f"{x},{y}" for x, y, _ in spots) if joined and len(numbers) == len(points) else ""
     ticks = list(zip(_heights(panel, [tick for tick, _ in panel.ticks], 0), panel.ticks, strict=True))
     labels = [(place[number], label) for number, label in numbers]
     right = _CHART_WIDTH - _RIGHT

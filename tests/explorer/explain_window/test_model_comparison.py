@@ -88,7 +88,7 @@ def test_both_models_show_query_and_tile_with_their_shares_in_the_centre(
 def test_the_means_are_those_of_the_whole_test_set(workspace: Workspace, comparison: ModelComparison) -> None:
     state = analysed(workspace).state
     settled(comparison, state)
-    script = comparison.means(state)
+    script = comparison.live(state)
     texts = dict(re.findall(r"\\&#34;([AB] (?:query|tile))\\&#34;: \\&#34;([^&]*)\\&#34;", script))
     assert list(texts) == ["A query", "A tile", "B query", "B tile"]
     dataset = open_dataset(workspace.root)
@@ -187,7 +187,7 @@ def test_models_open_one_at_a_time_and_the_chosen_one_first(data: Path, model_fi
     analysis = analysed(opened, beside=1)
     page = comparison.page(analysis)
     assert len(maps_of(page)) == 2  # the model's own pictures wait for nothing
-    assert "Opening two: its file and the data set are read." in page
+    assert "Opening two: its file and the data set are read." in comparison.live(analysis.state)
     wait_until(lambda: comparison.advance(analysis.state) is None)
     assert started == ["two", "one"]
     page = comparison.page(analysis)
@@ -210,7 +210,7 @@ def test_a_model_without_cells_and_one_of_other_views_say_so_in_a_sentence(data:
     other = opened.beside[0].workspace
     assert other is not None
     assert other.without_cells in page.replace("&#39;", "'")
-    assert "B" not in {text[:1] for text in re.findall("([AB]) (?:query|tile)", comparison.means(analysis.state))}
+    assert "B" not in {text[:1] for text in re.findall("([AB]) (?:query|tile)", comparison.live(analysis.state))}
     del other.rankings[TASK]
     assert f"does not know the views of {TASK}; choose another task." in comparison.page(analysis)
     comparison.leave()
@@ -251,5 +251,7 @@ def test_a_chart_of_models_has_even_steps_and_a_line_where_each_has_one_model() 
     heights = dict(zip((0, 2, 1), (y for _, y in spots), strict=True))
     assert heights[0] > heights[1] > heights[2]  # a higher percentage is drawn higher
     assert "<polyline" in drawn
+    apart = charts.model_chart(points, "R@1", "n", lambda _: "", joined=False)  # type: ignore[arg-type,return-value]
+    assert "<polyline" not in apart
     twice = charts.model_chart([*points, replace(points[0], percent=50.0)], "R@1", "n", lambda _: "")  # type: ignore[arg-type,return-value]
     assert "<polyline" not in twice
