@@ -353,6 +353,11 @@ def equal_parts(state: SessionState) -> SessionState:
     return replace(state, weights=(), enabled=())
 
 
+def only_parts(state: SessionState, parts: Sequence[int]) -> SessionState:
+    """Switch on some parts, from 1, with equal weights, and the others off."""
+    return replace(state, weights=(), enabled=tuple(part in parts for part in range(1, state.n_parts + 1)))
+
+
 def alterations(state: SessionState, cells: int) -> dict[Alteration, str]:
     """Name what alters the ranking of the plain query under equal weights: a label for each argument of `undo`.
 

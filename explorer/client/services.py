@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from explorer.browse.feeds import Feeds
+from explorer.compute.weight_figures import WeightFigures
 from explorer.failure_lab.service import FailureLab
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService
@@ -24,6 +25,7 @@ class WorkspaceServices:
         feeds: serves the lists that pages scroll through, and thumbnails.
         flight: derives what flight windows show.
         flight_pictures: serves their pictures.
+        weight_figures: computes the figures of whole tasks under part weights.
     """
 
     workspace: Workspace
@@ -32,6 +34,7 @@ class WorkspaceServices:
     feeds: Feeds
     flight: FlightService
     flight_pictures: FlightPictures
+    weight_figures: WeightFigures
 
     @classmethod
     def of(cls, workspace: Workspace) -> WorkspaceServices:
@@ -43,6 +46,7 @@ class WorkspaceServices:
             Feeds(workspace),
             FlightService(workspace),
             FlightPictures(workspace),
+            WeightFigures(workspace.tasks),
         )
 
     def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:

@@ -21,6 +21,7 @@ from explorer.flight_window.window import FlightWindow
 from explorer.panels import answer_text, pages, shortcuts
 from explorer.panels.first_screen import FirstScreen
 from explorer.panels.glossary import Glossary
+from explorer.panels.messages import PartsMessage
 from explorer.panels.panels import Panels
 from explorer.reports import Reporter
 from explorer.session_state import SessionState, StateChange
@@ -66,7 +67,7 @@ class ClientViews:
         self._workspace = workspace = services.workspace
         self.sequence, self._small = 0, False
         self.set_theme(state())
-        self.panels = Panels(client, workspace, services.feeds, state(), change)
+        self.panels = Panels(client, workspace, services.feeds, services.weight_figures, state(), change)
         self.viewport = viewport = Viewport()
         model = requests.queued(workspace.model, background=True)
         self.reporter = reporter = Reporter(client, model)
@@ -108,6 +109,7 @@ class ClientViews:
             FlightMessage: self.flight.receive,
             StoryMessage: self.stories.receive,
             BrowseMessage: self.panels.query.receive,
+            PartsMessage: self.panels.parts.receive,
         }
         properties = {
             "title": f"{workspace.data_name} · LPN Explorer",
@@ -121,10 +123,16 @@ class ClientViews:
         windows = (self.explain_window, self.lab, self.flight)
         commands = self.stories.commands()
         commands += [(label, None, call) for window in windows for label, call in window.commands()]
+        commands.append(("Try all combinations of parts", None, self._try_combinations))
         commands.append(("Glossary", None, self.glossary.show))
         commands.append(("First screen", None, lambda: self.first_screen.act("start")))
         shortcuts.add(client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close)
         self.stage = Stage(client, workspace, on_select, model, viewport)
+
+    def _try_combinations(self) -> None:
+        self.panels.expand()
+        self.bridge.open_tab("Parts")
+        self.panels.parts.try_combinations()
 
     def show_state(self, state: SessionState, whole: bool = False) -> None:
         """Replace the state, and what the laboratory shows; see `FailureLabWindow.restore`."""
@@ -190,7 +198,7 @@ class ClientViews:
         self.stage.leave()
         self.lab.leave()
         self.flight.leave()
-        self.panels.query.leave()
+        self.panels.leave()
 
     def set_theme(self, state: SessionState) -> None:
         """Show the state's theme."""

@@ -112,6 +112,11 @@ class BackgroundJobs:
             if job is not None and job.error is not None:
                 del self._jobs[key]
 
+    def forget(self, key: Hashable) -> None:
+        """Forget the job of a key, whose value is kept elsewhere."""
+        with self._lock:
+            self._jobs.pop(key, None)
+
     def leave(self, client: object, key: Hashable | None = None) -> None:
         """Remove a client from the job of a key, or from all jobs."""
         with self._lock:

@@ -27,7 +27,9 @@ SAVED_NOTE = (
 )
 RINGS_NOTE = "Rings are drawn as published."
 ARRAYS_NOTE = "Plain arrays do not say where a part lies in a picture."
-PARTS_NOTE = "Switch parts off or weight them: the ranking follows at once. R@1 at the top right is always that of equal weights."
+PARTS_NOTE = (
+    "Switch parts off or weight them: the ranking follows at once, and the figures of the whole task stand below."
+)
 
 
 class ShownAnalysis(NamedTuple):

@@ -7,11 +7,12 @@ from collections.abc import Callable
 import viser
 
 from explorer.browse.feeds import Feeds
-from explorer.panels import parts_panel
+from explorer.compute.weight_figures import WeightFigures
 from explorer.panels.answer_panel import AnswerPanel
 from explorer.panels.controls import Controls
 from explorer.panels.error_notice import ErrorNotice
 from explorer.panels.navigation import Navigation
+from explorer.panels.parts_panel import PartsPanel
 from explorer.panels.query_panel import QueryPanel
 from explorer.panels.upload_control import UploadControl
 from explorer.session_state import SessionState, StateChange
@@ -29,6 +30,7 @@ class Panels:
         client: viser.ClientHandle,
         workspace: Workspace,
         feeds: Feeds,
+        figures: WeightFigures,
         state: SessionState,
         change: Callable[[StateChange], None],
     ) -> None:
@@ -40,7 +42,7 @@ class Panels:
         with left.add_tab("Query", viser.Icon.DRONE):
             self.query = QueryPanel(gui, workspace, feeds, self.controls, self.navigation, change, self.notify_error)
         with left.add_tab("Parts", viser.Icon.ADJUSTMENTS):
-            parts_panel.add(gui, workspace, self.controls, change)
+            self.parts = PartsPanel(client, workspace, figures, self.controls, change)
         left.dock_left()
         left.set_width(_LEFT)
         gui.set_panel_label("LPN Explorer")
@@ -61,11 +63,21 @@ class Panels:
         with self._client.atomic():
             self.query.show(analysis)
             self.answer.show(analysis, sequence)
+            self.parts.show(analysis.state)
 
     def fit(self, small: bool) -> None:
         """Minimize the left panel on a small screen, so that the stage has room."""
         self._client.gui.main_panel.set_width(_NARROW if small else _RIGHT)
         self._left.minimize() if small else self._left.expand()
+
+    def expand(self) -> None:
+        """Unfold the left panel, which a small screen folds."""
+        self._left.expand()
+
+    def leave(self) -> None:
+        """Stop all threads and computations of the panels."""
+        self.query.leave()
+        self.parts.leave()
 
     def notify_error(self, title: str, text: str) -> None:
         """Show an error, see `ErrorNotice`."""
