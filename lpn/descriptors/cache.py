@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -44,21 +44,24 @@ class StoredDescriptors:
 
 
 def cached_descriptors(
-    model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
+    model: Model,
+    pictures: Sequence[Picture],
+    view: View,
+    change: Change = UNCHANGED,
+    progress: CountProgress | None = None,
 ) -> Float32Array:
     """Return descriptors (N, n, D) of pictures within their boxes, from the user's cache if possible.
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
+
+    Args:
+        progress: see `describe`.
     """
-    return _cached(model, pictures, view, change).descriptors
+    return _cached(model, pictures, view, change, progress).descriptors
 
 
 def _cached(
-    model: Model,
-    pictures: Sequence[Picture],
-    view: View,
-    change: Change,
-    on_progress: CountProgress | None = None,
+    model: Model, pictures: Sequence[Picture], view: View, change: Change, progress: CountProgress | None = None
 ) -> StoredDescriptors:
     files = _resolved(pictures)
     # The key has the folder, not the list of files, so that the other rows are reused if one picture changes.
@@ -76,8 +79,7 @@ def _cached(
     with in_cache():
         if (cached := _from_complete_store(model, files, view, folder, change, boxes)) is not None:
             return cached
-        bar = None if on_progress is None else nullcontext(on_progress)
-        store = describe(model, files, view, folder, change=change, boxes=boxes, title=title, bar=bar)
+        store = describe(model, files, view, folder, change=change, boxes=boxes, title=title, progress=progress)
         return StoredDescriptors(store.float32, store.identity)
 
 
@@ -144,17 +146,17 @@ def shipped_or_cached(
     view: View,
     root: Path,
     role: Role,
-    on_progress: CountProgress | None = None,
+    progress: CountProgress | None = None,
 ) -> StoredDescriptors:
     """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache.
 
     Args:
-        on_progress: receives the numbers of described and of all pictures; by default the terminal shows them.
+        progress: see `describe`.
     """
     for store in _stores(root, f"{role}_{view}"):
         if (shipped := _shipped(model, pictures, view, store)) is not None:
             return shipped
-    return _cached(model, pictures, view, UNCHANGED, on_progress)
+    return _cached(model, pictures, view, UNCHANGED, progress)
 
 
 def descriptor_reader(root: Path) -> Reader:

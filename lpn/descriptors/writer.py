@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from lpn.core import images
@@ -33,7 +33,7 @@ def describe(
     boxes: Sequence[CropBox | None] | None = None,
     title: str = "Describing",
     precision: Precision = "float32",
-    bar: AbstractContextManager[CountProgress] | None = None,
+    progress: CountProgress | None = None,
 ) -> Store:
     """Describe picture files, mirror included, into a store; existing rows are not computed again.
 
@@ -48,7 +48,7 @@ def describe(
         boxes: the crop of each picture, applied first; None for a whole picture.
         title: the label of the progress bar.
         precision: precision of the numbers on disk; the computation is in float32.
-        bar: shows the progress; by default on the terminal.
+        progress: called with the numbers of described and of all pictures, in place of a bar; an exception stops the work.
 
     Raises:
         PictureError: if files are broken (see `lpn.datasets.integrity`), before anything is computed.
@@ -69,10 +69,8 @@ def describe(
         load = images.load_without_orientation if change.released else images.load_picture
         return prepare_row(model, load(files[row]), rows[row], change, view)
 
-    def fill(partial: PartialStore) -> None:
-        fill_store(model, partial, prepare, view, bar or counting_bar(title))
-
-    return write_store(out, manifest, fill)
+    bar = counting_bar(title) if progress is None else nullcontext(progress)
+    return write_store(out, manifest, lambda partial: fill_store(model, partial, prepare, view, bar))
 
 
 def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None], whole: bool = True) -> Store:
