@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from explorer.browse.feeds import Feeds
+from explorer.compute.request_context import RequestContext
+from explorer.compute.turned_jobs import TurnedJobs
 from explorer.compute.weight_figures import WeightFigures
 from explorer.failure_lab.service import FailureLab
 from explorer.flight_window.pictures import FlightPictures
@@ -26,6 +28,7 @@ class WorkspaceServices:
         flight: derives what flight windows show.
         flight_pictures: serves their pictures.
         weight_figures: computes the figures of whole tasks under part weights.
+        turned: computes those with turned queries.
     """
 
     workspace: Workspace
@@ -35,6 +38,7 @@ class WorkspaceServices:
     flight: FlightService
     flight_pictures: FlightPictures
     weight_figures: WeightFigures
+    turned: TurnedJobs
 
     @classmethod
     def of(cls, workspace: Workspace) -> WorkspaceServices:
@@ -47,6 +51,7 @@ class WorkspaceServices:
             FlightService(workspace),
             FlightPictures(workspace),
             WeightFigures(workspace.tasks),
+            TurnedJobs(workspace.tasks, RequestContext(workspace.inference).queued(workspace.model, background=True)),
         )
 
     def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:

@@ -72,7 +72,15 @@ class ClientViews:
         model = requests.queued(workspace.model, background=True)
         self.reporter = reporter = Reporter(client, model)
         self.explain_window = ExplainWindow(
-            client, workspace, change, self._say, viewport, reporter, requests, lambda name: self.bridge.open_tab(name)
+            client,
+            workspace,
+            change,
+            self._say,
+            viewport,
+            reporter,
+            requests,
+            services.turned,
+            lambda name: self.bridge.open_tab(name),
         )
         self.lab = FailureLabWindow(client, workspace, services.failure_lab, services.feeds, change, viewport, reporter)
         self.flight = FlightWindow(

@@ -7,6 +7,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from explorer.session_state import HeatKind
+from explorer.explain_window.whole_task import TurnChoice
 from explorer.web.messages import Message
 from lpn.explain.sweeps import SweptProperty
 
@@ -83,6 +84,15 @@ class TryAllTurns(ExplainMessage, tag="turns"):
 
 
 class CancelSweep(ExplainMessage, tag="cancel"): ...
+
+
+class MeasureTurns(ExplainMessage, tag="turned"):
+    """Measure the whole task with its queries turned: as this query, as in Table IV, or by 30 degrees around."""
+
+    turns: TurnChoice
+
+
+class StopTurns(ExplainMessage, tag="turned-stop"): ...
 
 
 class TakePoint(ExplainMessage, tag="take"):

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
+from explorer.explain_window.whole_task import TurnChoice, WholeTaskSection
 from explorer.web.render import render, send
 from explorer.workspace import StateAnalysis
 from lpn.drawing import charts, verdicts
@@ -18,6 +19,8 @@ CHOICES: dict[SweptProperty, str] = {
     "shift-down": "Shift down",
     "zoom": "Zoom",
 }
+# The turns of all queries, see `WholeTask.measure`.
+TURNS: dict[TurnChoice, str] = {"this": "As this query", "paper": "As in Table IV", "circle": "Every 30°"}
 _WIDTH = 720
 
 
@@ -28,6 +31,7 @@ def page(
     total: int,
     names: Sequence[str],
     stopped: bool = False,
+    whole: WholeTaskSection | None = None,
 ) -> str:
     """Render the tab.
 
@@ -36,10 +40,15 @@ def page(
         profile: the points so far; None before the first.
         total: number of points of the whole sweep.
         stopped: the sweep was cancelled or failed before its last point.
+        whole: what is known of the whole task with turned queries; None to leave it out.
     """
+    turns = TURNS
+    if not analysis.state.angle:
+        turns = {choice: label for choice, label in TURNS.items() if choice != "this"}
     if over is None or profile is None:
-        return render("explain/sweep", choices=CHOICES, over=over, done=0, stopped=stopped)
+        return render("explain/sweep", choices=CHOICES, over=over, done=0, stopped=stopped, whole=whole, turns=turns)
     current = signed_value(over, analysis.state.change)
+    recalls = whole.recalls if whole is not None and over == "rotation" else ()
     return render(
         "explain/sweep",
         choices=CHOICES,
@@ -48,7 +57,9 @@ def page(
         total=total,
         stopped=stopped,
         region=analysis.state.region,
-        charts=charts.profile_charts(profile, names, _WIDTH, current, _attributes),
+        charts=charts.profile_charts(profile, names, _WIDTH, current, _attributes, recalls),
+        whole=whole,
+        turns=turns,
         followed=_followed(profile),
         sentences=_sentences(profile, analysis) if stopped or len(profile.points) >= total else [],
         claim=analysis.task.contract.claim,

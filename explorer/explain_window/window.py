@@ -13,11 +13,13 @@ import viser
 
 from explorer import reports, session_state
 from explorer.compute.request_context import RequestContext
+from explorer.compute.turned_jobs import TurnedJobs
 from explorer.compute.worker import Worker
 from explorer.explain_window import activation, comparison, evidence, messages, region, sweep_page
 from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
+from explorer.explain_window.whole_task import TurnChoice, WholeTask
 from explorer.reports import Reporter
 from explorer.session_state import StateChange, WhyTab
 from explorer.stage.viewport import EDGE, Viewport
@@ -28,6 +30,7 @@ from lpn.analysis.comparison import Comparison, effect_on
 from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweptProperty
 from lpn.retrieval import Ranking
+from lpn.tasks.turned import why_not
 
 _EVIDENCE, _HEATMAPS, _COMPARISON, _SWEEP = "Why", "Heatmaps", "True or wrong", "Turn, shift, zoom"
 _REGION, _MODELS = "Search by a region", "Two models"
@@ -117,6 +120,7 @@ class ExplainWindow:
         viewport: the size of the stage.
         reporter: makes reports of the shown analysis.
         requests: gives access to the networks for this browser.
+        turned: computes whole tasks with turned queries.
         open_tab: makes the page show a tab by its name.
     """
 
@@ -129,6 +133,7 @@ class ExplainWindow:
         viewport: Viewport,
         reporter: Reporter,
         requests: RequestContext,
+        turned: TurnedJobs,
         open_tab: Callable[[str], None],
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
@@ -157,6 +162,7 @@ class ExplainWindow:
                 if name == _MODELS:
                     self._live = Html(client.gui)
         self._comparison_tab, self._sweep_tab = self._tabs[2:4]
+        self._whole_task = WholeTask(turned, self._sweep_tab.draw)
         self._worker = Worker(self._compute, on_error)
         # The model beside runs in its own thread, so that the workspace's own answer need not wait for it.
         self._models_worker = Worker(self._draw_models, on_error)
@@ -200,6 +206,10 @@ class ExplainWindow:
                 self._request_sweep("rotation")
             case messages.CancelSweep():
                 self._cancel_sweep()
+            case messages.MeasureTurns(turns):
+                self._measure_turns(turns)
+            case messages.StopTurns():
+                self._whole_task.stop()
             case messages.TakePoint(angle, right, down, zoom):
                 size = self._workspace.contract.input_size
                 self._change(lambda state: session_state.apply_point(state, angle, right, down, zoom, size))
@@ -229,6 +239,13 @@ class ExplainWindow:
             *([] if self._workspace.without_cells else heatmaps),
             *sweep_commands,
             ("Stop the sweep", self._command(_SWEEP, self._cancel_sweep)),
+            *(
+                (
+                    f"Measure all queries turned: {label.lower()}",
+                    self._command(_SWEEP, partial(self._measure_turns, turns)),
+                )
+                for turns, label in sweep_page.TURNS.items()
+            ),
             (
                 "Test on all queries the weights that put the true tile first",
                 self._command(_COMPARISON, self._request_effect),
@@ -276,6 +293,7 @@ class ExplainWindow:
         """Stop all computations; the browser has disconnected."""
         self._left = True
         self._cancel_sweep()
+        self._whole_task.leave()
         self._worker.stop()
         self._models_worker.stop()
         self._models.leave()
@@ -340,10 +358,11 @@ class ExplainWindow:
 
     def _sweep_html(self, content: WindowContent) -> str:
         analysis, sweep, names = content.analysis, content.sweep, self._workspace.part_names
+        whole = self._whole_task.section(analysis.task)
         if sweep is None:
-            return sweep_page.page(analysis, None, None, 0, names)
+            return sweep_page.page(analysis, None, None, 0, names, whole=whole)
         profile = sweep.profile(analysis)
-        return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped)
+        return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped, whole)
 
     def _draw_models(self) -> float | None:
         """Draw the tab while it is shown; return the seconds after which to look again while something is still to come."""
@@ -442,6 +461,14 @@ class ExplainWindow:
             self._content = replace(self._content, sweep=progress)
         self._sweep_tab.draw()
         self._worker.wake()
+
+    def _measure_turns(self, turns: TurnChoice) -> None:
+        """Measure the whole task with turned queries, and sweep over the turns of this one, in whose chart it is drawn."""
+        content = self._content
+        if content is not None and not why_not(content.analysis.task):
+            self._whole_task.measure(turns, content.analysis.state)
+            if content.sweep is None or content.sweep.request.over != "rotation":
+                self._request_sweep("rotation")
 
     def _cancel_sweep(self) -> None:
         content = self._content

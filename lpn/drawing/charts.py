@@ -63,6 +63,15 @@ class _Series:
 
 
 @dataclass(frozen=True)
+class TaskRecall:
+    """A whole task with its queries turned by `degrees` counter-clockwise; Recall@1 and AP in percent."""
+
+    degrees: float
+    recall: float
+    ap: float
+
+
+@dataclass(frozen=True)
 class _Panel:
     """One diagram of a profile: series over the shared x axis, and labelled ticks; `low` is drawn at the bottom."""
 
@@ -182,6 +191,7 @@ def profile_charts(
     width: int,
     current: float | None = None,
     attributes: Callable[[SweepPoint], Markup] | None = None,
+    recalls: Sequence[TaskRecall] = (),
 ) -> Markup:
     """Draw rank, score, and part cosines of the followed tile over a turn, shift, or zoom.
 
@@ -190,6 +200,7 @@ def profile_charts(
         width: of the drawing in pixels. Shown at this width, its text is as large as the page's.
         current: the angle, shift, or zoom to mark with a line.
         attributes: HTML attributes of a point's circle; without it, points have no circles.
+        recalls: the whole task with turned queries, drawn in a panel of its own once the full circle is there.
     """
     over = profile.over
     pairs = sorted(((signed_value(over, point.change), point) for point in profile.points), key=lambda pair: pair[0])
@@ -206,7 +217,8 @@ def profile_charts(
     def x(number: float) -> float:
         return round(_LEFT + (place(number) - first) * scale, 1)
 
-    top, panels = 0, []
+    panels: list[dict[str, Any]] = []
+    top = 0
     best = points.index(profile.best_rank)
     for panel in _panels(points, names):
         heights = [_heights(panel, series.values, top) for series in panel.series]
@@ -225,9 +237,13 @@ def profile_charts(
                 "lines": lines,
                 "spots": spots if attributes else [],
                 "best": spots[best][:2] if panel.title == "rank" else None,
+                "dots": [],
             }
         )
         top += panel.height
+    if recalls and numbers[0] == -180:
+        panels.append(_recall_panel(recalls, top, x))
+        top += panels[-1]["bottom"] - panels[-1]["top"]
     line = x(current) if current is not None and numbers[0] <= current <= numbers[-1] else None
     labels = [(x(number), f"{number:.3g}{UNITS[over]}") for number in _spread(numbers)]
     return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, line, attributes)
@@ -261,6 +277,29 @@ def model_chart(
     return _draw(
         "models", _CHART_WIDTH, _CHART_HEIGHT, _LEFT, right, title, x_title, ticks, line, spots, labels, attributes
     )
+
+
+def _recall_panel(recalls: Sequence[TaskRecall], top: int, x: Callable[[float], float]) -> dict[str, Any]:
+    """Return the panel of a whole task; its full circle ends with the turn that it begins with."""
+    signed = [(one.degrees - 360 if one.degrees > 180 else one.degrees, one) for one in recalls]
+    signed += [(-180.0, one) for degrees, one in signed if degrees == 180]
+    signed.sort(key=lambda pair: pair[0])
+    series = _Series([one.recall for _, one in signed])
+    panel = _fitted("R@1 of the whole task, %", 104, [series], clickable=False)
+    heights = _heights(panel, series.values, top)
+    places = [(x(degrees), height) for (degrees, _), height in zip(signed, heights, strict=True)]
+    titles = [f"{one.degrees:g}°: R@1 {one.recall:.1f} %, AP {one.ap:.1f} %" for _, one in signed]
+    tick_heights = _heights(panel, [tick for tick, _ in panel.ticks], top)
+    return {
+        "title": panel.title,
+        "top": top,
+        "bottom": top + panel.height,
+        "ticks": [(height, label) for height, (_, label) in zip(tick_heights, panel.ticks, strict=True)],
+        "lines": [(" ".join(f"{place},{height}" for place, height in places), series)],
+        "spots": [],
+        "best": None,
+        "dots": [(*place, title) for place, title in zip(places, titles, strict=True)],
+    }
 
 
 def _panels(points: Sequence[SweepPoint], names: Sequence[str]) -> list[_Panel]:

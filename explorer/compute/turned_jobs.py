@@ -1,0 +1,82 @@
+"""Figures of whole tasks with turned queries, computed by one job at a time in the background and kept for all browsers."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
+from explorer.compute.request_context import QueuedModel
+from lpn.core.resources import yield_cores
+from lpn.tasks.task import Task
+from lpn.tasks.turned import TurnedFigures, turned
+
+# Seconds between two looks at whether a waiting job is still wanted.
+_PATIENCE = 0.1
+
+
+class TurnedJobs:
+    """The figures of the tasks of a workspace with turned queries. Thread-safe.
+
+    One job runs at a time; browsers that ask for the same turns share it, and others wait. It ends early when the last one has
+    left; what it has described is kept in the cache of descriptors.
+
+    Args:
+        tasks: by their names; each that is asked for must have figures, see `turned.why_not`.
+        model: describes queries in the background; None without a network.
+    """
+
+    def __init__(self, tasks: Mapping[str, Task], model: QueuedModel | None) -> None:
+        self._tasks, self._model, self._jobs = tasks, model, BackgroundJobs()
+        self._known: dict[tuple[str, float], TurnedFigures] = {}
+        self._lock, self._turn = threading.Lock(), threading.Lock()
+
+    def known(self, task: str) -> list[TurnedFigures]:
+        """Return the figures of a task that are computed so far, by degrees."""
+        with self._lock:
+            return sorted(
+                (one for (name, _), one in self._known.items() if name == task), key=lambda figures: figures.degrees
+            )
+
+    def join(self, client: object, task: str, turns: Sequence[float]) -> BackgroundJob[None]:
+        """Compute the figures of turns, in degrees counter-clockwise, or join who does.
+
+        The job's progress counts queries of all turns; it is (0, 0) while the job waits for another one.
+        """
+        turns = tuple(dict.fromkeys(float(degrees % 360) for degrees in turns))
+        key = task, turns
+
+        def work(report: ReportProgress) -> None:
+            yield_cores()
+            while not self._turn.acquire(timeout=_PATIENCE):
+                report(0, 0)
+            try:
+                self._compute(task, turns, report)
+            finally:
+                self._turn.release()
+                self._jobs.forget(key)
+
+        return self._jobs.join(key, client, work)
+
+    def leave(self, client: object) -> None:
+        """Remove a client from the jobs that it waits for."""
+        self._jobs.leave(client)
+
+    def _compute(self, name: str, turns: Sequence[float], report: ReportProgress) -> None:
+        task, model = self._tasks[name], self._model
+        if model is not None:
+            task = replace(task, model=model.for_task(*task.views))
+        with self._lock:
+            missing = [degrees for degrees in turns if (name, degrees) not in self._known]
+        queries = len(task.queries)
+        for number, degrees in enumerate(missing):
+
+            def on_progress(done: int, _: int, before: int = number * queries) -> None:
+                report(before + done, len(missing) * queries)
+
+            on_progress(0, queries)
+            figures = turned(task, degrees, on_progress)
+            with self._lock:
+                self._known[name, degrees] = figures
+        report(len(missing) * queries, len(missing) * queries)
