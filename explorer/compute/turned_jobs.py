@@ -69,14 +69,16 @@ class TurnedJobs:
             task = replace(task, model=model.for_task(*task.views))
         with self._lock:
             missing = [degrees for degrees in turns if (name, degrees) not in self._known]
-        queries = len(task.queries)
-        for number, degrees in enumerate(missing):
+        queries, described = len(task.queries), 0
+        total = queries * sum(degrees != 0 for degrees in missing)  # upright queries are described already
+        for degrees in missing:
 
-            def on_progress(done: int, _: int, before: int = number * queries) -> None:
-                report(before + done, len(missing) * queries)
+            def on_progress(done: int, _: int, before: int = described) -> None:
+                report(before + done, total)
 
             on_progress(0, queries)
             figures = turned(task, degrees, on_progress)
+            described += queries if degrees else 0
             with self._lock:
                 self._known[name, degrees] = figures
-        report(len(missing) * queries, len(missing) * queries)
+        report(total, total)

@@ -42,9 +42,12 @@ def page(
         stopped: the sweep was cancelled or failed before its last point.
         whole: what is known of the whole task with turned queries; None to leave it out.
     """
-    turns = TURNS
-    if not analysis.state.angle:
-        turns = {choice: label for choice, label in TURNS.items() if choice != "this"}
+    angle = analysis.state.angle
+    turns = {
+        choice: f"{label} ({angle:g}°)" if choice == "this" else label
+        for choice, label in TURNS.items()
+        if angle or choice != "this"
+    }
     if over is None or profile is None:
         return render("explain/sweep", choices=CHOICES, over=over, done=0, stopped=stopped, whole=whole, turns=turns)
     current = signed_value(over, analysis.state.change)

@@ -285,7 +285,7 @@ def _recall_panel(recalls: Sequence[TaskRecall], top: int, x: Callable[[float], 
     signed += [(-180.0, one) for degrees, one in signed if degrees == 180]
     signed.sort(key=lambda pair: pair[0])
     series = _Series([one.recall for _, one in signed])
-    panel = _fitted("R@1 of the whole task, %", 104, [series], clickable=False)
+    panel = _fitted("R@1 of the whole task, %", 104, [series], clickable=False, least=4.0)
     heights = _heights(panel, series.values, top)
     places = [(x(degrees), height) for (degrees, _), height in zip(signed, heights, strict=True)]
     titles = [f"{one.degrees:g}°: R@1 {one.recall:.1f} %, AP {one.ap:.1f} %" for _, one in signed]
@@ -319,10 +319,10 @@ def _panels(points: Sequence[SweepPoint], names: Sequence[str]) -> list[_Panel]:
     ]
 
 
-def _fitted(title: str, height: int, series: Sequence[_Series], clickable: bool = True) -> _Panel:
-    """Make a panel from the lowest to the highest value, at least 0.01 apart, with three or four round ticks."""
+def _fitted(title: str, height: int, series: Sequence[_Series], clickable: bool = True, least: float = 0.01) -> _Panel:
+    """Make a panel from the lowest to the highest value, at least `least` apart, with three or four round ticks."""
     values = [value for one in series for value in one.values]
-    spare = max(0.01 - (max(values) - min(values)), 0) / 2
+    spare = max(least - (max(values) - min(values)), 0) / 2
     low, high = min(values) - spare, max(values) + spare
     power = 10.0 ** math.floor(math.log10(high - low))
     step = next(s for s in (power, power / 2, power / 4, power / 5) if (high - low) / s >= 2.5)

@@ -15,6 +15,8 @@ from playwright.sync_api import BrowserContext, Locator, Page, expect
 from lpn import datasets, explain, load, retrieval
 from lpn.core import images
 from lpn.explain import sweeps
+from lpn.tasks.opening import open_task
+from lpn.tasks.turned import turned
 from tests.e2e.conftest import ExplorerPage, RunningApp, difference
 from tests.e2e.test_explorer import assert_shows, expected
 
@@ -157,6 +159,29 @@ def test_a_profile_is_computed_and_a_point_taken(explorer: ExplorerPage, app: Ru
     explorer.key("n")
     explorer.expect_status("name", "0008")
     expect(profile).to_contain_text("Choose what to change")
+
+
+def test_the_whole_task_is_measured_with_turned_queries(explorer: ExplorerPage, app: RunningApp) -> None:
+    explorer.fill("Rotate", "90")
+    explorer.expect_status("angle", "90")
+    open_window(explorer)
+    explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
+    section = explorer.page.locator("#lpn-turned")
+    section.get_by_role("button", name="As this query (90°)").click()
+    expect(section).to_have_attribute("data-known", "2")
+    task = open_task(load(app.model), "lpn", datasets.open_dataset(app.data), "drone-to-satellite")
+    figures = explorer.page.locator("#lpn-turned-figures .figure")
+    expected_figures = [
+        f"{one.degrees:g}° {one.recall:.1f} ({one.ap:.1f})" for one in (turned(task, 0), turned(task, 90))
+    ]
+    expect(figures).to_have_text(expected_figures)
+    # The sweep of the one query began as well, and its chart has a point for each turn.
+    profile = explorer.page.locator("#lpn-profile")
+    expect(profile).to_contain_text("R@1 of the whole task, %")
+    expect(profile.locator(".task-point")).to_have_count(2)
+    section.get_by_role("button", name="As in Table IV").click()
+    expect(section).to_have_attribute("data-known", "5")
+    expect(profile.locator(".task-point")).to_have_count(6)  # 180° is at both ends
 
 
 def test_a_painted_region_is_searched_by_alone(explorer: ExplorerPage) -> None:
