@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from explorer import session_state
 from explorer.compute.request_context import RequestContext
+from explorer.compute.turned_jobs import TurnedJobs
 from explorer.explain_window import activation, comparison, evidence, messages, region, sweep_page
 from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.sweep_request import SweepRequest
@@ -327,6 +328,7 @@ def make_window(
         Viewport(),
         SimpleNamespace(),  # type: ignore[arg-type]
         RequestContext(workspace.inference),
+        TurnedJobs(workspace.tasks, RequestContext(workspace.inference).queued(workspace.model, background=True)),
         open_tab,
     )
 

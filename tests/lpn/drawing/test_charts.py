@@ -73,6 +73,19 @@ def test_a_full_turn_ends_with_the_picture_that_it_begins_with() -> None:
     assert ring == [tuple(rank[int(np.argmin(heights))].split(","))]
 
 
+def test_a_whole_task_has_a_panel_once_the_full_circle_is_there() -> None:
+    recalls = [charts.TaskRecall(degrees, recall, 50.0) for degrees, recall in ((0, 70.0), (180, 60.0), (270, 66.0))]
+    svg = charts.profile_charts(SweepResult("rotation", points(5, 2, 9, 4)), ["a"], 720, recalls=recalls)
+    assert "R@1 of the whole task, %" in svg
+    dots = re.findall(r'cx="([\d.]+)" cy="([\d.]+)" r="3.6" class="task-point"><title>([^<]*)', svg)
+    assert [title.split(":")[0] for *_, title in dots] == ["180°", "270°", "0°", "180°"]
+    assert [float(x) for x, *_ in dots] == sorted(float(x) for x, *_ in dots)
+    heights = [float(y) for _, y, _ in dots]
+    assert heights[0] == heights[-1] > heights[1] > heights[2]  # a higher recall is further up
+    begun = charts.profile_charts(SweepResult("rotation", points(5, 2, 9, 4)[:1]), ["a"], 720, recalls=recalls)
+    assert "whole task" not in begun
+
+
 def test_points_carry_the_attributes_that_are_passed_in() -> None:
     profile = SweepResult(
         "zoom", tuple(SweepPoint(Change(scale=s), 0, None, 0.1, 1, np.zeros(1), 0, 0.1) for s in (0.5, 1, 2))
