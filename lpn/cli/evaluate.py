@@ -284,7 +284,7 @@ def _print_result(title: str, result: Result) -> None:
             "FSRA, MCCG, and SDPL rank the full gallery. Figures of the two do not compare."
         )
     if result.measures:
-        units = {"dis": " m", "ma": " %", "hit rate": " %"}
+        units = {"dis": " m", "ma": " %", "hit rate": " %", "region_recall": " %", "flight_recall": " %"}
         named = (
             f"{_title(key)} {value:.4g}{units.get(key.split('@')[0], '')}" for key, value in result.measures.items()
         )
@@ -304,7 +304,10 @@ def _percent(value: float) -> str:
 def _title(key: str) -> str:
     """Return a metric's name from its key, such as "SDM@3 (DenseUAV)" from "sdm_denseuav@3"."""
     name, _, depth = key.partition("@")
-    titles = {"sdm_denseuav": "SDM@{} (DenseUAV)", "sdm_gta_uav": "SDM@{} (GTA-UAV)", "dis": "Dis@{}", "ma": "MA@{} m"}
+    titles = {
+        **{"sdm_denseuav": "SDM@{} (DenseUAV)", "sdm_gta_uav": "SDM@{} (GTA-UAV)", "dis": "Dis@{}", "ma": "MA@{} m"},
+        **{f"{group}_recall": f"mean R@{{}} of {group}s" for group in ("region", "flight")},
+    }
     return titles.get(name, name).format(depth)
 
 

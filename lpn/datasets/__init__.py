@@ -1,8 +1,8 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
 It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, SUES-200, DenseUAV,
-GTA-UAV, UAV-VisLoc in GTA-UAV's form, VIGOR, Oxford5k, Paris6k, your own pairs with a `pairs.csv`, and a plain folder of
-pictures; docs/data.md shows each layout.
+GTA-UAV, UAV-VisLoc in GTA-UAV's form, VIGOR, World-UAV, Oxford5k, Paris6k, your own pairs with a `pairs.csv`, and a plain folder
+of pictures; docs/data.md shows each layout.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import cvact, cvusa, landmarks, levels, pairs
-from lpn.datasets.areas import split_area
+from lpn.datasets.areas import SCENES, named_split, split_name
 from lpn.datasets.base import (
     Dataset,
     LeftOut,
@@ -39,6 +39,7 @@ from lpn.datasets.sues import SUES200, is_sues
 from lpn.datasets.tile_pairs import TilePairs, is_tile_pairs
 from lpn.datasets.university import University
 from lpn.datasets.vigor import VIGOR, is_vigor
+from lpn.datasets.world_uav import WorldUAV, is_world_uav
 
 __all__ = [
     "CVACT",
@@ -56,6 +57,7 @@ __all__ = [
     "TilePairs",
     "Truth",
     "University",
+    "WorldUAV",
     "files_below",
     "hidden",
     "labels_of",
@@ -69,7 +71,7 @@ log = logging.getLogger(__name__)
 _LAYOUTS = (
     "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
     "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
-    "*_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
+    "Index/test.txt (World-UAV), *_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
 )
 
 
@@ -77,22 +79,27 @@ def open_dataset(root: str | Path) -> Dataset:
     """Recognise the layout of a data set's folder and open it.
 
     Args:
-        root: the folder; of a data set with two test splits also ROOT/same-area or ROOT/cross-area.
+        root: the folder; of a data set with several test splits also one of them, such as ROOT/cross-area or ROOT/city.
 
     Raises:
         DataError: if the folder does not exist, its layout is unknown, or one of its lists is damaged.
     """
-    root, area = split_area(Path(root))
+    given = Path(root)
+    root, split = named_split(given)
     if not root.is_dir():
         raise levels.no_folder(root)
     is_rendered(root)  # raises for an unfinished world
     marked = _marked(root)
-    if area is not None:
+    if split in SCENES:
+        if marked is not WorldUAV:
+            raise levels.no_folder(given)
+        marked = partial(WorldUAV, split=split)
+    elif split is not None:
         if marked not in (TilePairs, VIGOR):
             raise DataError(
-                f"{root} has no {area}-area split, which GTA-UAV, UAV-VisLoc, and VIGOR have; give --data {root}."
+                f"{root} has no {split_name(split)} split, which GTA-UAV, UAV-VisLoc, and VIGOR have; give --data {root}."
             )
-        marked = partial(marked, area=area)
+        marked = partial(marked, area=split)
     if marked is not None:
         return marked(root)
     whole, pictures = levels.above(root, _marked), levels.holds_pictures(root)
@@ -123,6 +130,7 @@ def _marked(root: Path) -> Callable[..., Dataset] | None:
     for recognised, layout in (
         (is_tile_pairs, TilePairs),
         (is_vigor, VIGOR),
+        (is_world_uav, WorldUAV),
         (is_denseuav, DenseUAV),
         (is_sues, SUES200),
     ):

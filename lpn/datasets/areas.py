@@ -1,6 +1,7 @@
-"""Data sets with two test splits: places of the areas to train on (same area), or of other ones (cross area).
+"""Data sets with several splits, of which a path names one: `--data ROOT/cross-area`, `--data ROOT/city`.
 
-`--data ROOT/same-area` and `--data ROOT/cross-area` name the split of the data set in ROOT.
+GTA-UAV, UAV-VisLoc, and VIGOR test on places of the areas to train on (same area), or of other ones (cross area). World-UAV
+tests on terrain, on cities, or on both.
 """
 
 from __future__ import annotations
@@ -8,42 +9,53 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 
 log = logging.getLogger(__name__)
 
 Area = Literal["same", "cross"]
+Scenes = Literal["terrain", "city", "mix"]
 AREAS: tuple[Area, ...] = ("same", "cross")
+SCENES: tuple[Scenes, ...] = ("terrain", "city", "mix")
+_Split = TypeVar("_Split", Area, Scenes)
 
 
-def split_area(root: Path) -> tuple[Path, Area | None]:
-    """Return a data set's folder and the area that its path names, None for a path of a folder."""
-    area = next((area for area in AREAS if root.name == f"{area}-area"), None)
-    return (root, None) if area is None or root.exists() else (root.parent, area)
+def split_name(split: str) -> str:
+    """Return the last part of the path that names a split."""
+    return f"{split}-area" if split in AREAS else split
 
 
-def choose_area(root: Path, there: Sequence[Area], wanted: Area | None, missing: str) -> Area:
-    """Return the wanted area, or by default the first that is there.
+def named_split(root: Path) -> tuple[Path, str | None]:
+    """Return a data set's folder and the split that its path names, None for a path of a folder."""
+    split = next((split for split in (*AREAS, *SCENES) if root.name == split_name(split)), None)
+    return (root, None) if split is None or root.exists() else (root.parent, split)
+
+
+def choose_split(root: Path, there: Sequence[_Split], wanted: _Split | None, missing: str) -> _Split:
+    """Return the wanted split, or by default the first that is there.
 
     Args:
-        missing: the file that an area needs, for the error.
+        missing: the file that a split needs, for the error.
 
     Raises:
         DataError: if it is not there.
     """
     if not there or (wanted is not None and wanted not in there):
-        has = " and ".join(f"{area}-area" for area in there) or "none"
+        has = " and ".join(map(split_name, there)) or "none"
         raise DataError(
-            f"{printable(root.name)} has the lists of {has}; expected {f'{wanted}-area' if wanted else missing}, so unpack it "
+            f"{printable(root.name)} has the lists of {has}; expected {split_name(wanted) if wanted else missing}, so unpack it "
             "there."
         )
     if wanted is None and len(there) > 1:
         log.warning(
-            "%s has two splits; this is %s-area, and %s/%s-area the other.",
+            "%s has %s splits; this is %s, and %s the other%s.",
             printable(root.name),
-            *(there[0], root, there[1]),
+            {2: "two", 3: "three"}[len(there)],
+            split_name(there[0]),
+            first_few([str(root / split_name(split)) for split in there[1:]], 2),
+            "s" if len(there) > 2 else "",
         )
     return wanted or there[0]

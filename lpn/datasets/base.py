@@ -153,6 +153,7 @@ class Dataset(ABC):
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
         group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
             results of a group take its queries and gallery pictures, and all pictures without a group.
+        mean_of_groups: True if the published figure is the mean of its groups' figures.
         trained_distractors: True if the test gallery holds the places to train on, as published.
         measured_by: the published evaluation that measures distances on it; None if its results are recall and AP alone.
         published_sizes: the size of each of `lists` in the complete data set, if known.
@@ -162,6 +163,7 @@ class Dataset(ABC):
     kind: str
     panoramas: bool = False
     group_name: str = ""
+    mean_of_groups: bool = False
     trained_distractors: bool = False
     measured_by: PositionProtocol | None = None
 

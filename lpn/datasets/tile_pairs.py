@@ -27,7 +27,7 @@ from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.areas import AREAS, Area, choose_area
+from lpn.datasets.areas import AREAS, Area, choose_split
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, warn_left_out
 from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
 
@@ -80,7 +80,7 @@ class TilePairs(ListedDataset):
     kind = "GTA-UAV"
 
     def __init__(self, root: Path, area: Area | None = None) -> None:
-        area = choose_area(
+        area = choose_split(
             root, [one for one in AREAS if _list(root, one, "test").is_file()], area, _list(root, "same", "test").name
         )
         test, form = _read(_list(root, area, "test"))

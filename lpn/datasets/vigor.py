@@ -23,7 +23,7 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.areas import AREAS, Area, choose_area
+from lpn.datasets.areas import AREAS, Area, choose_split
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, read_lines, warn_left_out
 from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
 
@@ -68,7 +68,7 @@ class VIGOR(ListedDataset):
         areas = [
             one for one in AREAS if any((splits / city / _list(one, "test")).is_file() for city in _cities(one, "test"))
         ]
-        area = choose_area(root, areas, area, f"{splits.name}/<city>/{_list('same', 'test')}")
+        area = choose_split(root, areas, area, f"{splits.name}/<city>/{_list('same', 'test')}")
         files, left_out = FilesBelow(root), dict[str, LeftOut]()
         self._semi: list[list[str]] = []
         numbers: dict[str, int] = {}

@@ -25,7 +25,9 @@ _RECIPES = {
     "world": ("world", "small", "paper", "released"),
     "CVUSA": ("cvusa-paper", "cvusa-released", "cvusa-released-resnet50", "safa-paper", "safa-released"),
     "CVACT": ("cvact-released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
-    **dict.fromkeys(("SUES-200", "DenseUAV", "GTA-UAV", "UAV-VisLoc", "pairs"), ("small", "paper", "released")),
+    **dict.fromkeys(
+        ("SUES-200", "DenseUAV", "GTA-UAV", "UAV-VisLoc", "World-UAV", "UniV", "pairs"), ("small", "paper", "released")
+    ),
     "VIGOR": ("cvusa-paper", "cvusa-released"),
 }
 _AERIAL = (("drone-to-satellite", "satellite-to-drone"), "Tables I, III, IV, V and Figure 5", "Tables IV and V")

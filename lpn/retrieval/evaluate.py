@@ -257,6 +257,8 @@ def evaluate(
         )[0].galleries
         for name, query_rows, tile_rows, lists in _groups(queries, gallery, truth)
     }
+    if dataset.mean_of_groups:
+        measures |= _mean_of_groups(dataset.group_name, groups)
     return replace(
         result,
         cropped=cropped,
@@ -338,6 +340,13 @@ def _hit_rate(query: Float32Array, tiles: Float32Array, truth: Sequence[Truth], 
     without = [replace(lists, junk=np.concatenate([lists.junk, lists.semi])) for lists in truth]
     query, tiles = protocol.compared(query, tiles)
     return {"hit rate": metrics.retrieve(query, None, tiles, None, without).recall(1)}
+
+
+def _mean_of_groups(name: str, groups: Mapping[str, tuple[Figures, ...]]) -> dict[str, float]:
+    """Return the mean recall of groups, in percent, such as "region_recall@1"; each group counts alike."""
+    recalls = [figures[0].recall for figures in groups.values()]
+    depths = recalls[0] if recalls else ()
+    return {f"{name}_recall@{k}": float(np.mean([recall[k] for recall in recalls])) for k in depths}
 
 
 def _groups(

@@ -1,0 +1,150 @@
+"""World-UAV, UniV, University160k, and GeoText-1652, written small in their released forms."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn.core.errors import DataError
+from lpn.datasets import open_dataset
+from lpn.doctor.dataset_check import check_dataset
+from lpn.retrieval.evaluate import evaluate
+from tools.fixtures import layouts
+from tools.fixtures.small_contracts import PartsModel, RegionModel
+
+
+def remove(path: str) -> Callable[[Path], None]:
+    def harm(root: Path) -> None:
+        if (root / path).is_dir():
+            shutil.rmtree(root / path)
+        else:
+            (root / path).unlink()
+
+    return harm
+
+
+def write(path: str, text: str) -> Callable[[Path], None]:
+    def harm(root: Path) -> None:
+        (root / path).write_text(text)
+
+    return harm
+
+
+def test_world_uav_has_splits_regions_and_tiles_of_each_region(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    root = layouts.world_uav(tmp_path / "World-UAV")
+    terrain, city, mix = (open_dataset(root / name) for name in ("terrain", "city", "mix"))
+    assert open_dataset(root).queries("drone") == terrain.queries("drone")
+    assert [line.getMessage() for line in caplog.records] == [
+        f"World-UAV has three splits; this is terrain, and {root}/city, {root}/mix the others."
+    ]
+    assert {one.kind for one in (terrain, city, mix)} == {"World-UAV"}
+    assert [len(one.queries("drone")) for one in (terrain, city, mix)] == [8, 12, 20]
+    assert [len(one.train("drone")) for one in (terrain, city, mix)] == [8, 0, 26]
+    assert all(one.tasks() == ["drone-to-satellite"] for one in (terrain, city, mix))
+    queries, gallery, truth = mix.queries("drone"), mix.gallery("satellite"), mix.truth("drone-to-satellite")
+    assert truth is not None
+    names = [tile.name for tile in gallery]
+    second = next(i for i, query in enumerate(queries) if query.name == "Country/Spain/b/height125_rot45_01")
+    assert [names[tile] for tile in truth[0].good] == ["Terrain/Desert/a/0_0", "Terrain/Desert/a/1_0"]
+    assert [names[tile] for tile in truth[second].good] == ["Country/Spain/b/2_0", "Country/Spain/b/3_0"]
+    assert {names[tile].rpartition("/")[0] for tile in truth[second].junk} == {"Terrain/Desert/a"}
+    assert names[queries[second].label] == "Country/Spain/b/2_0"
+    assert {query.group for query in queries} == {"Terrain/Desert/a", "Country/Spain/b"}
+    columns = {column.name: column.values[second] for column in mix.columns(queries)}
+    assert columns == {"region": "Country/Spain/b", "height": 125, "rotation": 45}
+    report = check_dataset(mix)
+    assert report.healthy
+    assert (report.kind, report.gaps) == ("World-UAV", ())
+    assert report.runs[0].startswith("lpn train, on 4 places with drone, satellite")
+
+
+def test_world_uav_is_ranked_within_each_region_and_averaged_over_regions(tmp_path: Path) -> None:
+    root, model = layouts.world_uav(tmp_path / "World-UAV"), PartsModel(RegionModel())
+    mix, alone = (evaluate(model, open_dataset(root / name), "drone-to-satellite") for name in ("mix", "city"))
+    assert (mix.group_name, list(mix.groups)) == ("region", ["Country/Spain/b", "Terrain/Desert/a"])
+    city = mix.groups["Country/Spain/b"][0]
+    assert (city.queries, city.recall["1"]) == (12, alone.recall["1"])
+    assert city.ap == pytest.approx(alone.ap)
+    regions = [figures[0].recall["1"] for figures in mix.groups.values()]
+    assert 0 < np.mean(regions) < 100
+    assert mix.measures["region_recall@1"] == pytest.approx(np.mean(regions))
+    assert mix.measures["region_recall@1"] != pytest.approx(mix.recall["1"])
+
+
+def test_one_region_of_world_uav_has_all_its_flights_as_queries(tmp_path: Path) -> None:
+    region = open_dataset(layouts.world_uav(tmp_path / "World-UAV") / "Country" / "Spain" / "b")
+    assert (region.kind, region.group_name) == ("World-UAV", "flight")
+    assert len(region.queries("drone")) == 18
+    assert "height150_rot20" in {query.group for query in region.queries("drone")}
+    truth = region.truth("drone-to-satellite")
+    assert truth is not None
+    assert not any(len(one.junk) for one in truth)
+
+
+@pytest.mark.parametrize(
+    ("harm", "file", "why"),
+    [
+        (remove("Terrain/Desert/a/DB/img/1_0.png"), "Terrain/Desert/a/DB/img/1_0.png", "is not there"),
+        (
+            remove("Terrain/Desert/a/query/height100_rot45/footage/height100_rot45_01.jpeg"),
+            *("Terrain/Desert/a/query/height100_rot45/footage/height100_rot45_01.jpeg", "is not there"),
+        ),
+        (remove("Terrain/Lake/c/positive.json"), "Terrain/Lake/c/positive.json", "is not there"),
+        (remove("Terrain/Lake/c"), "Terrain/Lake/c", "is not there"),
+    ],
+)
+def test_files_that_world_uav_lists_and_lacks_are_named(
+    tmp_path: Path, harm: Callable[[Path], None], file: str, why: str
+) -> None:
+    root = layouts.world_uav(tmp_path / "World-UAV")
+    harm(root)
+    dataset = open_dataset(root / "terrain")
+    assert [(item.file, item.why) for item in dataset.left_out] == [(file, why)]
+    assert not check_dataset(dataset, decode=False).healthy
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (write("Index/test.txt", "\n"), "Index/test.txt of set names no region; expected the path of one a line"),
+        (write("Index/test.txt", "../x\n"), "Line 1 of Index/test.txt names the file '../x'; expected a path below"),
+        (write("Terrain/Desert/a/positive.json", "{"), "Terrain/Desert/a/positive.json is not JSON"),
+        (write("Terrain/Desert/a/positive.json", '{"00": "a.png"}'), "positive.json is not an object of lists"),
+    ],
+)
+def test_damaged_lists_of_world_uav_are_named_in_one_sentence(
+    tmp_path: Path, harm: Callable[[Path], None], message: str
+) -> None:
+    root = layouts.world_uav(tmp_path / "set")
+    harm(root)
+    with pytest.raises(DataError, match=message) as raised:
+        open_dataset(root / "terrain")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_split_of_world_uav_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    root = layouts.world_uav(tmp_path / "World-UAV")
+    (root / "Index" / "test_country.txt").unlink()
+    with pytest.raises(
+        DataError, match="World-UAV has the lists of terrain and mix; expected city, so unpack it there"
+    ):
+        open_dataset(root / "city")
+    with pytest.raises(DataError, match=r"There is no data set folder at .*/city; check the path"):
+        open_dataset(layouts.sues(tmp_path / "SUES") / "city")
+
+
+def test_a_key_of_world_uav_without_a_tile_is_no_query(tmp_path: Path) -> None:
+    root = layouts.world_uav(tmp_path / "World-UAV")
+    (root / "Terrain/Desert/a/positive.json").write_text(json.dumps({"00": ["0_0.png"], "01": []}))
+    dataset = open_dataset(root / "terrain")
+    assert [(item.file, item.why) for item in dataset.left_out] == [
+        ("Terrain/Desert/a 01", "has none of its true tiles")
+    ]
+    assert len(dataset.queries("drone")) == 4
