@@ -1,8 +1,8 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
 It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, SUES-200, DenseUAV,
-GTA-UAV, UAV-VisLoc in GTA-UAV's form, VIGOR, World-UAV, Oxford5k, Paris6k, your own pairs with a `pairs.csv`, and a plain folder
-of pictures; docs/data.md shows each layout.
+GTA-UAV, UAV-VisLoc in GTA-UAV's form, VIGOR, World-UAV, University160k, Oxford5k, Paris6k, your own pairs with a `pairs.csv`, and
+a plain folder of pictures; docs/data.md shows each layout.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from lpn.datasets.rendered import is_rendered
 from lpn.datasets.sues import SUES200, is_sues
 from lpn.datasets.tile_pairs import TilePairs, is_tile_pairs
 from lpn.datasets.university import University
+from lpn.datasets.university160k import University160k, is_university160k
 from lpn.datasets.vigor import VIGOR, is_vigor
 from lpn.datasets.world_uav import WorldUAV, is_world_uav
 
@@ -57,6 +58,7 @@ __all__ = [
     "TilePairs",
     "Truth",
     "University",
+    "University160k",
     "WorldUAV",
     "files_below",
     "hidden",
@@ -71,7 +73,7 @@ log = logging.getLogger(__name__)
 _LAYOUTS = (
     "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
     "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
-    "Index/test.txt (World-UAV), *_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
+    "Index/test.txt (World-UAV), gallery_satellite_160k (University160k), *_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
 )
 
 
@@ -131,6 +133,7 @@ def _marked(root: Path) -> Callable[..., Dataset] | None:
         (is_tile_pairs, TilePairs),
         (is_vigor, VIGOR),
         (is_world_uav, WorldUAV),
+        (is_university160k, University160k),
         (is_denseuav, DenseUAV),
         (is_sues, SUES200),
     ):

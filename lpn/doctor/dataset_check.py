@@ -222,7 +222,7 @@ def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[Missi
             there = {picture.label for picture in dataset.gallery(gallery_view)}
             without = [query for query in queries if query.label not in there]
         else:
-            without = [query for query, of in zip(queries, truth, strict=True) if not len(of.good)]
+            without = [query for query, of in zip(queries, truth, strict=True) if of.known and not len(of.good)]
         answered |= {query.path for query in queries}.difference(query.path for query in without)
         by_task[task] = without, len(queries)
     damage: list[MissingCounterparts] = []
@@ -303,7 +303,8 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
         queried = {picture.label for picture in queries}
         kept = sum(picture.label in queried for picture in gallery)
         without = f" ({kept} without distractors)" if dataset.truth(task) is None and 0 < kept < len(gallery) else ""
-        yield f"lpn evaluate --task {task}: {len(queries)} queries, {len(gallery)} pictures in the gallery{without}"
+        command = "lpn explore" if dataset.truth_keeper else "lpn evaluate"
+        yield f"{command} --task {task}: {len(queries)} queries, {len(gallery)} pictures in the gallery{without}"
     if tables := _tables(dataset, places > 0):
         counts = [_count(dataset, name, pictures) for name, pictures in lists.items()]
         smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.published_sizes

@@ -10,10 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lpn.core.errors import DataError
+import lpn
+from lpn.core.errors import DataError, InputError
 from lpn.datasets import open_dataset
 from lpn.doctor.dataset_check import check_dataset
+from lpn.index import DescriptorKind, create_index
+from lpn.index.queries import dataset_queries
+from lpn.index.shared import SharedIndex
+from lpn.index.task import index_task
 from lpn.retrieval.evaluate import evaluate
+from lpn.tasks.opening import open_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
@@ -148,3 +154,58 @@ def test_a_key_of_world_uav_without_a_tile_is_no_query(tmp_path: Path) -> None:
         ("Terrain/Desert/a 01", "has none of its true tiles")
     ]
     assert len(dataset.queries("drone")) == 4
+
+
+@pytest.mark.parametrize(("weather", "test"), [(False, True), (True, False)])
+def test_university160k_has_queries_in_the_order_of_its_list_and_no_truth(
+    tmp_path: Path, weather: bool, test: bool
+) -> None:
+    dataset = open_dataset(layouts.university160k(tmp_path / "University160k", weather, test))
+    assert (dataset.kind, dataset.tasks()) == ("University160k", ["drone-to-satellite"])
+    assert [query.name for query in dataset.queries("drone")] == ["z0", "x0", "y0"]
+    assert [tile.name for tile in dataset.gallery("satellite")] == ["a7", "b7", "c7", "d7", "e7"]
+    truth = dataset.truth("drone-to-satellite")
+    assert truth is not None
+    assert not any(one.known for one in truth)
+    report = check_dataset(dataset)
+    assert report.healthy
+    assert report.runs[0] == "lpn explore --task drone-to-satellite: 3 queries, 5 pictures in the gallery"
+    with pytest.raises(InputError, match="true matches of University160k are kept by its evaluation server"):
+        evaluate(PartsModel(RegionModel()), dataset, "drone-to-satellite")
+
+
+def test_university160k_is_opened_through_an_index(tmp_path: Path, model_file: Path) -> None:
+    dataset, model = open_dataset(layouts.university160k(tmp_path / "University160k")), lpn.load(model_file)
+    whole = open_task(model, "model.onnx", dataset, "drone-to-satellite")
+    index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
+    index.add([tile.path.name for tile in whole.gallery], whole.gallery_descriptors)
+    shared = SharedIndex(index)
+    task = index_task(model, "model.onnx", shared, dataset_queries(model, dataset, shared))
+    assert (task.tiles, len(task.queries)) == (5, 3)
+    assert (task.outcomes.rank == -1).all()
+    for query in range(3):
+        ranked, expected = (
+            one.start_search(query, one.query_descriptors[query])(one.part_weights) for one in (task, whole)
+        )
+        assert [task.tile_name(tile) for tile in ranked.order] == [
+            whole.gallery[tile].path.name for tile in expected.order
+        ]
+    index.close()
+
+
+@pytest.mark.parametrize("lost", ["query_drone_name.txt", "test/query_drone_160k"])
+def test_a_missing_part_of_university160k_is_named(tmp_path: Path, lost: str) -> None:
+    root = layouts.university160k(tmp_path / "set")
+    remove(lost)(root)
+    with pytest.raises(
+        DataError, match=f"set has University160k's gallery_satellite_160k and no {Path(lost).name}; exp"
+    ):
+        open_dataset(root)
+
+
+def test_a_query_that_university160k_lists_and_lacks_is_named(tmp_path: Path) -> None:
+    root = layouts.university160k(tmp_path / "set")
+    (root / "test" / "query_drone_160k" / "x0.jpeg").unlink()
+    dataset = open_dataset(root)
+    assert [(item.file, item.why) for item in dataset.left_out] == [("test/query_drone_160k/x0.jpeg", "is not there")]
+    assert not check_dataset(dataset, decode=False).healthy
