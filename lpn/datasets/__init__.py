@@ -1,8 +1,8 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
-It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), CVUSA, CVACT, SUES-200, DenseUAV,
-GTA-UAV, UAV-VisLoc in GTA-UAV's form, VIGOR, World-UAV, University160k, Oxford5k, Paris6k, your own pairs with a `pairs.csv`, and
-a plain folder of pictures; docs/data.md shows each layout.
+It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), University160k, UniV, GeoText-1652,
+SUES-200, DenseUAV, GTA-UAV, UAV-VisLoc in GTA-UAV's form, World-UAV, VIGOR, CVUSA, CVACT, Oxford5k, Paris6k, your own pairs with
+a `pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
 """
 
 from __future__ import annotations
@@ -32,11 +32,13 @@ from lpn.datasets.cvact import CVACT
 from lpn.datasets.cvusa import CVUSA
 from lpn.datasets.denseuav import DenseUAV, is_denseuav
 from lpn.datasets.folder import Folder
+from lpn.datasets.geotext import GeoText, is_geotext
 from lpn.datasets.landmarks import Landmarks
 from lpn.datasets.pairs import PairsCSV
 from lpn.datasets.rendered import is_rendered
 from lpn.datasets.sues import SUES200, is_sues
 from lpn.datasets.tile_pairs import TilePairs, is_tile_pairs
+from lpn.datasets.univ import UniV, is_univ, is_univ_videos, open_univ_videos
 from lpn.datasets.university import University
 from lpn.datasets.university160k import University160k, is_university160k
 from lpn.datasets.vigor import VIGOR, is_vigor
@@ -50,6 +52,7 @@ __all__ = [
     "Dataset",
     "DenseUAV",
     "Folder",
+    "GeoText",
     "Landmarks",
     "LeftOut",
     "PairsCSV",
@@ -57,6 +60,7 @@ __all__ = [
     "Size",
     "TilePairs",
     "Truth",
+    "UniV",
     "University",
     "University160k",
     "WorldUAV",
@@ -73,7 +77,8 @@ log = logging.getLogger(__name__)
 _LAYOUTS = (
     "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
     "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
-    "Index/test.txt (World-UAV), gallery_satellite_160k (University160k), *_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
+    "Index/test.txt (World-UAV), gallery_satellite_160k (University160k), 45/2fps (UniV), test_951_version.json (GeoText-1652), "
+    "*_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
 )
 
 
@@ -134,6 +139,9 @@ def _marked(root: Path) -> Callable[..., Dataset] | None:
         (is_vigor, VIGOR),
         (is_world_uav, WorldUAV),
         (is_university160k, University160k),
+        (is_univ, UniV),
+        (is_univ_videos, open_univ_videos),
+        (is_geotext, GeoText),
         (is_denseuav, DenseUAV),
         (is_sues, SUES200),
     ):

@@ -26,7 +26,8 @@ _RECIPES = {
     "CVUSA": ("cvusa-paper", "cvusa-released", "cvusa-released-resnet50", "safa-paper", "safa-released"),
     "CVACT": ("cvact-released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
     **dict.fromkeys(
-        ("SUES-200", "DenseUAV", "GTA-UAV", "UAV-VisLoc", "World-UAV", "UniV", "pairs"), ("small", "paper", "released")
+        ("SUES-200", "DenseUAV", "GTA-UAV", "UAV-VisLoc", "World-UAV", "UniV", "GeoText-1652", "pairs"),
+        ("small", "paper", "released"),
     ),
     "VIGOR": ("cvusa-paper", "cvusa-released"),
 }

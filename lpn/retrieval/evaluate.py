@@ -198,8 +198,8 @@ def evaluate(
     started = time.perf_counter()
     if dataset.truth_keeper:
         raise InputError(
-            f"The true matches of {dataset.kind} are kept by {dataset.truth_keeper}, so nothing can be measured here; lpn explore "
-            "ranks its queries, and lpn explore index searches an index of its gallery."
+            f"The true matches of {dataset.kind} are kept by {dataset.truth_keeper}, so nothing can be measured here; lpn "
+            "explore ranks its queries, and lpn explore index searches an index of its gallery."
         )
     protocol = protocol or Protocol()
     protocol.chosen(model.n_parts)

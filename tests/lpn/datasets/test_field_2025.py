@@ -12,13 +12,14 @@ import pytest
 
 import lpn
 from lpn.core.errors import DataError, InputError
-from lpn.datasets import open_dataset
+from lpn.datasets import UniV, open_dataset
 from lpn.doctor.dataset_check import check_dataset
 from lpn.index import DescriptorKind, create_index
 from lpn.index.queries import dataset_queries
 from lpn.index.shared import SharedIndex
 from lpn.index.task import index_task
 from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 from lpn.tasks.opening import open_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
@@ -208,4 +209,107 @@ def test_a_query_that_university160k_lists_and_lacks_is_named(tmp_path: Path) ->
     (root / "test" / "query_drone_160k" / "x0.jpeg").unlink()
     dataset = open_dataset(root)
     assert [(item.file, item.why) for item in dataset.left_out] == [("test/query_drone_160k/x0.jpeg", "is not there")]
+    assert not check_dataset(dataset, decode=False).healthy
+
+
+def test_univ_has_videos_by_angle_and_rate_and_shares_tiles(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    root = layouts.univ(tmp_path / "UniV")
+    low, high = open_dataset(root / "45" / "2fps"), open_dataset(root / "30" / "10fps")
+    assert open_dataset(root).queries("drone") == low.queries("drone")
+    assert [line.getMessage() for line in caplog.records] == [
+        f"UniV has 6 lists of videos; this is 45/2fps, and others are {root}/45/5fps, {root}/45/10fps, {root}/30/2fps, "
+        f"{root}/30/5fps, {root}/30/10fps."
+    ]
+    for dataset, frames in ((low, 2), (high, 10)):
+        assert dataset.kind == "UniV"
+        assert dataset.tasks()[:3] == ["drone-to-satellite", "satellite-to-drone", "street-to-satellite"]
+        assert [picture.label for picture in dataset.queries("drone")] == [1] * frames + [2] * frames
+        assert len(dataset.gallery("drone")) == 3 * frames
+        assert [picture.label for picture in dataset.gallery("satellite")] == [1, 2, 3]
+        assert [picture.label for picture in dataset.train("satellite")] == [280, 281, 282]
+    assert {picture.path.parents[3].name for picture in high.gallery("drone")} == {"10fps"}
+    assert {picture.label for picture in low.train("drone")} == {280, 282}
+    report, whole = check_dataset(low), check_dataset(high)
+    assert report.healthy
+    assert [(gap.name, gap.names) for gap in report.gaps if gap.name == "train/drone"] == [("train/drone", ("0281",))]
+    assert not [gap for gap in whole.gaps if gap.name == "train/drone"]
+    assert next(count for count in report.counts if count.name == "train/drone").full_places == 701
+
+
+def test_videos_of_univ_are_queries_when_their_frames_are_averaged(tmp_path: Path) -> None:
+    dataset = open_dataset(layouts.univ(tmp_path / "UniV") / "30" / "5fps")
+    result = evaluate(PartsModel(RegionModel()), dataset, "drone-to-satellite", Protocol(average=True))
+    assert (result.queries, result.gallery) == (2, 3)
+
+
+def test_univ_without_query_folders_says_how_to_make_them(tmp_path: Path) -> None:
+    root = layouts.univ(tmp_path / "UniV", organized=False)
+    dataset = open_dataset(root / "30" / "5fps")
+    assert dataset.tasks() == []
+    assert dataset.why_no_task() == (
+        "has no 30/5fps/test/query_drone and no 45/2fps/test/query_satellite; its organize_univ.py makes them from the "
+        "galleries, so run it first"
+    )
+    shutil.rmtree(root / "45" / "5fps")
+    with pytest.raises(DataError, match="UniV has no videos in 45/5fps; expected one of 45/2fps, 45/10fps, 30/2fps"):
+        UniV(root, "45/5fps")
+
+
+def test_a_folder_inside_univ_names_the_one_to_give(tmp_path: Path) -> None:
+    root = layouts.univ(tmp_path / "UniV")
+    with pytest.raises(
+        DataError, match=r"holds data sets in folders of its own: 10fps, 2fps, 5fps; give --data .*/45/10fps"
+    ):
+        open_dataset(root / "45")
+    with pytest.raises(DataError, match=r"is the part test of a data set; give --data .*/45/2fps"):
+        open_dataset(root / "45" / "2fps" / "test")
+
+
+@pytest.mark.parametrize(("images", "schematic", "drones"), [(True, False, 2), (False, True, 1)])
+def test_geotext_has_views_by_name_and_distractors(tmp_path: Path, images: bool, schematic: bool, drones: int) -> None:
+    dataset = open_dataset(layouts.geotext(tmp_path / "GeoText1652_Dataset", images, schematic))
+    assert dataset.kind == "GeoText-1652"
+    assert dataset.tasks()[:2] == ["drone-to-satellite", "satellite-to-drone"]
+    assert [picture.label for picture in dataset.queries("drone")] == [1] * drones + [2] * drones
+    assert [picture.label for picture in dataset.gallery("satellite")] == [1, 2, 3]
+    assert [picture.label for picture in dataset.queries("street")] == [1]
+    assert [picture.label for picture in dataset.train("street")] == [800, 801]
+    report = check_dataset(dataset)
+    assert report.healthy
+    assert [(gap.name, gap.names) for gap in report.gaps if gap.name == "test/query_street"] == [
+        ("test/query_street", ("0002",))
+    ]
+    assert report.runs[0].startswith("lpn train, on 2 places with drone, satellite, street")
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (remove("images/test"), "set has GeoText-1652's lists and no pictures in test/query.701.; unpack the archives"),
+        (write("test_951_version.json", "[{]"), "test_951_version.json is not JSON"),
+        (write("test_951_version.json", '[{"image": 3}]'), 'is not a list of objects with an "image"'),
+        (write("test_951_version.json", '[{"image": "../3.jpg"}]'), "Object 1 of test_951_version.json names the file"),
+        (
+            lambda root: shutil.copytree(
+                root / "images/test/query(701)/0001", root / "images/test/gallery_no_train(250)/0001"
+            ),
+            "set has the place 0001 in test/query.701. and in test/gallery_no_train.250.; expected different",
+        ),
+    ],
+)
+def test_damage_of_geotext_is_named_in_one_sentence(
+    tmp_path: Path, harm: Callable[[Path], object], message: str
+) -> None:
+    root = layouts.geotext(tmp_path / "set")
+    harm(root)
+    with pytest.raises(DataError, match=message) as raised:
+        open_dataset(root)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_picture_that_geotext_lists_and_lacks_is_named(tmp_path: Path) -> None:
+    root = layouts.geotext(tmp_path / "set")
+    (root / "images/test/query(701)/0001/image-02.jpeg").unlink()
+    dataset = open_dataset(root)
+    assert [item.file for item in dataset.left_out] == ["test/query(701)/0001/image-02.jpeg"]
     assert not check_dataset(dataset, decode=False).healthy
