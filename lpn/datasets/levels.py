@@ -48,6 +48,13 @@ _ARCHIVE = re.compile(
     r"\.(zip|7z|rar|tar|tgz|tbz2?|txz|tzst|(tar\.)?(gz|bz2|xz|zst))(\.(\d{2,3}|[a-z]{2}))?$|\.[zr]\d\d$|\.part\d+\.rar$",
     re.IGNORECASE,
 )
+# Samples of two data sets whose pictures are arrays: L01_0001.npz beside L01_reference.json, and L01_R0000.npz, L01_xDOP0000.npz.
+_ARRAYS = {
+    "AnyVisLoc, whose photos are arrays in .npz files and whose gallery is cut anew for each photo": re.compile(
+        r"L\d\d_reference\.json"
+    ),
+    "OrthoLoC, whose photos and orthophotos are arrays in .npz files": re.compile(r"L\d+_(R|xDOP|xDOPDSM)\d+\.npz"),
+}
 # First bytes of zip (also empty and in parts), 7z, rar, gzip, bzip2, xz, and zstandard.
 _MAGIC = (
     b"PK\x03\x04",
@@ -87,6 +94,21 @@ def archives_alone(root: Path) -> DataError | None:
         return None
     listed = first_few([printable(name) for name in archives], 3)
     return DataError(f"{printable(str(root))} holds {listed}; unpack first, and give the folder with the pictures.")
+
+
+def arrays(root: Path) -> DataError | None:
+    """Return the error about AnyVisLoc or OrthoLoC, at most two levels below; None for another folder."""
+    level = [root]
+    for _ in range(3):
+        for folder in level[:_MOST_FOLDERS]:
+            names = _names(folder)
+            for kind, sample in _ARRAYS.items():
+                if any(sample.fullmatch(name) for name in names):
+                    return DataError(
+                        f"{printable(str(root))} is {kind}; it is not read, so save pairs of pictures and list them in a pairs.csv."
+                    )
+        level = [folder / name for folder in level for name in _folders(folder)][:_MOST_FOLDERS]
+    return None
 
 
 def below(root: Path, marked: Marked) -> DataError | None:
