@@ -21,6 +21,7 @@ from lpn.sources.opened import open_task
 if TYPE_CHECKING:
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
+    from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
 
@@ -108,6 +109,39 @@ class EvaluationOfSource(ABC):
 
 
 @dataclass(kw_only=True)
+class EvaluationWithAnswers(EvaluationOfSource):
+    """Measure recall and AP, or write answers for a server that keeps the true matches."""
+
+    answers: Path | None = None
+    """File to write the names of each query's ten nearest gallery pictures to, as University160k's server takes them
+    (answer.txt); nothing is measured then."""
+
+    def run(self) -> None:
+        from lpn.core.files import check_writable, printable
+        from lpn.tasks.answers import write_answers
+
+        if self.answers is None:
+            super().run()
+            return
+        if self.json is not None or self._changed():
+            raise InputError(
+                "Answers are those of whole descriptors of queries as they are, and nothing is measured; leave --json, changes "
+                "of queries, and other rankings out."
+            )
+        check_writable(self.answers)
+        written = write_answers(self._task(), self.answers)
+        print(f"{printable(str(self.answers))} has the answers to {written} queries; a server takes it zipped.")
+
+    @abstractmethod
+    def _task(self) -> Task:
+        """Open the task."""
+
+    def _changed(self) -> bool:
+        """Return whether options of the measurement are given."""
+        return False
+
+
+@dataclass(kw_only=True)
 class EvaluationOfPublished(EvaluationOfSource):
     """Measure recall and AP of a result of the published test code."""
 
@@ -163,7 +197,7 @@ class EvaluationOfArrays(EvaluationOfSource):
 
 
 @dataclass(kw_only=True)
-class EvaluationOfIndex(EvaluationOfSource):
+class EvaluationOfIndex(EvaluationWithAnswers):
     """Measure recall of the searches of an index; AP needs all ranks, and a search returns only the first."""
 
     source: Indexed
@@ -171,8 +205,11 @@ class EvaluationOfIndex(EvaluationOfSource):
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.tasks.evaluation import evaluate_task
 
-        task = open_task(self.source)
+        task = self._task()
         return f"{task.model_name} on {task.data_name}, {task.gallery_description}", evaluate_task(task)
+
+    def _task(self) -> Task:
+        return open_task(self.source)
 
 
 @dataclass(kw_only=True)
@@ -230,7 +267,7 @@ class EvaluationOfFlight:
 
 
 @dataclass(kw_only=True)
-class EvaluateCommand(EvaluationOfSource):
+class EvaluateCommand(EvaluationWithAnswers):
     """Measure recall and AP on a test split or a saved result, or the errors in metres of a located flight."""
 
     SOURCES: ClassVar[dict[str, type[EvaluationOfSource | EvaluationOfFlight]]] = {
@@ -257,6 +294,12 @@ class EvaluateCommand(EvaluationOfSource):
         task = source.task or (tasks[0] if tasks else "drone-to-satellite")
         title = f"{source.model.name} ({model.describe()}) on {source.data.resolve().name}"
         return title, evaluate(model, dataset, task, protocol, descriptor_reader(dataset.root))
+
+    def _task(self) -> Task:
+        return open_task(self.source)
+
+    def _changed(self) -> bool:
+        return self.compile or (self.changes, self.ranking) != (ChangeOptions(), RankingOptions())
 
 
 def _print_result(title: str, result: Result) -> None:

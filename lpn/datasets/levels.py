@@ -31,6 +31,7 @@ _PARTS = frozenset(
         ),
         *("satview_polish", "ANU_data_small", "ANU_data_test", "drone", "satellite", "ground"),
         *("Chicago", "NewYork", "SanFrancisco", "Seattle"),
+        *("Index", "images", "gallery_satellite_160k", "query_drone_160k", "query_drone160k_wx"),
     )
 )
 # The deepest list of a split is three folders below (Testing/150/query_drone).
@@ -105,7 +106,8 @@ def arrays(root: Path) -> DataError | None:
             for kind, sample in _ARRAYS.items():
                 if any(sample.fullmatch(name) for name in names):
                     return DataError(
-                        f"{printable(str(root))} is {kind}; it is not read, so save pairs of pictures and list them in a pairs.csv."
+                        f"{printable(str(root))} is {kind}; it is not read, so save pairs of pictures, and list them in a "
+                        "pairs.csv."
                     )
         level = [folder / name for folder in level for name in _folders(folder)][:_MOST_FOLDERS]
     return None

@@ -199,7 +199,7 @@ def evaluate(
     if dataset.truth_keeper:
         raise InputError(
             f"The true matches of {dataset.kind} are kept by {dataset.truth_keeper}, so nothing can be measured here; lpn "
-            "explore ranks its queries, and lpn explore index searches an index of its gallery."
+            "evaluate --answers writes a file of answers for it, and lpn explore ranks its queries."
         )
     protocol = protocol or Protocol()
     protocol.chosen(model.n_parts)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lpn
+from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
 from lpn.datasets import UniV, open_dataset
 from lpn.doctor.dataset_check import check_dataset
@@ -20,6 +21,7 @@ from lpn.index.shared import SharedIndex
 from lpn.index.task import index_task
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
+from lpn.tasks.answers import write_answers
 from lpn.tasks.opening import open_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
@@ -191,7 +193,27 @@ def test_university160k_is_opened_through_an_index(tmp_path: Path, model_file: P
         assert [task.tile_name(tile) for tile in ranked.order] == [
             whole.gallery[tile].path.name for tile in expected.order
         ]
+    assert write_answers(task, tmp_path / "index.txt") == write_answers(whole, tmp_path / "whole.txt") == 3
+    assert (tmp_path / "index.txt").read_text() == (tmp_path / "whole.txt").read_text()
     index.close()
+
+
+def test_answers_of_university160k_are_names_in_the_order_of_its_list(
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root, out = layouts.university160k(tmp_path / "University160k"), tmp_path / "answer.txt"
+    command = ["evaluate", "--data", str(root), "--model", str(model_file)]
+    assert main([*command, "--answers", str(out)]) == 0
+    assert capsys.readouterr().out.endswith(f"{out} has the answers to 3 queries; a server takes it zipped.\n")
+    task = open_task(lpn.load(model_file), "model.onnx", open_dataset(root), "drone-to-satellite")
+    scores = np.einsum("qnd,gnd->qg", *task.sides())
+    assert out.read_text() == "".join(
+        "\t".join(np.array(["a7", "b7", "c7", "d7", "e7"])[np.argsort(-row)]) + "\n" for row in scores
+    )
+    assert main([*command, "--answers", str(out), "--rotate", "90"]) == 2
+    assert "leave --json, changes of queries, and other rankings out" in capsys.readouterr().err
+    assert main(command) == 2
+    assert "lpn evaluate --answers writes a file of answers" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.parametrize("lost", ["query_drone_name.txt", "test/query_drone_160k"])
