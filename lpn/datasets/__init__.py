@@ -11,11 +11,12 @@ import logging
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import cvact, cvusa, landmarks, levels, pairs
-from lpn.datasets.areas import SCENES, named_split, split_name
+from lpn.datasets.areas import SCENES, Area, Scenes, named_split, split_name
 from lpn.datasets.base import (
     Dataset,
     LeftOut,
@@ -100,13 +101,13 @@ def open_dataset(root: str | Path) -> Dataset:
     if split in SCENES:
         if marked is not WorldUAV:
             raise levels.no_folder(given)
-        marked = partial(WorldUAV, split=split)
+        marked = partial(WorldUAV, split=cast(Scenes, split))
     elif split is not None:
         if marked not in (TilePairs, VIGOR):
             raise DataError(
                 f"{root} has no {split_name(split)} split, which GTA-UAV, UAV-VisLoc, and VIGOR have; give --data {root}."
             )
-        marked = partial(marked, area=split)
+        marked = partial(marked, area=cast(Area, split))
     if marked is not None:
         return marked(root)
     if (error := levels.arrays(root)) is not None:

@@ -50,7 +50,9 @@ class University160k(ListedDataset):
             if file.name.lower().endswith(SUFFIXES) and not hidden_name(file.name)
         )
         gallery = [Picture(top / _GALLERY / file, i, printable(Path(file).stem)) for i, file in enumerate(files)]
-        there, queries, left_out = FilesBelow(top / folder), [], []
+        queries: list[Picture] = []
+        left_out: list[LeftOut] = []
+        there = FilesBelow(top / folder)
         for number, line in enumerate(read_lines(listing, _NAMES), 1):
             if not line.strip():
                 continue

@@ -133,10 +133,8 @@ class WorldUAV(ListedDataset):
         if file is None:
             return []
         title = file.relative_to(root).as_posix()
-        paths = {}
-        for number, line in enumerate(read_lines(file, title), 1):
-            if line.strip():
-                paths[checked_path(line, f"Line {number} of {title}")] = None
+        lines = [(number, line) for number, line in enumerate(read_lines(file, title), 1) if line.strip()]
+        paths = dict.fromkeys(checked_path(line, f"Line {number} of {title}") for number, line in lines)
         if not paths:
             raise DataError(f"{title} of {printable(root.name)} names no region; expected the path of one a line.")
         regions = []

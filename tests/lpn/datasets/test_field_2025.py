@@ -23,7 +23,7 @@ from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
 from lpn.tasks.answers import write_answers
 from lpn.tasks.opening import open_task
-from tools.fixtures import layouts
+from tools.fixtures import layouts, small_worlds
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
 
@@ -349,7 +349,7 @@ def test_data_sets_of_arrays_are_called_by_their_names(tmp_path: Path, kind: str
     for file in files:
         (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
         if file.endswith(".png"):
-            layouts.small_worlds.write(tmp_path / file, layouts.small(1))
+            small_worlds.write(tmp_path / file, layouts.small(1))
         else:
             (tmp_path / file).write_bytes(b"PK")
     for folder in (tmp_path, (tmp_path / files[0]).parent):
