@@ -6,8 +6,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from explorer.session_state import HeatKind
 from explorer.explain_window.whole_task import TurnChoice
+from explorer.session_state import HeatKind
 from explorer.web.messages import Message
 from lpn.explain.sweeps import SweptProperty
 

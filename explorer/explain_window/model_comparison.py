@@ -27,6 +27,7 @@ from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture, Match
 from lpn.tasks.task import Task
 
+_SIDES: tuple[Side, ...] = ("query", "tile")
 # Numbers of matches and of queries listed, and the size of a picture with its heatmap: height, and the largest width.
 _MATCHES, _QUERIES, _SIZE = 5, 8, (256, 700)
 _LETTERS = "AB"
@@ -191,11 +192,10 @@ class ModelComparison:
         compared = self._workspace.compared(state)
         assert compared is not None
         other = compared.workspace
-        sides: tuple[Side, ...] = ("query", "tile")
         texts = {
             f"{letter} {side}": _mean_text(mean)
             for letter, one in zip(_LETTERS, (self._workspace, other), strict=True)
-            for side in sides
+            for side in _SIDES
             if one is not None and (mean := self._mean(one, state.task, side)) is not None
         }
         texts |= {f"choice {i}": _progress(one) for i, one in enumerate(self._workspace.beside) if one.opening}
@@ -222,7 +222,7 @@ class ModelComparison:
         for (workspace, analysis), of_model in zip(pairs, values, strict=True):
             pictures: list[_Map] = []
             limit = overlays.evidence_limit(*(everything if state.same_scale else of_model)) if of_model else 0.0
-            for side, cells in zip(("query", "tile"), of_model, strict=False):
+            for side, cells in zip(_SIDES, of_model, strict=False):
                 scaled = everything if state.same_scale else [cells]
                 low, high = (
                     (-limit, limit)

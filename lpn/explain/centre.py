@@ -10,7 +10,7 @@ from lpn.core.arrays import BoolArray, FloatingArray
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.models.base import Model
-from lpn.models.contract import Contract
+from lpn.models.contract import Contract, ForwardPass
 from lpn.models.trace import Trace
 
 # Both views of Figure 7, in the order of its columns.
@@ -34,7 +34,8 @@ def centre_shares(model: Model, pictures: Sequence[Picture], view: View) -> Iter
         batch = pictures[start : start + _BATCH]
         outputs = model.run(np.stack([model.prepare(picture.load_zoomed(), view) for picture in batch]), view)
         for i in range(len(batch)):
-            one = outputs._make(None if values is None else values[i : i + 1] for values in outputs)
+            values = (None if array is None else array[i : i + 1] for array in outputs)
+            one = ForwardPass(*values)  # type: ignore[arg-type]
             yield centre_share(Trace.from_pass(model, one, view).activation)
 
 
