@@ -16,7 +16,7 @@ from typing import cast
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import cvact, cvusa, landmarks, levels, pairs
-from lpn.datasets.areas import SCENES, Area, Scenes, named_split, split_name
+from lpn.datasets.areas import SCENES, Area, named_split, split_name
 from lpn.datasets.base import (
     Dataset,
     LeftOut,
@@ -101,7 +101,7 @@ def open_dataset(root: str | Path) -> Dataset:
     if split in SCENES:
         if marked is not WorldUAV:
             raise levels.no_folder(given)
-        marked = partial(WorldUAV, split=cast(Scenes, split))
+        marked = partial(WorldUAV, split=split)
     elif split is not None:
         if marked not in (TilePairs, VIGOR):
             raise DataError(
