@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -14,12 +15,13 @@ from rich.console import Console
 import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
+from explorer.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import distinct_names, printable
 from lpn.core.progress import Progress
 from lpn.core.requirements import missing_package
-from lpn.core.resources import ProviderName
+from lpn.core.resources import ProviderName, yield_cores
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.datasets.city_model import CityModel, city_model
 from lpn.locate.located import LocatedFlight
@@ -29,7 +31,7 @@ from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, open_data
 from lpn.sources.opened import progress_bars
-from lpn.tasks.opening import choose_task
+from lpn.tasks.opening import calibrated, choose_task, no_calibration, scored_tasks, shipped_calibration
 from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
@@ -62,7 +64,8 @@ def open_model(
         provider: what computes the networks, see `lpn.load`.
         kind: the method of `model`, see `lpn.load`.
         beside_kinds: those of `beside`; None for models that tell theirs.
-        calibrate: calibrate all of these models on the pictures of all tasks, see `lpn.retrieval.calibration`.
+        calibrate: calibrate all of these models on the pictures of all tasks before the page opens, see
+            `lpn.retrieval.calibration`; otherwise a browser asks for it, unless a calibration ships with the data.
 
     Raises:
         LPNError: when a model or the data set cannot be used, a model is given twice, or there is no such query.
@@ -133,9 +136,39 @@ def _open_one(
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind)
         dataset = open_dataset(data)
-    source = open_data(opened, model_name, dataset, calibrate=calibrate, every=True, on_progress=report)
-    _print_notes(source)
-    return _workspace(source), dataset
+    workspace = _workspace(open_data(opened, model_name, dataset, every=True, on_progress=report))
+    _offer_scorings(workspace, opened, model_name, dataset, calibrate)
+    return workspace, dataset
+
+
+def _offer_scorings(workspace: Workspace, model: Model, model_name: str, dataset: Dataset, wait: bool) -> None:
+    """Let a workspace be ranked calibrated and by CSLS: at once if the calibration ships with the data, else when asked for.
+
+    Args:
+        wait: calibrate before the page opens.
+    """
+    shipped = None if (why_not := no_calibration(model, dataset)) else shipped_calibration(model, dataset)
+
+    def prepare(_: ReportProgress) -> None:
+        if not wait:
+            yield_cores()  # answers must not wait for it
+        calibration = shipped or calibrated(model, dataset)
+        tasks = scored_tasks(model, model_name, dataset, calibration, list(workspace.tasks))
+        for ranking in [_begin_ranking(task) for task in tasks]:
+            workspace.rankings[ranking.task.key] = ranking
+        if wait:
+            _say(f"{printable(model_name)} is {calibration.describe()}.")
+
+    if wait and why_not:
+        raise InputError(f"{why_not} Leave --calibrate out.")
+    workspace.scorings = Scorings(why_not, None if why_not else prepare)
+    if not (wait or shipped is not None):
+        return
+    job = workspace.scorings.prepare()
+    assert job is not None
+    job.wait(threading.TIMEOUT_MAX)
+    if job.error is not None and wait:
+        raise LPNError(job.error)
 
 
 def _names(model: Path | Model, beside: Sequence[Path]) -> tuple[str, list[str]]:
@@ -294,7 +327,11 @@ def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
 
 def _print_notes(source: OpenedSource) -> None:
     for note in source.notes:
-        _terminal().print(note, highlight=False, markup=False, soft_wrap=True)
+        _say(note)
+
+
+def _say(text: str) -> None:
+    _terminal().print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model, options: LocateOptions) -> None:

@@ -33,7 +33,7 @@ def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: 
         )
     columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
     stored = notes.read_notes(own_file(workspace.root, notes.NAME))
-    bound = None if model is None else model.for_task(*task.views)
+    bound = None if model is None else workspace.scored_model(model, task).for_task(*task.views)
     return replace(task, model=bound, weights=weights, notes=stored, columns=columns)
 
 

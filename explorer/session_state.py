@@ -16,6 +16,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.descriptors.transforms import Change
 from lpn.drawing.theme import DARK, LIGHT, Palette
+from lpn.tasks.task import Scoring, scored_key
 
 MAX_WEIGHT = 2.0
 MAX_ZOOM = 4.0
@@ -39,6 +40,7 @@ class SessionState:
         angle: rotation of the query in degrees counter-clockwise, -180 .. 180.
         weights: weight of each part, 0 .. 2.
         enabled: True for each part that is switched on.
+        scoring: how the gallery is ranked.
         selected: the tile to compare with: a gallery position, POSITIVE for the nearest positive, or None for the top
             match. The last two follow the ranking.
         shift, down: translation of the rotated query to the right and down, in pixels of the network's input.
@@ -72,6 +74,7 @@ class SessionState:
     angle: float = 0.0
     weights: tuple[float, ...] = ()
     enabled: tuple[bool, ...] = ()
+    scoring: Scoring = "plain"
     selected: int | Literal["truth"] | None = None
     shift: int = 0
     down: int = 0
@@ -107,6 +110,11 @@ class SessionState:
         """Return the effective weight of each part: 0 where it is off, and equal weights where none is left."""
         values = tuple(w if on else 0.0 for w, on in zip(self.weights, self.enabled, strict=True))
         return values if any(values) else (1.0,) * self.n_parts
+
+    @property
+    def ranking_key(self) -> str:
+        """The key of the ranking that is shown, see `Task.key`."""
+        return scored_key(self.task, self.scoring)
 
     @property
     def parts_off(self) -> frozenset[int]:

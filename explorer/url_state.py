@@ -20,6 +20,7 @@ from explorer.parameters import (
     parse_number,
     ranges,
 )
+from explorer.scorings import choices
 from explorer.session_state import POSITIVE, SessionState, WhyTab, with_field
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
@@ -32,6 +33,7 @@ _MOST_PARAMETERS = 200
 OWN = "own"
 # What parameters say in the summary of an address; most have more values than one.
 _SUMMARY = {
+    "scoring": "ranked anew",
     "weights": "weighted parts",
     "angle": "turned",
     "zoom": "zoomed",
@@ -70,6 +72,7 @@ class UrlState:
             Parameter("task", lambda s: s.task, self._read_task),
             Parameter("query", self._write_query, self._read_query),
             Parameter("with", self._write_tile, self._read_tile),
+            Parameter("scoring", self._write_scoring, self._read_scoring),
             parameters.number("angle", -180, 180),
             parameters.number("shift", -reach[0], reach[0], whole=True),
             parameters.number("down", -reach[1], reach[1], whole=True),
@@ -211,6 +214,17 @@ class UrlState:
         if value not in labels:
             raise UnusableError(f"expected {' or '.join(labels)}." if labels else "there is no model beside this one.")
         return replace(state, beside=labels.index(value))
+
+    def _write_scoring(self, state: SessionState) -> str | None:
+        return None if state.scoring == self._workspace.tasks[state.task].scoring else state.scoring
+
+    def _read_scoring(self, state: SessionState, value: str) -> SessionState:
+        ready = [one.scoring for one in choices(self._workspace.rankings, state.task) if one.ready]
+        if value not in ready:
+            raise UnusableError(
+                f"it is ranked {' or '.join(ready)} here{'' if self._workspace.scorings.why_not else ' until it is calibrated'}."
+            )
+        return with_field(state, "scoring", value)
 
     def _read_task(self, state: SessionState, value: str) -> SessionState:
         if value not in self._workspace.tasks:

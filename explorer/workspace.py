@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from explorer import session_state
+from explorer import scorings, session_state
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.centre_mean import CentreMean
@@ -20,6 +20,7 @@ from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.layout import layout_for
+from explorer.scorings import Scorings
 from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
 from lpn.core import images
@@ -39,7 +40,7 @@ from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
 from lpn.retrieval.calibration import zoom_note
 from lpn.tasks.query_outcomes import Outcomes
-from lpn.tasks.task import Task
+from lpn.tasks.task import Scoring, Task
 
 # Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
 TILES = 48
@@ -84,8 +85,12 @@ class Workspace:
     ) -> None:
         self.root = root
         self.model_name, self.data_name = model_name, data_name
-        self.rankings = {ranking.task.name: ranking for ranking in rankings}
-        self.tasks = {name: ranking.task for name, ranking in self.rankings.items()}
+        # By the keys of their tasks: as the tasks were opened, and, once they are calibrated, under the further scorings.
+        self.rankings = {ranking.task.key: ranking for ranking in rankings}
+        self.tasks = {ranking.task.name: ranking.task for ranking in rankings}
+        self.scorings: Scorings = Scorings(
+            "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
+        )
         self.contract, self.map_sizes, self.city = contract, map_sizes, city
         self.inference = InferenceScheduler()
         own = None if model is None else QueuedModel(model, self.inference, RequestContext(self.inference))
@@ -103,10 +108,10 @@ class Workspace:
         self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None
         self.part_names = self._part_names()
-        self._tiles: SingleFlightCache[tuple[str, int], DescribedPicture] = SingleFlightCache(
+        self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
         )
-        self._tile_areas: SingleFlightCache[tuple[str, int], PartAreas] = SingleFlightCache(TILE_AREAS)
+        self._tile_areas: SingleFlightCache[tuple[str, bool, int], PartAreas] = SingleFlightCache(TILE_AREAS)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
@@ -152,6 +157,8 @@ class Workspace:
         Without a network, these are changes of the query, uploads, heatmaps, and the explain window; without cells, heatmaps and
         regions.
         """
+        if state.ranking_key not in self.rankings:
+            state = replace(state, scoring=self.tasks[state.task].scoring)
         if state.flight and not self.has_flight:
             state = replace(state, flight=False)
         if self.without_cells:
@@ -162,19 +169,40 @@ class Workspace:
             else replace(session_state.upright(state), heat=False, upload=None, why=False)
         )
 
-    def tile(self, task: Task, index: int, model: QueuedModel | None = None) -> DescribedPicture:
+    def tile(self, task: Task, index: int, model: Model | None = None) -> DescribedPicture:
         """Return a described gallery picture, from the cache if possible.
 
         Args:
-            model: describes a tile that is not in the cache; by default the workspace's model.
+            model: describes a tile that is not in the cache, see `scored_model`; by default the workspace's model.
         """
-        return self._tiles.get((task.name, index), lambda: describe_tile(task, index, model or self.model))
+        return self._tiles.get(_tile_key(task, index), lambda: describe_tile(task, index, model or self.model))
+
+    def scored_model(self, model: Model, task: Task) -> Model:
+        """Return the model that describes pictures as a task's descriptors are: calibrated where the task is."""
+        as_opened = self.tasks[task.name].calibration is task.calibration
+        return model if as_opened or task.calibration is None else task.calibration.applied(model)
+
+    def default_scoring(self, name: str) -> Scoring:
+        """Return the scoring that a task opens with: of those that are ready, the one with the best measured Recall@1.
+
+        Without a measured one, the task is ranked as it was opened.
+        """
+        return scorings.best(scorings.choices(self.rankings, name)) or self.tasks[name].scoring
+
+    def task_of(self, state: SessionState) -> Task:
+        """Return the state's task under its scoring, or as it was opened where that one is not ready."""
+        return self.rankings[self.supported_state(state).ranking_key].task
+
+    def ranked_as(self, task: Task) -> RankingJob | None:
+        """Return the ranking of the task of another workspace: under its scoring, else as opened; None if there is none."""
+        own = self.tasks.get(task.name)
+        return None if own is None else self.rankings.get(task.key, self.rankings[own.key])
 
     def outcomes(self, task: Task) -> tuple[Outcomes, Table] | None:
         """Return the outcomes of all queries and their table; None until they are ranked, and where they take long."""
-        ranked = self.rankings[task.name].result is not None
+        ranked = self.rankings[task.key].result is not None
         quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
-        return self._outcomes(task.name) if ranked and quick else None
+        return self._outcomes(task.key) if ranked and quick else None
 
     @property
     def has_flight(self) -> bool:
@@ -205,7 +233,7 @@ class Workspace:
 
     def card(self, task: Task, index: int) -> UInt8Array:
         """Return a gallery picture at the size of a card, without part borders; read-only."""
-        return self._card(task.name, index)
+        return self._card(task.key, index)
 
     def ground_picture(self, task: Task, index: int) -> UInt8Array:
         """Return a gallery picture as it lies on the ground: a card, or the picture itself if the card is unrolled or zoomed."""
@@ -226,7 +254,7 @@ class Workspace:
     def known_tile_areas(self, task: Task, index: int) -> PartAreas | None:
         """Return the areas of a gallery picture's parts if they take no forward pass: None until `find_tile_areas`."""
         fixed = self._fixed_areas(task.gallery_view)
-        return self._tile_areas.peek((task.name, index)) if fixed is None else fixed
+        return self._tile_areas.peek(_tile_key(task, index)) if fixed is None else fixed
 
     def find_tile_areas(self, task: Task, index: int, model: QueuedModel | None) -> None:
         """Find the areas of a gallery picture's parts by its cells, from the described tiles if it is among them.
@@ -239,7 +267,7 @@ class Workspace:
         Raises:
             LPNError: when the picture cannot be read or described.
         """
-        key = task.name, index
+        key = _tile_key(task, index)
 
         def areas() -> PartAreas:
             described = self._tiles.peek(key) or describe_tile(task, index, model)
@@ -308,7 +336,7 @@ class Workspace:
             return None
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
-        task = self.tasks[name]
+        task = self.rankings[name].task
         try:
             entry = task.gallery[index]
             picture = images.zoom(self.load_picture(entry), entry.zoom)
@@ -322,6 +350,10 @@ class Workspace:
         except PictureError:  # a flight may have frames that cannot be read
             square = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
         return overlays.data_uri(square)
+
+
+def _tile_key(task: Task, index: int) -> tuple[str, bool, int]:
+    return task.name, task.calibration is not None, index
 
 
 class LazyWorkspace:
@@ -389,11 +421,9 @@ class StateAnalyser:
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None, cancellable: bool = True) -> None:
         self._workspace = workspace
         model = model or workspace.model
-        self._analyser = QueryAnalyser(
-            model.cancellable() if model is not None and cancellable else model,
-            lambda task, index: workspace.tile(task, index, model),
-            workspace.load_picture,
-        )
+        self._tile_model = model
+        self._model = model.cancellable() if model is not None and cancellable else model
+        self._analysers: dict[bool, QueryAnalyser] = {}
 
     def analyse(self, state: SessionState, k: int) -> StateAnalysis:
         """Analyse the state's query, with its k nearest tiles.
@@ -412,5 +442,20 @@ class StateAnalyser:
             evidence=state.why or (state.heat and state.heat_kind == "evidence"),
             correspondences=state.why,
         )
-        analysis = self._analyser.analyse(self._workspace.tasks[state.task], request, k)
+        task = self._workspace.task_of(state)
+        analysis = self._analyser_of(task).analyse(task, request, k)
         return StateAnalysis(**vars(analysis), state=state)
+
+    def _analyser_of(self, task: Task) -> QueryAnalyser:
+        """Return the analyser whose model describes pictures as the task does."""
+        calibrated = task.calibration is not None
+        if calibrated not in self._analysers:
+            workspace = self._workspace
+            query_model, tile_model = (
+                None if model is None else workspace.scored_model(model, task)
+                for model in (self._model, self._tile_model)
+            )
+            self._analysers[calibrated] = QueryAnalyser(
+                query_model, lambda task, index: workspace.tile(task, index, tile_model), workspace.load_picture
+            )
+        return self._analysers[calibrated]

@@ -40,8 +40,8 @@ class QueryList:
     def show(self, analysis: StateAnalysis) -> None:
         """Show the queries that the state's search text leaves, and mark the state's query."""
         state, task = analysis.state, analysis.task
-        ranking = self._workspace.rankings[task.name]
-        key = task.name, state.find, ranking.result
+        ranking = self._workspace.rankings[task.key]
+        key = task.key, state.find, ranking.result
         if self._key != key:
             self._key = key
             self._listed = np.array(session_state.matching_names(task.query_names, state.find), np.int64)

@@ -46,7 +46,10 @@ class PageAddress:
         wake: Callable[[], None],
     ) -> None:
         self._workspace, self._url_state, self._views = workspace, url_state, views
-        self._lock, self._state, self._plain = lock, state, state()
+        self._lock, self._state = lock, state
+        # An address without a scoring means the one that the task was opened with.
+        opened = workspace.tasks[state().task].scoring
+        self._plain = replace(state(), scoring=opened)
         self._show_other, self._search, self._wake = show_other, search, wake
         self._greeted, self.waiting = False, True
         self._timeout = DelayedCall(_ADDRESS_TIMEOUT, self._stop_waiting)
@@ -66,7 +69,9 @@ class PageAddress:
                 self._show_other(other, search)
                 return
             before = self._state()
-        state, problems = self._url_state.read(search, replace(before, dark=not greeting.light))
+        named = self._url_state.names_a_state(search) and not self._url_state.names_only_a_workspace(search)
+        start = self._plain if named else before
+        state, problems = self._url_state.read(search, replace(start, dark=not greeting.light))
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = plain_state(state, greeting.first, self._url_state.names_a_state(search))

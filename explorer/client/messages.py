@@ -10,6 +10,7 @@ from msgspec import Meta
 from explorer.session_state import Alteration
 from explorer.stage.viewport import MAX_SIDE
 from explorer.web.messages import Message
+from lpn.tasks.task import Scoring
 
 _Side = Annotated[int, Meta(ge=1, le=MAX_SIDE)]
 
@@ -53,6 +54,10 @@ class FitPanels(PageMessage, tag="small"):
 
 class ShowTask(PageMessage, tag="task"):
     task: str
+
+
+class ShowScoring(PageMessage, tag="scoring"):
+    scoring: Scoring
 
 
 class ShowOther(PageMessage, tag="show"):

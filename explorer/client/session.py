@@ -17,20 +17,25 @@ from explorer.client.address import PageAddress
 from explorer.client.messages import PageMessage
 from explorer.client.services import WorkspaceServices
 from explorer.client.views import ClientViews
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
+from explorer.scorings import choices
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.workspace import StateAnalyser, StateAnalysis
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
+from lpn.tasks.task import Scoring
 
 log = logging.getLogger(__name__)
 
 # Seconds of an analysis after which the page says that it is being computed.
 _SLOW = 0.5
+# Seconds between looks at the preparation of a scoring.
+_POLL = 0.5
 
 
 class ClientSession:
@@ -58,7 +63,8 @@ class ClientSession:
         self.client, self._workspace = client, workspace
         self._lock = threading.RLock()
         task = next(iter(workspace.tasks))
-        state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query)
+        scoring = workspace.default_scoring(task)
+        state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query, scoring=scoring)
         self._state = workspace.supported_state(state)
         self._requests = RequestContext(workspace.inference)
         self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
@@ -157,6 +163,8 @@ class ClientSession:
                 self.views.fit(small)
             case messages.ShowTask(task):
                 self.change(self.views.panels.navigation.choose_task(task))
+            case messages.ShowScoring(scoring):
+                self._show_scoring(scoring)
             case messages.UndoAlteration(alteration):
                 self.change(lambda state: session_state.undo(state, alteration))
             case messages.ActOnFirstScreen(action):
@@ -169,6 +177,32 @@ class ClientSession:
                 self.views.stage.straighten()
             case messages.CloseMap():
                 self.change(lambda state: replace(state, map=False))
+
+    def _show_scoring(self, scoring: Scoring) -> None:
+        """Rank by a scoring; one that is not ready is prepared first, while the page goes on."""
+        ready = any(one.scoring == scoring and one.ready for one in choices(self._workspace.rankings, self._state.task))
+        if ready:
+            self.change(lambda state: replace(state, scoring=scoring))
+        elif (job := self._workspace.scorings.prepare()) is not None:
+            threading.Thread(
+                target=self._await_scoring, args=(job, scoring), name="explorer-scoring", daemon=True
+            ).start()
+
+    def _await_scoring(self, job: BackgroundJob[None], scoring: Scoring) -> None:
+        notice = self.client.add_notification(
+            "Calibrating",
+            "All pictures are described at several zooms; this page goes on until then.",
+            loading=True,
+            auto_close_seconds=None,
+        )
+        while not job.wait(_POLL):
+            if self._requests.closed:
+                return
+        notice.remove()
+        if job.error is not None:
+            self.views.panels.notify_error("Not calibrated", job.error)
+        else:
+            self.change(lambda state: replace(state, scoring=scoring))
 
     def _on_select(self, drawn_state: SessionState, index: int) -> None:
         self.change(lambda state: session_state.compare(state, drawn_state, index))
@@ -190,9 +224,9 @@ class ClientSession:
             return RETRY_AFTER
         finally:
             slow.cancel()
-        second, name = self._workspace.compared(analysis.state), analysis.task.name
-        other = None if second is None or second.workspace is None else second.workspace.rankings.get(name)
-        self._ranking_progress.follow(self._workspace.rankings[name], other)
+        second, task = self._workspace.compared(analysis.state), analysis.task
+        other = None if second is None or second.workspace is None else second.workspace.ranked_as(task)
+        self._ranking_progress.follow(self._workspace.rankings[task.key], other)
         self._address.write(analysis.state)
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._log_line(analysis, time.perf_counter() - started))

@@ -120,7 +120,8 @@ class ModelComparison:
         if waiting and not any(one.opening for one in beside):
             waiting[0].open()
         workspaces = [self._workspace, *(one.workspace for one in beside if one.workspace is not None)]
-        rankings = [one.rankings[state.task] for one in workspaces if state.task in one.rankings]
+        task = self._workspace.task_of(state)
+        rankings = [ranking for one in workspaces if (ranking := one.ranked_as(task)) is not None]
         of_pair = [self._workspace, None if compared is None else compared.workspace]
         means = [
             mean
@@ -154,13 +155,13 @@ class ModelComparison:
         pairs, reason = [(workspace, analysis)], ""
         if other is None:
             reason = lazy.error
-        elif task.name not in other.rankings:
+        elif other.ranked_as(task) is None:
             reason = f"{other.model_name} does not know the views of {task.name}; choose another task."
         else:
             pairs.append((other, self._analyse(state, other, analysis)))
         maps = self._maps(pairs, state)
         columns = [_column(one, of_one, drawn, analysis) for (one, of_one), drawn in zip(pairs, maps, strict=True)]
-        rankings = [one.rankings[task.name] for one, _ in pairs]
+        rankings = [ranking for one, _ in pairs if (ranking := one.ranked_as(task)) is not None]
         html = render(
             "explain/model_comparison",
             names=(workspace.model_name, lazy.label if other is None else other.model_name),
@@ -276,7 +277,7 @@ class ModelComparison:
             _Choice(
                 index,
                 one.label,
-                None if one.workspace is None else _recall(one.workspace, state.task),
+                None if one.workspace is None else _recall(one.workspace, self._workspace.task_of(state)),
                 index == state.beside,
                 "" if one.opening else "not opened" if one.error else "R@1 not known yet",
             )
@@ -294,7 +295,7 @@ class ModelComparison:
         known = [
             (key, name, one.contract, recall)
             for key, name, one in opened
-            if (recall := _recall(one, state.task)) is not None
+            if (recall := _recall(one, self._workspace.task_of(state))) is not None
         ]
         drawn = []
         differ = {
@@ -355,8 +356,8 @@ def _mean_text(mean: CentreMean) -> str:
     return f"{value} (mean of {mean.total:,}{drawn})"
 
 
-def _recall(workspace: Workspace, task: str) -> float | None:
-    ranking = workspace.rankings.get(task)
+def _recall(workspace: Workspace, task: Task) -> float | None:
+    ranking = workspace.ranked_as(task)
     return None if ranking is None or ranking.result is None else ranking.results["recall@1"]
 
 
@@ -399,7 +400,7 @@ def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own
         workspace.description,
         workspace.contract.claim,
         workspace.without_cells,
-        _recall(workspace, task.name),
+        _recall(workspace, task),
         analysis.matches[0].true,
         None if truth is None else truth.rank,
         [

@@ -44,7 +44,12 @@ class SweepRequest:
         follow = None if analysis.positive else analysis.chosen.index
         rank = task.ranks_under(known, analysis.ranking.weights, follow)
         for point in sweeps.sweep_points(
-            model.for_task(*task.views), analysis.source, task.query_view, changes, rank, follow
+            workspace.scored_model(model, task).for_task(*task.views),
+            analysis.source,
+            task.query_view,
+            changes,
+            rank,
+            follow,
         ):
             if self.cancelled.is_set():
                 break
@@ -65,7 +70,7 @@ class SweepRequest:
         followed = None if analysis.positive else analysis.chosen.index
         weights = tuple(analysis.ranking.weights.tolist())
         unswept = replace(state.change, **{field: getattr(UNCHANGED, field)})
-        return state.task, state.query, state.upload, weights, followed, unswept
+        return state.ranking_key, state.query, state.upload, weights, followed, unswept
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,11 +169,11 @@ class FailureLab:
                 return SecondProgress(f"rank B: opening {second.label}", True)
             failed = f"rank B: {second.label} is not open. {second.error}" if second.error else ""
             return SecondProgress(failed, offered=second.label)
-        ranking = second.workspace.rankings.get(task)
+        ranking = second.workspace.ranked_as(self._workspace.rankings[task].task)
         if ranking is None:
             return SecondProgress(f"rank B: {second.workspace.model_name} does not know the views of {task}")
         if ranking.result is not None:
-            same = _same_queries(self._workspace.tasks[task], ranking.task)
+            same = _same_queries(self._workspace.rankings[task].task, ranking.task)
             return SecondProgress("" if same else _CHANGED)
         job = ranking.join(client)
         if ranking.error:
@@ -194,7 +194,7 @@ class FailureLab:
 
     def _with_second(self, findings: Findings, other: LazyWorkspace | None) -> Findings:
         second = None if other is None else other.workspace
-        ranking = None if second is None else second.rankings.get(findings.task.name)
+        ranking = None if second is None else second.ranked_as(findings.task)
         if second is None or ranking is None or ranking.result is None:
             return findings
         if not _same_queries(findings.task, ranking.task):
@@ -208,12 +208,14 @@ class FailureLab:
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:
         """Start or join the computation of a task's findings."""
-        return self._jobs.join(task, client, lambda progress: self._build(self._workspace.tasks[task], progress))
+        return self._jobs.join(
+            task, client, lambda progress: self._build(self._workspace.rankings[task].task, progress)
+        )
 
     def points(self, kind: MapKind, task: str, client: object) -> BackgroundJob[MapPoints]:
         """Start or join the computation of a map; `ground` requires that the task has places."""
         return self._jobs.join(
-            (kind, task), client, lambda progress: self._points(kind, self._workspace.tasks[task], progress)
+            (kind, task), client, lambda progress: self._points(kind, self._workspace.rankings[task].task, progress)
         )
 
     def retry(self, task: str, work: Literal["table"] | MapKind) -> None:
@@ -272,7 +274,7 @@ class FailureLab:
 
     def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
-        ranking = self._workspace.rankings[task.name].wait(self, progress).ranking
+        ranking = self._workspace.rankings[task.key].wait(self, progress).ranking
         task = task.current()
         outcomes = task.outcomes_of(ranking)
         progress(len(task.queries), len(task.queries))
@@ -281,7 +283,7 @@ class FailureLab:
         with self._lock:
             stored, error = self._read_notes()
             table = table.with_columns(notes.columns(stored, table.paths))
-            self._findings[task.name] = Findings(task, outcomes, table, part_names, error)
+            self._findings[task.key] = Findings(task, outcomes, table, part_names, error)
 
     def _read_notes(self) -> tuple[dict[str, Note], str]:
         try:

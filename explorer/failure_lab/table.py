@@ -214,7 +214,7 @@ def note(findings: Findings, row: int, note: Note, revision: int) -> str:
     path = findings.table.paths[row]
     boxes = render(
         "failure_lab/note",
-        task=findings.task.name,
+        task=findings.task.key,
         row=row,
         path=path,
         name=findings.task.queries[row].name,

@@ -112,12 +112,12 @@ class FailureLabWindow:
         session = analysis.state
         query = None if session.upload else session.query
         with self._lock:
-            self._lab = state.for_task(self._lab, session.task)
+            self._lab = state.for_task(self._lab, session.ranking_key)
             before, reasons = self._view, session.shows_reasons
             order = before.order if session.lab else ""
             if session.lab and not before.open and reasons and not before.reasons:
                 order = run_once(call("raiseReasons"))
-            self._view = _View(session.task, query, session.lab, reasons, order, session.beside)
+            self._view = _View(session.ranking_key, query, session.lab, reasons, order, session.beside)
         self._worker.wake()
 
     def restore(self, session: SessionState, whole: bool = False) -> None:
@@ -127,16 +127,16 @@ class FailureLabWindow:
             whole: the state has the choices of a closed laboratory, too; an address has them only of an open one.
         """
         with self._lock:
-            self._lab = state.for_task(self._lab, session.task)
+            self._lab = state.for_task(self._lab, session.ranking_key)
             if session.lab or whole:
-                self._wanted = session.task, session.laboratory
+                self._wanted = session.ranking_key, session.laboratory
         self._worker.wake()
 
     def order(self, session: SessionState) -> Int64Array | None:
         """Return the selected queries in the table's order, None while the window is closed; next and previous follow it."""
         with self._lock:
-            findings = self._findings(session.task)
-            if not session.lab or findings is None or self._lab.task != session.task:
+            findings = self._findings(session.ranking_key)
+            if not session.lab or findings is None or self._lab.task != session.ranking_key:
                 return None
             return self._rows(findings, self._lab)
 
@@ -270,7 +270,9 @@ class FailureLabWindow:
             if self._wanted is not None and self._wanted[0] == lab.task:
                 return
         choices = state.choices(lab)
-        self._change(lambda session: replace(session, laboratory=choices) if session.task == lab.task else session)
+        self._change(
+            lambda session: replace(session, laboratory=choices) if session.ranking_key == lab.task else session
+        )
 
     def _rows(self, findings: Findings, lab: LabState) -> Int64Array:
         """Return the selected queries in the table's order, the same array until the selection or the order changes."""
@@ -362,7 +364,7 @@ class FailureLabWindow:
             part.show("")
         self._text_revision = None
         self._notes.show(None, None)
-        queries = len(self._workspace.tasks[lab.task].queries)
+        queries = len(self._workspace.rankings[lab.task].task.queries)
         self._body.show(table.waiting(job, f"Ranking {queries:,} queries", paused, "table"))
         if job is not None and job.error is None:
             self._worker.wake()
@@ -424,10 +426,12 @@ class FailureLabWindow:
 
     def _open(self, row: int) -> None:
         task = self._lab.task
-        queries = len(self._workspace.tasks[task].queries)
+        queries = len(self._workspace.rankings[task].task.queries)
         if row < queries:
             self._change(
-                lambda session: session_state.choose_query(session, row, queries) if session.task == task else session
+                lambda session: (
+                    session_state.choose_query(session, row, queries) if session.ranking_key == task else session
+                )
             )
 
     def _download(self) -> None:

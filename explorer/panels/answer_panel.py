@@ -62,7 +62,7 @@ class AnswerPanel:
     def show(self, analysis: StateAnalysis, sequence: int) -> None:
         """Show an analysis."""
         workspace = self._workspace
-        self.show_results(self._workspace.rankings[analysis.task.name])
+        self.show_results(self._workspace.rankings[analysis.task.key])
         self._verdict.show(pages.verdict(analysis, workspace))
         self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
         self._table.show(pages.parts_table(analysis, workspace))

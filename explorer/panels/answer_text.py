@@ -162,7 +162,7 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     It is not known under other part weights or for a region, as no other query was ranked so. For an uploaded picture it is not
     known either if the truth names junk, as its junk is unknown.
     """
-    state, task, result = analysis.state, analysis.task, workspace.rankings[analysis.task.name].result
+    state, task, result = analysis.state, analysis.task, workspace.rankings[analysis.task.key].result
     own = state.upload is not None
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
         return ""

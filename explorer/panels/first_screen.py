@@ -159,7 +159,7 @@ def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
 def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, altered: bool) -> str:
     """Say how often the model is right, and if it is calibrated; of the user's own picture, what becomes of it."""
     if not analysis.state.upload:
-        text = answer_text.overall(workspace.rankings[analysis.task.name].result, altered)
+        text = answer_text.overall(workspace.rankings[analysis.task.key].result, altered)
         if text and workspace.has_flight:
             text = f"{text[:-1]}, {_ALONE}."
         return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text

@@ -42,7 +42,7 @@ class Navigation:
 
     def failure(self, state: SessionState) -> SessionState | None:
         """Choose another failure at random."""
-        ranking = self._workspace.rankings[state.task]
+        ranking = self._workspace.rankings[state.ranking_key]
         if ranking.result is None:
             self._notify("Not known yet", "All queries are still being ranked; try again later.")
             return None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from explorer import session_state
+from explorer import scorings, session_state
 from explorer.panels import answer_text
 from explorer.stage import pair_picture
 from explorer.web.render import render
@@ -72,7 +72,7 @@ def heat_legend(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 def header(workspace: Workspace, task: Task) -> str:
     """Return the title: model, data set, task, and its metrics, or the progress of their ranking."""
-    ranking = workspace.rankings[task.name]
+    ranking = workspace.rankings[task.key]
     return render(
         "panels/header",
         workspace=workspace,
@@ -81,6 +81,8 @@ def header(workspace: Workspace, task: Task) -> str:
         automatic=ranking.automatic,
         done=ranking.n_ranked,
         error=ranking.error,
+        scorings=scorings.choices(workspace.rankings, task.name),
+        no_scorings=workspace.scorings.why_not,
     )
 
 

@@ -129,7 +129,7 @@ class Cards:
             self._workspace.known_tile_areas(analysis.task, match.index) if state.rings else None for match in some
         ]
         cards = [(match.index, match.true, known is not None) for match, known in zip(some, areas, strict=True)]
-        drawn = (analysis.task.name, ground, cards)
+        drawn = (analysis.task.key, ground, cards)
         if self._drawn[row] != drawn:
             photos = [self._photo(analysis, match, known) for match, known in zip(some, areas, strict=True)]
             self._rows[row][0].show(_join_row(photos, self._layout.columns, self._gap, ground))

@@ -64,7 +64,7 @@ class WindowSources:
         Raises:
             InputError: when they cannot be computed.
         """
-        task = analysis.state.task
+        task = analysis.task.key
         try:
             _finish(self.lab.build(task, self), wait)
             findings = self.lab.findings(task, analysis.state.beside)
@@ -113,7 +113,7 @@ class WindowSources:
             lost = "The map of neighbours is left out: it needs the extra umap (pip install lpn-explorer[umap])."
         if lost:
             return Markup(render("stories/lab_map", lost=lost))
-        points = _finish(self.lab.points(lab.map, task.name, self), wait)
+        points = _finish(self.lab.points(lab.map, task.key, self), wait)
         assert points is not None
         colours = map_data.colours(findings, lab.colour if lab.colour in findings.table.columns else map_data.OUTCOME)
         picture = draw_queries(findings, points, colours, rows, query)

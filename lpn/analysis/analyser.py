@@ -161,8 +161,8 @@ class QueryAnalyser:
         picture = task.queries[index or 0]
         source_key = own or (picture.path, picture.box)
         source = self._source.get(source_key, lambda: own.picture if own else self._load_cropped(picture))
-        zoom = picture.zoom if own is None else self._zoom.get((own, task.name), lambda: self._own_zoom(task, own))
-        query_key = source_key, task.name, index, request.change
+        zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
+        query_key = source_key, task.key, index, request.change
         change = request.change.for_picture(picture, zoom)
         query = self._query.get(query_key, lambda: self._describe(task, index, source, change))
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
@@ -188,7 +188,9 @@ class QueryAnalyser:
             errors_m=_errors_m(task, index, own),
             source=source,
             zoom=zoom,
-            pair_evidence=pair_evidence(query, tile, weights, request.correspondences) if request.evidence else None,
+            pair_evidence=pair_evidence(query, tile, weights, request.correspondences, ranking.csls_of(chosen.index))
+            if request.evidence
+            else None,
             seconds=time.perf_counter() - started,
         )
 
@@ -221,12 +223,20 @@ def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64A
 
 
 def pair_evidence(
-    query: DescribedPicture, tile: DescribedPicture, weights: Float32Array, correspondences: bool = False
+    query: DescribedPicture,
+    tile: DescribedPicture,
+    weights: Float32Array,
+    correspondences: bool = False,
+    csls: tuple[Float32Array, Float32Array] | None = None,
 ) -> PairEvidence | None:
-    """The evidence of a pair under part weights (n,) that sum to one; None without a network."""
+    """The evidence of a pair under part weights (n,) that sum to one; None without a network.
+
+    Args:
+        csls: see `Evidence`.
+    """
     if query.trace is None or tile.trace is None:
         return None
-    evidence = explain.evidence(query.trace, tile.trace, weights)
+    evidence = explain.evidence(query.trace, tile.trace, weights, csls)
     pairs = explain.correspondences(query.trace, tile.trace, weights) if correspondences else None
     return PairEvidence(evidence, pairs)
 

@@ -63,5 +63,5 @@ def effect_on(
             "The effect of weights on all queries takes a search for each of them, so it is computed in memory only."
         )
     return counterfactual.effect(
-        *task.sides(), before, after, task.query_labels, task.gallery_labels, task.truth, first
+        *task.compared, before, after, task.query_labels, task.gallery_labels, task.truth, first
     )

@@ -283,7 +283,7 @@ def rank_task(task: Task, name: str) -> RankedModel:
     task.check_truth()
     if task.lists_gallery:
         pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
-        return _ranked(name, task.root, pictures, "full", task.sides(), (task.query_labels, task.gallery_labels))
+        return _ranked(name, task.root, pictures, "full", task.compared, (task.query_labels, task.gallery_labels))
     retrieval, known = task.retrieved, task.known
     kept = np.ones(len(task.queries), bool) if known is None else known
     queries = np.array(geo.names_below(task.root, task.queries), object)

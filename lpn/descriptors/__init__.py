@@ -13,6 +13,7 @@ from lpn.descriptors.cache import (
     cached_descriptors,
     descriptor_reader,
     shipped_descriptors,
+    shipped_only,
     shipped_or_cached,
     temporary_descriptors,
 )
@@ -35,6 +36,7 @@ __all__ = [
     "open_store",
     "pictures_below",
     "shipped_descriptors",
+    "shipped_only",
     "shipped_or_cached",
     "temporary_descriptors",
 ]

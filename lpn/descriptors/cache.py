@@ -153,10 +153,16 @@ def shipped_or_cached(
     Args:
         progress: see `describe`.
     """
-    for store in _stores(root, f"{role}_{view}"):
-        if (shipped := _shipped(model, pictures, view, store)) is not None:
-            return shipped
-    return _cached(model, pictures, view, UNCHANGED, progress)
+    shipped = shipped_only(model, pictures, view, root, role)
+    return _cached(model, pictures, view, UNCHANGED, progress) if shipped is None else shipped
+
+
+def shipped_only(
+    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
+) -> StoredDescriptors | None:
+    """Return the descriptors of queries or gallery that ship with the data set in `root`; None without them."""
+    stores = (_shipped(model, pictures, view, store) for store in _stores(root, f"{role}_{view}"))
+    return next((shipped for shipped in stores if shipped is not None), None)
 
 
 def descriptor_reader(root: Path) -> Reader:

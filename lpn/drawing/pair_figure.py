@@ -16,7 +16,6 @@ from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import AGAINST, BACKGROUND, DIM, FOR, TEXT
 from lpn.explain import Evidence
 from lpn.models.contract import Contract
-from lpn.retrieval import scoring
 
 _WIDTH, _MARGIN, _ROW = 1200, 24, 46
 _COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": DIM}
@@ -96,7 +95,7 @@ def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], t
 
 def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int) -> None:
     """Draw the squared distance as the parts' contributions to it, side by side, each with its number where it fits."""
-    contributions = scoring.contributions(evidence.cosines.astype(np.float32), evidence.weights)
+    contributions = evidence.contributions.astype(np.float32)
     left, right, y, total = 420, _WIDTH - 190, top + 8, float(contributions.sum())
     pen.text((_MARGIN, y + 9), "contributions to the squared distance", TEXT, font(20), anchor="lm")
     captions.draw_shares(pen, (left, y, right, y + 18), contributions, total)

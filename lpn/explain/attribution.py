@@ -58,17 +58,30 @@ class Evidence:
     Attributes:
         cosines: of each part, (n,).
         weights: part weights that sum to one, (n,).
+        csls: what CSLS subtracts from each part's cosine for the query and for the tile, (n,) each; None without CSLS.
     """
 
     cosines: Float64Array
     weights: Float32Array
     query: SideEvidence
     tile: SideEvidence
+    csls: tuple[Float32Array, Float32Array] | None = None
 
     @property
     def weighted_cosines(self) -> Float64Array:
         """w_i cos_i, each part's share of the score, (n,)."""
         return self.cosines * self.weights
+
+    @property
+    def csls_shares(self) -> tuple[float, ...]:
+        """The shares of the score that CSLS takes for the query and for the tile, which belong to no cell; empty without CSLS."""
+        return () if self.csls is None else tuple(-float(terms @ self.weights) for terms in self.csls)
+
+    @property
+    def contributions(self) -> Float64Array:
+        """Each part's exact share of the squared distance, (n,), with its share of both terms of CSLS."""
+        terms = 0.0 if self.csls is None else self.csls[0].astype(np.float64) + self.csls[1]
+        return 2 * self.weights * (1 - self.cosines + terms)
 
     @property
     def part_sums(self) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -82,8 +95,8 @@ class Evidence:
 
     @property
     def score(self) -> float:
-        """Weighted mean cosine, -1 .. 1."""
-        return float(self.weighted_cosines.sum())
+        """Weighted mean cosine, -1 .. 1; under CSLS, less both of its terms."""
+        return float(self.weighted_cosines.sum()) + sum(self.csls_shares)
 
     @property
     def distance2(self) -> float:
@@ -119,7 +132,9 @@ class Evidence:
             }
             for part, name in enumerate(names)
         ]
-        return {"level": level, "score": self.score, "distance2": self.distance2, "parts": parts}
+        csls = dict(zip(("query", "tile"), self.csls_shares, strict=True)) if self.csls is not None else {}
+        values = {"level": level, "score": self.score, "distance2": self.distance2, "parts": parts}
+        return values | ({"csls": csls} if csls else {})
 
 
 def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
@@ -134,10 +149,16 @@ def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
     return SideEvidence(cells / norms[:, None, None], constants / norms)
 
 
-def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> Evidence:
+def evidence(
+    query: Trace,
+    tile: Trace,
+    weights: Float32Array | None = None,
+    csls: tuple[Float32Array, Float32Array] | None = None,
+) -> Evidence:
     """Account for the score of a pair, cell by cell, on both sides.
 
     Args:
+        csls: see `Evidence`.
         weights: part weights that sum to one, see `part_weights`; equal by default.
 
     Raises:
@@ -156,6 +177,7 @@ def evidence(query: Trace, tile: Trace, weights: Float32Array | None = None) -> 
         weights,
         side_evidence(query, tile.embedding),
         side_evidence(tile, query.embedding),
+        csls,
     )
 
 

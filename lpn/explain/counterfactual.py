@@ -1,7 +1,7 @@
 """Counterfactuals of one ranking: the margin by part, ranks without a part, and the smallest change of part weights.
 
-They are computed from the part cosines of the query, without the network. For part weights w_i that sum to one, a positive p,
-and a negative g:
+They are computed from the part cosines of the query, under CSLS less its terms, without the network. For part weights w_i that
+sum to one, a positive p, and a negative g:
 
     score(p) - score(g) = sum_i w_i (cos_i(p) - cos_i(g)),    margin = d^2(g) - d^2(p) = 2 (score(p) - score(g)).
 """
@@ -55,7 +55,7 @@ def margin(ranking: Ranking, positive: int, negative: int) -> Margin:
             raise InputError(
                 f"There is no gallery picture {index}; the gallery has positions 0 to {len(ranking.cosines) - 1}."
             )
-    difference = ranking.cosines[positive].astype(np.float64) - ranking.cosines[negative]
+    difference = ranking.similarities[positive].astype(np.float64) - ranking.similarities[negative]
     return Margin(positive, negative, 2 * ranking.weights.astype(np.float64) * difference)
 
 
@@ -168,7 +168,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
     now /= now.sum()
     # The columns are an orthonormal basis of the changes that sum to zero. Coordinates keep the norm of a change.
     basis = np.linalg.svd(np.ones((1, n)))[2][1:].T
-    cosines = ranking.cosines.astype(np.float64)
+    cosines = ranking.similarities.astype(np.float64)
     best, reach = None, float(np.linalg.norm(np.eye(n) - now, axis=1).max())
     for index in positives:
         ahead = cosines[index] - cosines[negatives]
@@ -264,7 +264,7 @@ def _positive_rank(
     ranking: Ranking, weights: Float32Array, positives: Int64Array, negatives: Int64Array
 ) -> PositiveRank:
     """Return the rank that `retrieval.rank` would give: float32 scores, ties in gallery order."""
-    scores = ranking.cosines @ weights
+    scores = ranking.similarities @ weights
     index = positives[int(np.argmax(scores[positives]))]
     score, others = scores[index], scores[negatives]
     ties_before = np.count_nonzero(others[: np.searchsorted(negatives, index)] == score)

@@ -160,7 +160,7 @@ class Cases:
             errors_m=None if errors_m is None else [float(errors_m[match.index]) for match in matches],
             positive=positive,
             hardest_negative=hardest_negative,
-            pairs=tuple(self._pair(analysis.query, match) for match in (chosen, other) if match is not None),
+            pairs=tuple(self._pair(analysis.query, match, ranking) for match in (chosen, other) if match is not None),
             margin=margin,
             without=counterfactual.ranks_without_parts(ranking),
             change=change,
@@ -174,9 +174,9 @@ class Cases:
         task = self._task
         return picture if task.model is None else task.model.as_partitioned(picture, task.views[side])
 
-    def _pair(self, query: DescribedPicture, match: Match) -> Pair:
+    def _pair(self, query: DescribedPicture, match: Match, ranking: Ranking) -> Pair:
         tile = self._tile(match.index)
-        evidence = pair_evidence(query, tile, self._task.part_weights)
+        evidence = pair_evidence(query, tile, self._task.part_weights, csls=ranking.csls_of(match.index))
         activation = None
         if query.trace is not None and tile.trace is not None:
             activation = part_activation(query.trace), part_activation(tile.trace)

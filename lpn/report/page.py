@@ -123,7 +123,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
         clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
     clauses += [] if task.calibration is None else [task.calibration.describe()]
     parts = tuple(range(1, task.contract.n_parts + 1))
-    rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None)
+    rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None, neighbours=task.neighbours)
     facts = [
         ("Model", task.model_name),
         ("", "saved descriptors, no network" if task.model is None else task.model.describe()),

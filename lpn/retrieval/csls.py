@@ -11,6 +11,7 @@ the score is the sum over parts of <q_i, t_i> - h_i(t), and each part keeps an e
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -18,8 +19,37 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 
+# K by default, as chosen in docs/evaluation.md.
+NEIGHBOURS = 3
 # Numbers in a block of products, and in a block of the nearest queries' descriptors.
 _BLOCK = 2**25
+
+
+@dataclass(frozen=True, eq=False)
+class CslsTerms:
+    """The two constants that CSLS subtracts from the cosines of a query with each tile.
+
+    Both are in units of cosines, so that part weights w give sum_i w_i (cos_i - query_i - tile_i). The query's term is the same
+    for all tiles, and alters no rank.
+
+    Attributes:
+        query: n times half of the mean of <q_i, t_i> over the K tiles nearest to the query, (n,).
+        tiles: n h_i(t), (G, n).
+    """
+
+    query: Float32Array
+    tiles: Float32Array
+
+    @classmethod
+    def of_query(cls, cosines: Float32Array, tiles: Float32Array, neighbours: int) -> CslsTerms:
+        """The terms of a query by its part cosines with all tiles, (G, n).
+
+        Args:
+            tiles: see `CslsTerms`.
+            neighbours: K; with fewer tiles, all of them count.
+        """
+        nearest = np.argsort(-cosines.mean(axis=1), kind="stable")[:neighbours]
+        return cls(cast(Float32Array, cosines[nearest].mean(axis=0) / 2), tiles)
 
 
 def check_neighbours(neighbours: int, queries: int, where: str = "") -> None:

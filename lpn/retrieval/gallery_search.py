@@ -15,6 +15,7 @@ from lpn.models.base import Model, normalise, whitened
 from lpn.models.contract import check_parts
 from lpn.models.trace import Trace
 from lpn.retrieval import scoring
+from lpn.retrieval.csls import CslsTerms
 from lpn.retrieval.metrics import JUNK
 
 # Stands in place of a rank that may be any.
@@ -47,15 +48,16 @@ class Match:
         rank: 1 for the nearest; for a tile `beyond` the searched depth, that depth + 1, which is the lowest rank that it can have
             unless it is `missed`.
         index: position in the gallery.
-        score: weighted mean cosine, -1 .. 1.
+        score: weighted mean cosine, -1 .. 1; under CSLS, less both of its terms.
         distance2: squared distance 2 - 2 score.
         gap: squared distance of the next tile minus that of this one; None for the last tile, and beyond the depth.
         cosines: of each part, (n,).
-        contributions: each part's exact share of distance2, (n,).
+        contributions: each part's exact share of distance2, (n,); under CSLS, with the part's share of both of its terms.
         true: True for a tile of the query's place; None if the place is not known.
         beyond: the search did not return the tile, so its rank is not known.
         missed: the tile is `beyond`, but nearer than the last tile that an approximate search returned, so that its rank may be
             any.
+        constants: what CSLS subtracts from the score for the query and for the tile, under the part weights; None without CSLS.
     """
 
     rank: int
@@ -68,6 +70,7 @@ class Match:
     true: bool | None
     beyond: bool = False
     missed: bool = False
+    constants: tuple[float, float] | None = None
 
     @property
     def rank_text(self) -> str:
@@ -84,7 +87,7 @@ class Ranking:
     Attributes:
         cosines: each part's cosine with the query, (G, n).
         weights: the part weights, summing to one, (n,).
-        scores: weighted mean cosines, (G,).
+        scores: weighted mean cosines, (G,); under CSLS, less its terms.
         order: gallery positions from nearest to farthest, without junk, at most (G,).
         relevant: True for gallery pictures of the query's place, (G,); None if the place is not known.
         lengths: n |q_i|^2 of each part of a query that is restricted to a region, (n,), see `scoring.contributions`; `cosines`
@@ -92,6 +95,7 @@ class Ranking:
         depth: number of tiles in `order` whose ranks are known; those behind them are ranked among themselves only, and scores of
             all other tiles are not a number. None if all ranks are known.
         approximate: the search may leave out tiles that are nearer than those it returns.
+        csls: the terms of CSLS; None if it does not re-rank.
     """
 
     cosines: Float32Array
@@ -102,12 +106,19 @@ class Ranking:
     lengths: Float32Array | None = None
     depth: int | None = None
     approximate: bool = False
+    csls: CslsTerms | None = None
+
+    @property
+    def similarities(self) -> Float32Array:
+        """What the part weights sum up to the scores, (G, n): the cosines, under CSLS less its terms."""
+        return self.cosines if self.csls is None else self.cosines - self.csls.query - self.csls.tiles
 
     def match(self, position: int) -> Match:
         """The match at a 0-based position of the order."""
         index = int(self.order[position])
         depth = len(self.order) if self.depth is None else self.depth
         beyond, last = position >= depth, position + 1 >= depth
+        terms = self.csls_of(index)
         leads = beyond and (not depth or bool(self.scores[index] > self.scores[self.order[depth - 1]]))
         return Match(
             rank=min(position, depth) + 1,
@@ -116,11 +127,21 @@ class Ranking:
             distance2=2.0 - 2.0 * float(self.scores[index]),
             gap=None if last else 2.0 * float(self.scores[index] - self.scores[self.order[position + 1]]),
             cosines=self.cosines[index],
-            contributions=scoring.contributions(self.cosines[index], self.weights, self.lengths),
+            contributions=self._contributions(index),
             true=None if self.relevant is None else bool(self.relevant[index]),
             beyond=beyond,
             missed=self.approximate and leads,
+            constants=None if terms is None else (float(terms[0] @ self.weights), float(terms[1] @ self.weights)),
         )
+
+    def csls_of(self, index: int) -> tuple[Float32Array, Float32Array] | None:
+        """What CSLS subtracts from each part's cosine for the query and for a gallery picture, (n,) each; None without CSLS."""
+        return None if self.csls is None else (self.csls.query, self.csls.tiles[index])
+
+    def _contributions(self, index: int) -> Float32Array:
+        csls = self.csls_of(index)
+        terms = None if csls is None else csls[0] + csls[1]
+        return scoring.contributions(self.cosines[index], self.weights, self.lengths, terms)
 
     def top(self, k: int) -> list[Match]:
         """The k nearest, or all whose ranks are known when there are fewer."""
@@ -182,6 +203,7 @@ def rank(
     label: int | None = None,
     truth: Truth | None = None,
     lengths: Float32Array | None = None,
+    csls: CslsTerms | None = None,
 ) -> Ranking:
     """Rank a gallery by weighted part cosines; ties keep gallery order, and junk is left out.
 
@@ -191,13 +213,15 @@ def rank(
         labels: the place of each gallery picture, (G,), -1 for junk; needed with `label`.
         label: the query's place; None when unknown.
         truth: the query's true matches and junk, used instead of labels.
-        lengths: see `Ranking`.
+        lengths, csls: see `Ranking`.
     """
     scores = cosines @ weights
+    if csls is not None:
+        scores = scores - csls.tiles @ weights - csls.query @ weights
     order = np.argsort(-scores, kind="stable")
     junk = np.zeros(len(scores), bool) if labels is None else labels == JUNK
     relevant = None if labels is None or label is None else (labels == label) & ~junk
     if truth is not None:
         good, junk = (np.isin(np.arange(len(scores)), positions) for positions in (truth.good, truth.junk))
         relevant = good if truth.known else None
-    return Ranking(cosines, weights, scores, order[~junk[order]], relevant, lengths)
+    return Ranking(cosines, weights, scores, order[~junk[order]], relevant, lengths, csls=csls)

@@ -35,15 +35,22 @@ def part_cosines(query: Float32Array, gallery: Float32Array) -> Float32Array:
     return cast(Float32Array, n * np.matmul(gallery.transpose(1, 0, 2), query[:, :, None])[..., 0].T)
 
 
-def contributions(cosines: Float32Array, weights: Float32Array, lengths: Float32Array | None = None) -> Float32Array:
+def contributions(
+    cosines: Float32Array,
+    weights: Float32Array,
+    lengths: Float32Array | None = None,
+    terms: Float32Array | None = None,
+) -> Float32Array:
     """Each part's exact share 2 w_i (1 - cos_i) of the squared distance: (..., n), summing to it.
 
     Args:
         lengths: n |q_i|^2 of each part of a query that is restricted to a region, see `Trace.region`, (n,); 1 by default. The
             share is then w_i (1 + n |q_i|^2 - 2 n q_i . g_i), and `cosines` has n q_i . g_i.
+        terms: what CSLS subtracts from the cosines, (..., n), which adds 2 w_i terms_i to the share.
     """
     query_lengths = np.float32(1) if lengths is None else lengths
-    return cast(Float32Array, weights * (1.0 + query_lengths - 2.0 * cosines))
+    similarities = cosines if terms is None else cosines - terms
+    return cast(Float32Array, weights * (1.0 + query_lengths - 2.0 * similarities))
 
 
 def activation(total: Float32Array) -> Float32Array:

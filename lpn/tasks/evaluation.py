@@ -17,7 +17,8 @@ from lpn.tasks.task import Task
 def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
     """Evaluate a task by its own descriptors, or by the searches of its index.
 
-    Part weights of the task do not count. Queries whose truth is not known are left out.
+    Part weights of the task do not count; CSLS of the task does, unless the protocol has its own. Queries whose truth is not
+    known are left out.
 
     Args:
         protocol: of an index only the default, as its searches compare whole descriptors.
@@ -27,6 +28,8 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
         StoreError: when an index cannot be read.
     """
     task = replace(task, weights=None)
+    if task.neighbours:
+        protocol = replace(protocol or Protocol(), csls=(protocol and protocol.csls) or task.neighbours)
     task.check_truth()
     if not task.lists_gallery:
         return _evaluate_searches(task, protocol or Protocol())

@@ -8,7 +8,8 @@ from typing import cast
 
 from lpn import retrieval
 from lpn.core.arrays import Float32Array
-from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval import Ranking, csls, metrics, scoring
+from lpn.retrieval.csls import CslsTerms
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks import query_outcomes
 from lpn.tasks.query_outcomes import Outcomes
@@ -49,22 +50,26 @@ class GalleryTask(Task):
     def sides(self) -> tuple[Float32Array, Float32Array]:
         return self.query_descriptors, self.gallery_descriptors
 
+    @cached_property
+    def compared(self) -> tuple[Float32Array, Float32Array]:
+        return csls.scaled(*self.sides(), self.neighbours) if self.neighbours else self.sides()
+
+    @property
+    def csls_tiles(self) -> Float32Array | None:
+        """The tiles' terms of CSLS, see `CslsTerms`, (G, n); None without it."""
+        return -self.contract.n_parts * self.compared[1][..., -1] if self.neighbours else None
+
     def ranking(self) -> ResumableRanking:
-        return ResumableRanking(*self.sides(), self.query_labels, self.gallery_labels, self.truth)
+        return ResumableRanking(*self.compared, self.query_labels, self.gallery_labels, self.truth)
 
     @cached_property
     def retrieved(self) -> Retrieval:
-        return metrics.retrieve(
-            self.query_descriptors,
-            self.query_labels,
-            self.gallery_descriptors,
-            self.gallery_labels,
-            self.truth,
-            query_outcomes.weight_factors(self.query_descriptors, self.weights),
-        )
+        queries, gallery = self.compared
+        factors = query_outcomes.weight_factors(queries, self.weights)
+        return metrics.retrieve(queries, self.query_labels, gallery, self.gallery_labels, self.truth, factors)
 
     def outcomes_of(self, ranking: Retrieval) -> Outcomes:
-        return query_outcomes.outcomes_of(ranking, *self.sides(), self.weights, self.known)
+        return query_outcomes.outcomes_of(ranking, *self.compared, self.weights, self.known)
 
     def stored_descriptor(self, index: int) -> Float32Array:
         return cast(Float32Array, self.gallery_descriptors[index])
@@ -89,6 +94,9 @@ class _GalleryRanks:
     ) -> None:
         self._task, self._query, self._lengths = task, query, lengths
         self._cosines = scoring.part_cosines(descriptor, task.gallery_descriptors)
+        # A region's score has no constants, and so none of CSLS.
+        tiles = None if lengths is not None else task.csls_tiles
+        self._csls = None if tiles is None else CslsTerms.of_query(self._cosines, tiles, task.neighbours)
         self._last: tuple[bytes, Ranking] | None = None
 
     def __call__(self, weights: Float32Array, also: int | None = None) -> Ranking:
@@ -96,7 +104,12 @@ class _GalleryRanks:
         if self._last is None or self._last[0] != weights.tobytes():
             label_and_truth = self._task.label_and_truth(self._query)
             ranking = retrieval.rank(
-                self._cosines, weights, self._task.gallery_labels, *label_and_truth, lengths=self._lengths
+                self._cosines,
+                weights,
+                self._task.gallery_labels,
+                *label_and_truth,
+                lengths=self._lengths,
+                csls=self._csls,
             )
             self._last = weights.tobytes(), ranking
         return self._last[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy.typing as npt
@@ -15,14 +16,19 @@ from lpn.core.progress import CountProgress
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture
 from lpn.models.base import Model
+from lpn.models.contract import Role
 from lpn.retrieval import scoring
-from lpn.retrieval.calibration import Calibration, calibrate
+from lpn.retrieval.calibration import MIN_PICTURES, Calibration, calibrate
+from lpn.retrieval.csls import NEIGHBOURS
 from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks import notes
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.notes import Note
+from lpn.tasks.shipped_calibration import read_calibration
+
+_ROLES: tuple[Role, Role] = ("query", "gallery")
 
 
 def open_task(
@@ -67,8 +73,9 @@ def open_task(
             gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery", of_gallery)
         else:
             query_side, gallery_side = (
-                calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
-                for side, view in zip((queries, gallery), views, strict=True)
+                descriptors.shipped_only(calibration.applied(model), side, view, dataset.root, role)
+                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
+                for side, view, role in zip((queries, gallery), views, _ROLES, strict=True)
             )
     except PictureError:  # of one list; name the broken pictures of all lists at once
         check_test_split(dataset, offered)
@@ -107,6 +114,50 @@ def _shifted(on_progress: CountProgress | None, before: int, total: int) -> Coun
     return None if on_progress is None else lambda done, _: on_progress(before + done, total)
 
 
+def scored_tasks(
+    model: Model, model_name: str, dataset: Dataset, calibration: Calibration, names: Sequence[str]
+) -> list[GalleryTask]:
+    """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
+
+    Args:
+        model: before the calibration.
+        names: of the tasks.
+
+    Raises:
+        LPNError: as `open_task`.
+    """
+    tasks = [open_task(model, model_name, dataset, name, calibration=calibration) for name in names]
+    return tasks + [replace(task, neighbours=NEIGHBOURS) for task in tasks if len(task.queries) >= NEIGHBOURS]
+
+
+def no_calibration(model: Model, dataset: Dataset) -> str:
+    """Return why a model cannot be calibrated on a data set's pictures, as a sentence; empty if it can."""
+    if model.contract.roles == "role":
+        return f"{model.contract.method} describes a view otherwise as query than as gallery, which one calibration does not fit."
+    counts = {view: len({p.path for some in lists for p in some}) for view, lists in _lists(model, dataset).items()}
+    if len(counts) < 2:
+        return f"A calibration takes pictures of two views, and all are of {' and '.join(counts)}."
+    view, fewest = min(counts.items(), key=lambda item: item[1])
+    if fewest < MIN_PICTURES:
+        return (
+            f"A calibration takes {MIN_PICTURES} pictures of each view or more, and there are {fewest} {view} pictures."
+        )
+    return ""
+
+
+def shipped_calibration(model: Model, dataset: Dataset) -> Calibration | None:
+    """Return the calibration of a model that ships with a data set; None without one."""
+    return read_calibration(model, dataset.root, _lists(model, dataset))
+
+
+def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]]:
+    """Return for each view the lists of pictures of all tasks that a model offers."""
+    lists: dict[View, list[Sequence[Picture]]] = {}
+    for name, pictures in lists_of(dataset, offered_tasks(model, dataset)).items():
+        lists.setdefault(cast(View, name.split()[1]), []).append(pictures)
+    return lists
+
+
 def calibrated(model: Model, dataset: Dataset) -> Calibration:
     """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
 
@@ -123,10 +174,7 @@ def calibrated(model: Model, dataset: Dataset) -> Calibration:
     if not tasks:
         raise no_task_error(model, dataset)
     check_test_split(dataset, tasks)
-    lists: dict[View, list[Sequence[Picture]]] = {}
-    for name, pictures in lists_of(dataset, tasks).items():
-        lists.setdefault(cast(View, name.split()[1]), []).append(pictures)
-    return calibrate(model, lists, descriptors.descriptor_reader(dataset.root))
+    return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root))
 
 
 def offered_tasks(model: Model, dataset: Dataset) -> list[str]:

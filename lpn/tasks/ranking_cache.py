@@ -97,7 +97,7 @@ def cache_file(task: Task) -> Path | None:
         folder = cache_folder() / "rankings"
     except OutputError:
         return None
-    digest = hashlib.sha256(f"{FORMAT} {task.identity}".encode())
+    digest = hashlib.sha256(f"{FORMAT} {task.identity} {task.neighbours}".encode())
     for labels in (task.query_labels, task.gallery_labels):
         digest.update(np.ascontiguousarray(labels, np.int64).tobytes() + b"|")
     for truth in task.truth or ():

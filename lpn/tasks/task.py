@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 import numpy.typing as npt
 
@@ -32,6 +32,11 @@ from lpn.tasks.query_outcomes import Outcomes
 if TYPE_CHECKING:
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol as EvaluationProtocol
+
+
+# How a gallery is ranked: by descriptors as they are, by calibrated ones, and by calibrated ones under CSLS.
+Scoring = Literal["plain", "calibrated", "csls"]
+SCORINGS: Final[tuple[Scoring, ...]] = ("plain", "calibrated", "csls")
 
 
 class RankUnderWeights(Protocol):
@@ -77,6 +82,7 @@ class Task(ABC):
         notes: a person's tags and notes by the query's path, see `lpn.tasks.notes`.
         columns: further columns of the table about the queries.
         calibration: what the pictures' zooms and the model's means come from; None without one.
+        neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks without it.
         no_map: why tiles have no positions on a map, as a sentence; empty if they have, or nothing can be said.
     """
 
@@ -99,7 +105,18 @@ class Task(ABC):
     notes: Mapping[str, Note] = field(default_factory=dict)
     columns: Sequence[Column] = ()
     calibration: Calibration | None = None
+    neighbours: int = 0
     no_map: str = ""
+
+    @property
+    def scoring(self) -> Scoring:
+        """How the gallery is ranked."""
+        return "csls" if self.neighbours else "plain" if self.calibration is None else "calibrated"
+
+    @property
+    def key(self) -> str:
+        """The name, with the scoring unless it is plain: one text for each ranking of a data set's tasks under one model."""
+        return scored_key(self.name, self.scoring)
 
     @property
     def query_view(self) -> View:
@@ -168,6 +185,11 @@ class Task(ABC):
         Raises:
             InputError: if the gallery is searched and not listed.
         """
+
+    @property
+    def compared(self) -> tuple[Float32Array, Float32Array]:
+        """What is ranked by inner product, see `sides`; under CSLS each part has one number more."""
+        return self.sides()
 
     @abstractmethod
     def ranking(self) -> RankingOfAll:
@@ -310,3 +332,8 @@ class Task(ABC):
         figures = {title: self.metrics[name] for name, title in names.items()}
         caption = f"{self.data_name}, {self.name}: {len(self.queries):,} queries, {self.gallery_description}"
         return percentages(caption, "model", {self.model_name: figures})
+
+
+def scored_key(name: str, scoring: Scoring) -> str:
+    """Return the key of a task's ranking under a scoring, see `Task.key`."""
+    return name if scoring == "plain" else f"{name}, {scoring}"

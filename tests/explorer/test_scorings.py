@@ -1,0 +1,187 @@
+"""Plain, calibrated, and CSLS: what the explorer ranks, explains, and links to under each, and what `lpn evaluate` says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+from explorer import reports, scorings
+from explorer.failure_lab.service import FailureLab
+from explorer.opening import open_model
+from explorer.panels import pages
+from explorer.session_state import SessionState
+from explorer.url_state import UrlState
+from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis.analyser import OwnPicture
+from lpn.core import images
+from lpn.datasets import open_dataset
+from lpn.retrieval.csls import NEIGHBOURS
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
+from lpn.tasks.task import SCORINGS, Scoring
+from tests.conftest import MakeOnce
+from tools.fixtures import small_worlds
+
+TASK = "drone-to-satellite"
+PATIENCE = 120.0
+
+
+@pytest.fixture(scope="module")
+def wide(make_once: MakeOnce) -> Path:
+    """Places whose drone pictures show more ground than their tiles."""
+
+    def fill(folder: Path) -> None:
+        for i in range(22):
+            ground = images.resize(small_worlds.place(300 + i), 192, 192)
+            pictures = {"drone": images.zoom(ground, 1.3 if i % 3 else 1.1), "satellite": images.zoom(ground, 2)}
+            for view, picture in pictures.items():
+                for role in ("query", "gallery"):
+                    file = folder / "places/test" / f"{role}_{view}" / f"{i:04d}/{i:04d}.png"
+                    small_worlds.write(file, images.resize(picture, 96, 96))
+
+    return make_once("scored-places", fill) / "places"
+
+
+@pytest.fixture(scope="module")
+def workspace(wide: Path, model_file: Path) -> Workspace:
+    opened = open_model(wide, model_file)
+    job = opened.scorings.prepare()
+    assert job is not None
+    assert job.wait(PATIENCE)
+    assert job.error is None
+    return opened
+
+
+def state_of(workspace: Workspace, scoring: Scoring, **fields: object) -> SessionState:
+    return replace(SessionState(TASK, workspace.contract.n_parts, scoring=scoring), **fields)
+
+
+@pytest.mark.parametrize("scoring", SCORINGS)
+def test_figures_are_those_of_evaluate(workspace: Workspace, wide: Path, model_file: Path, scoring: Scoring) -> None:
+    protocol = Protocol(calibrate=scoring != "plain", csls=NEIGHBOURS if scoring == "csls" else 0)
+    # The app calibrates on the pictures of all its tasks, which are the same files here.
+    measured = evaluate(lpn.load(model_file), open_dataset(wide), TASK, protocol)
+    ranking = workspace.rankings[state_of(workspace, scoring).ranking_key]
+    assert ranking.result is not None
+    assert {f"recall@{k}": value for k, value in measured.recall.items()}.items() <= ranking.results.items()
+    assert ranking.results["ap"] == pytest.approx(measured.ap)
+    assert ranking.task.evaluate().recall == measured.recall
+
+
+@pytest.mark.parametrize("scoring", SCORINGS)
+@pytest.mark.parametrize("weights", [(1.0, 1.0, 1.0, 1.0), (0.5, 2.0, 0.0, 1.0)])
+def test_contributions_and_evidence_add_up_to_what_is_ranked(
+    workspace: Workspace, scoring: Scoring, weights: tuple[float, ...]
+) -> None:
+    for query in range(5):
+        state = state_of(workspace, scoring, query=query, why=True, weights=weights)
+        analysis = StateAnalyser(workspace).analyse(state, 6)
+        assert analysis.pair_evidence is not None
+        evidence, chosen = analysis.pair_evidence.evidence, analysis.chosen
+        for match in analysis.matches:
+            assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
+            own = float(match.cosines @ analysis.ranking.weights)
+            assert own - sum(match.constants or ()) == pytest.approx(match.score, abs=1e-5)
+        assert [match.score for match in analysis.matches] == sorted(
+            (float(score) for score in analysis.ranking.scores), reverse=True
+        )[:6]
+        assert evidence.score == pytest.approx(chosen.score, abs=1e-5)
+        assert evidence.contributions == pytest.approx(chosen.contributions, abs=1e-5)
+        shares = evidence.query.score_map(evidence.weights).sum() + evidence.query.constants @ evidence.weights
+        assert shares + sum(evidence.csls_shares) == pytest.approx(chosen.score, abs=1e-5)
+        assert (chosen.constants is not None) == (scoring == "csls")
+
+
+@pytest.mark.parametrize("scoring", SCORINGS)
+def test_a_search_the_whole_ranking_the_laboratory_and_the_report_agree(workspace: Workspace, scoring: Scoring) -> None:
+    key = state_of(workspace, scoring).ranking_key
+    job = workspace.rankings[key]
+    lab = FailureLab(workspace)
+    assert lab.build(key, lab).wait(PATIENCE)
+    findings = lab.findings(key)
+    assert findings is not None
+    for query in range(len(job.task.queries)):
+        analysis = StateAnalyser(workspace).analyse(state_of(workspace, scoring, query=query), 3)
+        assert analysis.positive is not None
+        assert analysis.positive.rank == findings.table.columns["rank"].values[query]
+        negative = analysis.ranking.hardest_negative()
+        assert negative is not None
+        margin = float(findings.outcomes.margin[query])
+        assert negative.distance2 - analysis.positive.distance2 == pytest.approx(margin, abs=1e-5)
+    _, page = reports.of_selection(workspace, job.task, [0], "one query")
+    assert f"{job.results['recall@1']:.1f}" in page.decode()
+    assert ("(CSLS)" in page.decode()) == (scoring == "csls")
+
+
+def test_csls_alters_ranks_and_keeps_the_query_term_out_of_them(workspace: Workspace) -> None:
+    analyses = [StateAnalyser(workspace).analyse(state_of(workspace, one, query=1), 3) for one in ("calibrated", "csls")]
+    calibrated, csls = analyses
+    assert np.array_equal(calibrated.ranking.cosines, csls.ranking.cosines)
+    terms = csls.ranking.csls
+    assert terms is not None
+    order = np.argsort(-((csls.ranking.cosines - terms.tiles) @ csls.ranking.weights), kind="stable")
+    assert np.array_equal(order, csls.ranking.order)
+    assert not np.array_equal(calibrated.ranking.scores, csls.ranking.scores)
+
+
+def test_a_region_is_searched_without_constants(workspace: Workspace) -> None:
+    some = state_of(workspace, "csls", region=tuple(range(8)))
+    by_csls, calibrated = (StateAnalyser(workspace).analyse(replace(some, scoring=one), 3) for one in ("csls", "calibrated"))
+    assert by_csls.ranking.csls is None
+    assert np.array_equal(by_csls.ranking.scores, calibrated.ranking.scores)
+
+
+def test_an_own_picture_is_described_as_the_task_is_calibrated(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
+    own = OwnPicture("mine", task.queries[3].load())
+    for scoring in SCORINGS:
+        listed = StateAnalyser(workspace).analyse(state_of(workspace, scoring, query=3), 3)
+        mine = StateAnalyser(workspace).analyse(state_of(workspace, scoring, upload=own), 3)
+        assert mine.zoom == pytest.approx(listed.zoom)
+        assert mine.ranking.scores == pytest.approx(listed.ranking.scores, abs=1e-5)
+
+
+def test_links_bring_the_scoring_back_and_one_without_it_is_plain(workspace: Workspace) -> None:
+    links, start = UrlState(workspace), state_of(workspace, "plain")
+    for scoring in SCORINGS:
+        state = state_of(workspace, scoring, query=2)
+        address = links.write(state)
+        assert ("scoring" in address) == (scoring != "plain")
+        assert links.read(address, start) == (state, [])
+    kept, problems = links.read("scoring=best", start)
+    assert kept == start
+    assert problems == ["scoring=best: it is ranked plain or calibrated or csls here until it is calibrated."]
+
+
+def test_the_switch_names_what_each_scoring_brings_and_the_best_is_the_default(workspace: Workspace) -> None:
+    offered = scorings.choices(workspace.rankings, TASK)
+    assert [(one.scoring, one.ready) for one in offered] == [(one, True) for one in SCORINGS]
+    recalls = {one.scoring: one.recall or 0 for one in offered}
+    best = workspace.default_scoring(TASK)
+    assert recalls[best] == max(recalls.values())
+    for scoring in SCORINGS:
+        header = pages.header(workspace, workspace.rankings[state_of(workspace, scoring).ranking_key].task)
+        assert all(f"{recall:.1f} %" in header for recall in recalls.values())
+        assert header.count('<a class="chosen" ') >= 1
+
+
+def test_two_constants_are_named_beside_the_parts(workspace: Workspace) -> None:
+    analysis = StateAnalyser(workspace).analyse(state_of(workspace, "csls", why=True), 3)
+    table = pages.parts_table(analysis, workspace)
+    assert "half the query&#39;s mean" in table or "half the query's mean" in table
+    plain = StateAnalyser(workspace).analyse(state_of(workspace, "calibrated", why=True), 3)
+    assert "CSLS" not in pages.parts_table(plain, workspace)
+
+
+def test_few_pictures_are_ranked_plainly_and_the_page_says_why(data: Path, model_file: Path) -> None:
+    opened = open_model(data, model_file)
+    assert opened.default_scoring(TASK) == "plain"
+    assert opened.scorings.why_not.startswith("A calibration takes 20 pictures of each view or more, and there are")
+    assert opened.scorings.prepare() is None
+    assert opened.scorings.why_not in pages.header(opened, opened.tasks[TASK])
+    state = opened.supported_state(SessionState(TASK, 4, scoring="csls"))
+    assert state.scoring == "plain"
