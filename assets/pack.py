@@ -12,6 +12,7 @@ import csv
 import json
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -20,10 +21,13 @@ import lpn
 from lpn import descriptors
 from lpn.core import images
 from lpn.core.files import write_atomic
-from lpn.datasets import open_dataset
-from lpn.descriptors import STORES
+from lpn.core.views import View
+from lpn.datasets import Picture, open_dataset
+from lpn.descriptors import STORES, Precision
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
+from lpn.tasks.opening import calibrated
+from lpn.tasks.shipped_calibration import FOLDER, write_calibration
 from lpn.world.atlas import Settings, make_atlas
 from lpn.world.model3d import city_model, test_window
 
@@ -68,6 +72,7 @@ def main() -> None:
     write_atomic(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY))
     pack_model(model, "lpn", out, out / STORES)
     pack_model(baseline, "baseline", out, out / STORES / "baseline")
+    pack_calibration(out)
     out.rename(whole)
 
 
@@ -89,6 +94,17 @@ def pack_model(trained: Path, name: str, out: Path, stores: Path) -> None:
         files = [picture.path for picture in pictures]
         descriptors.describe(opened, files, view, stores / folder, root=out / "test" / folder, precision=precision)
     link_other_roles(stores)
+
+
+def pack_calibration(out: Path) -> None:
+    """Write the calibration of the demo's model, and the calibrated descriptors."""
+    model, dataset = lpn.load(out / "lpn.onnx"), open_dataset(out)
+    sides: dict[str, tuple[View, Sequence[Picture], Precision]] = {
+        "query_drone": ("drone", dataset.queries("drone"), "int8"),
+        "gallery_satellite": ("satellite", dataset.gallery("satellite"), "float16"),
+    }
+    write_calibration(model, out, calibrated(model, dataset), sides)
+    link_other_roles(out / FOLDER)
 
 
 def link_other_roles(folder: Path) -> None:

@@ -15,7 +15,7 @@ from rich.console import Console
 import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.ranking_job import RankingJob
-from explorer.scorings import Scorings
+from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import distinct_names, printable

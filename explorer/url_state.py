@@ -9,6 +9,7 @@ from typing import Any, get_args
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer import parameters, session_state
+from explorer.compute.scorings import choices
 from explorer.lab_choices import CHOICES, LabChoices, Selection
 from explorer.parameters import (
     LONGEST_TEXT,
@@ -20,7 +21,6 @@ from explorer.parameters import (
     parse_number,
     ranges,
 )
-from explorer.scorings import choices
 from explorer.session_state import POSITIVE, SessionState, WhyTab, with_field
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
@@ -221,9 +221,7 @@ class UrlState:
     def _read_scoring(self, state: SessionState, value: str) -> SessionState:
         ready = [one.scoring for one in choices(self._workspace.rankings, state.task) if one.ready]
         if value not in ready:
-            raise UnusableError(
-                f"it is ranked {' or '.join(ready)} here{'' if self._workspace.scorings.why_not else ' until it is calibrated'}."
-            )
+            raise UnusableError(f"it is ranked {' or '.join(ready)} here.")
         return with_field(state, "scoring", value)
 
     def _read_task(self, state: SessionState, value: str) -> SessionState:

@@ -12,15 +12,16 @@ from typing import Literal
 
 import numpy as np
 
-from explorer import scorings, session_state
+from explorer import session_state
+from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.centre_mean import CentreMean
 from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import QueuedModel, RequestContext
+from explorer.compute.scorings import Scorings
 from explorer.layout import layout_for
-from explorer.scorings import Scorings
 from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
 from lpn.core import images

@@ -21,8 +21,8 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
+from explorer.compute.scorings import choices
 from explorer.compute.worker import DelayedCall, Worker
-from explorer.scorings import choices
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.workspace import StateAnalyser, StateAnalysis

@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from explorer import scorings, session_state
+from explorer import session_state
+from explorer.compute import scorings
 from explorer.panels import answer_text
 from explorer.stage import pair_picture
 from explorer.web.render import render

@@ -13,12 +13,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from lpn.core.arrays import DAMAGED_ARRAY
+from lpn.core.arrays import DAMAGED_ARRAY, Float32Array
 from lpn.core.errors import StoreError
 from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.datasets import Picture
-from lpn.descriptors import STORES, open_store
+from lpn.descriptors import STORES, Manifest, Precision, descriptor_reader, open_store
+from lpn.descriptors.partial_store import PartialStore
+from lpn.descriptors.store import row_of
+from lpn.descriptors.transforms import UNCHANGED
+from lpn.descriptors.writer import write_store
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration, ZoomLevel
 
@@ -28,8 +32,24 @@ _NAME = "calibration.npz"
 _TILES = "gallery_satellite"
 
 
-def write_calibration(model: Model, root: Path, calibration: Calibration) -> None:
-    """Write a calibration of a model into a data set's folder; the stores of descriptors are written apart."""
+def write_calibration(
+    model: Model, root: Path, calibration: Calibration, sides: Mapping[str, tuple[View, Sequence[Picture], Precision]]
+) -> None:
+    """Write a calibration of a model, and calibrated descriptors, into a data set's folder.
+
+    Args:
+        sides: by the store's name, such as "query_drone": view, pictures, and precision on disk.
+    """
+    read, moved = descriptor_reader(root), calibration.applied(model)
+    for name, (view, pictures, precision) in sides.items():
+        rows = tuple(row_of(picture.path, picture.path.parents[1], picture.box) for picture in pictures)
+        manifest = Manifest.for_model(moved, view, UNCHANGED, rows, precision)
+        described = calibration.read(model, pictures, view, read)
+
+        def fill(partial: PartialStore, described: Float32Array = described) -> None:
+            partial.put(range(len(described)), described)
+
+        write_store(root / FOLDER / name, manifest, fill)
     values: dict[str, Any] = {
         "fingerprint": np.array(model.fingerprint),
         "ratio": np.array(calibration.ratio),

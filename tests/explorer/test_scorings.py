@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import lpn
-from explorer import reports, scorings
+from explorer import reports
+from explorer.compute import scorings
 from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
 from explorer.panels import pages
@@ -34,26 +35,24 @@ PATIENCE = 120.0
 def wide(make_once: MakeOnce) -> Path:
     """Places whose drone pictures show more ground than their tiles."""
 
-    def fill(folder: Path) -> None:
-        for i in range(22):
-            ground = images.resize(small_worlds.place(300 + i), 192, 192)
-            pictures = {"drone": images.zoom(ground, 1.3 if i % 3 else 1.1), "satellite": images.zoom(ground, 2)}
-            for view, picture in pictures.items():
-                for role in ("query", "gallery"):
-                    file = folder / "places/test" / f"{role}_{view}" / f"{i:04d}/{i:04d}.png"
-                    small_worlds.write(file, images.resize(picture, 96, 96))
+    return make_once("scored-places", lambda folder: write_places(folder / "places", 22)) / "places"
 
-    return make_once("scored-places", fill) / "places"
+
+def write_places(root: Path, count: int) -> None:
+    """Write a test split whose queries and gallery hold different pictures of the same places."""
+    for i in range(count):
+        ground = images.resize(small_worlds.place(300 + i), 192, 192)
+        pictures = {
+            "query_drone": images.zoom(ground, 1.3 if i % 3 else 1.1),
+            "gallery_satellite": images.zoom(ground, 2),
+        }
+        for folder, picture in pictures.items():
+            small_worlds.write(root / "test" / folder / f"{i:04d}/{i:04d}.png", images.resize(picture, 96, 96))
 
 
 @pytest.fixture(scope="module")
 def workspace(wide: Path, model_file: Path) -> Workspace:
-    opened = open_model(wide, model_file)
-    job = opened.scorings.prepare()
-    assert job is not None
-    assert job.wait(PATIENCE)
-    assert job.error is None
-    return opened
+    return open_model(wide, model_file, calibrate=True)
 
 
 def state_of(workspace: Workspace, scoring: Scoring, **fields: object) -> SessionState:
@@ -63,7 +62,6 @@ def state_of(workspace: Workspace, scoring: Scoring, **fields: object) -> Sessio
 @pytest.mark.parametrize("scoring", SCORINGS)
 def test_figures_are_those_of_evaluate(workspace: Workspace, wide: Path, model_file: Path, scoring: Scoring) -> None:
     protocol = Protocol(calibrate=scoring != "plain", csls=NEIGHBOURS if scoring == "csls" else 0)
-    # The app calibrates on the pictures of all its tasks, which are the same files here.
     measured = evaluate(lpn.load(model_file), open_dataset(wide), TASK, protocol)
     ranking = workspace.rankings[state_of(workspace, scoring).ranking_key]
     assert ranking.result is not None
@@ -118,7 +116,9 @@ def test_a_search_the_whole_ranking_the_laboratory_and_the_report_agree(workspac
 
 
 def test_csls_alters_ranks_and_keeps_the_query_term_out_of_them(workspace: Workspace) -> None:
-    analyses = [StateAnalyser(workspace).analyse(state_of(workspace, one, query=1), 3) for one in ("calibrated", "csls")]
+    analyses = [
+        StateAnalyser(workspace).analyse(state_of(workspace, one, query=1), 3) for one in ("calibrated", "csls")
+    ]
     calibrated, csls = analyses
     assert np.array_equal(calibrated.ranking.cosines, csls.ranking.cosines)
     terms = csls.ranking.csls
@@ -130,7 +130,9 @@ def test_csls_alters_ranks_and_keeps_the_query_term_out_of_them(workspace: Works
 
 def test_a_region_is_searched_without_constants(workspace: Workspace) -> None:
     some = state_of(workspace, "csls", region=tuple(range(8)))
-    by_csls, calibrated = (StateAnalyser(workspace).analyse(replace(some, scoring=one), 3) for one in ("csls", "calibrated"))
+    by_csls, calibrated = (
+        StateAnalyser(workspace).analyse(replace(some, scoring=one), 3) for one in ("csls", "calibrated")
+    )
     assert by_csls.ranking.csls is None
     assert np.array_equal(by_csls.ranking.scores, calibrated.ranking.scores)
 
@@ -154,7 +156,7 @@ def test_links_bring_the_scoring_back_and_one_without_it_is_plain(workspace: Wor
         assert links.read(address, start) == (state, [])
     kept, problems = links.read("scoring=best", start)
     assert kept == start
-    assert problems == ["scoring=best: it is ranked plain or calibrated or csls here until it is calibrated."]
+    assert problems == ["scoring=best: it is ranked plain or calibrated or csls here."]
 
 
 def test_the_switch_names_what_each_scoring_brings_and_the_best_is_the_default(workspace: Workspace) -> None:
@@ -177,10 +179,13 @@ def test_two_constants_are_named_beside_the_parts(workspace: Workspace) -> None:
     assert "CSLS" not in pages.parts_table(plain, workspace)
 
 
-def test_few_pictures_are_ranked_plainly_and_the_page_says_why(data: Path, model_file: Path) -> None:
-    opened = open_model(data, model_file)
+def test_few_pictures_are_ranked_plainly_and_the_page_says_why(tmp_path: Path, model_file: Path) -> None:
+    write_places(tmp_path / "few", 5)
+    opened = open_model(tmp_path / "few", model_file)
     assert opened.default_scoring(TASK) == "plain"
-    assert opened.scorings.why_not.startswith("A calibration takes 20 pictures of each view or more, and there are")
+    assert opened.scorings.why_not.startswith(
+        "A calibration takes 20 pictures of each view or more, and there are 5 drone"
+    )
     assert opened.scorings.prepare() is None
     assert opened.scorings.why_not in pages.header(opened, opened.tasks[TASK])
     state = opened.supported_state(SessionState(TASK, 4, scoring="csls"))
