@@ -55,7 +55,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         limit=limit,
         scale=overlays.data_uri(overlays.evidence_scale(200, 12), 95),
         evidence_colours=charts.EVIDENCE_COLOURS,
-        claim=workspace.contract.claim,
+        claim=analysis.task.contract.claim,
         lumps=verdicts.describe_lumps(_lumps(analysis, workspace)),
     )
 

@@ -65,15 +65,18 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
         places = "most of it by a constant that comes from no cell"
     else:
         places = f"where {_place('query', query_place)} agrees with {_place('tile', tile_place)}"
-    text = f"Part {names[best]} adds most to the score ({signed(weighted[best])} of {evidence.score:.3f}), {places}."
+    similarity, what = float(weighted.sum()), "score" if evidence.csls is None else "cosine"
+    text = f"Part {names[best]} adds most to the {what} ({signed(weighted[best])} of {similarity:.3f}), {places}."
     constants = float(evidence.query.constants @ evidence.weights)
-    if constants > evidence.score / 2 > 0:
+    if constants > similarity / 2 > 0:
         text += (
-            f" Of the whole score, {signed(constants)} is constants: what the network takes both pictures for, rather than "
+            f" Of the whole {what}, {signed(constants)} is constants: what the network takes both pictures for, rather than "
             "what they show."
         )
     if weighted[worst] < 0:
         text += f" Part {names[worst]} speaks against the pair ({signed(weighted[worst])})."
+    if evidence.csls is not None:
+        text += f" CSLS takes {-sum(evidence.csls_shares):.3f} from it, because both pictures have near neighbours elsewhere."
     return text
 
 

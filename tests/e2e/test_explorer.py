@@ -17,7 +17,9 @@ from lpn import datasets, descriptors, retrieval
 from lpn.core import images
 from lpn.core.demo import DEMO_QUERY
 from lpn.datasets import geo
+from lpn.descriptors.transforms import Change
 from lpn.retrieval import Ranking, scoring
+from lpn.tasks.opening import scored_tasks, shipped_calibration
 from tests.e2e.conftest import ExplorerPage, RunningApp, box, difference
 from tools.fixtures import small_worlds
 
@@ -38,6 +40,19 @@ def expected(app: RunningApp, name: str, angle: float = 0.0, weights: tuple[floa
     cosines = scoring.part_cosines(described.descriptor, tiles)
     labels = np.array([entry.label for entry in gallery])
     return retrieval.rank(cosines, scoring.part_weights(4, weights), labels, query.label)
+
+
+def expected_under_csls(app: RunningApp, name: str) -> Ranking:
+    """The ranking of a drone query under CSLS by the shipped calibration."""
+    model, dataset = lpn.load(app.model), datasets.open_dataset(app.data)
+    calibration = shipped_calibration(model, dataset)
+    assert calibration is not None
+    task = scored_tasks(model, "", dataset, calibration, ["drone-to-satellite"])[-1]
+    query = task.query_names.index(name)
+    assert task.model is not None
+    zoom = Change().for_picture(task.queries[query], task.queries[query].zoom)
+    described = retrieval.describe_picture(task.model, images.load_picture(task.queries[query].path), "drone", zoom)
+    return task.start_search(query, described.descriptor)(scoring.part_weights(4))
 
 
 def assert_shows(explorer: ExplorerPage, app: RunningApp, ranking: Ranking) -> None:
@@ -383,7 +398,8 @@ def test_the_demo_opens_without_being_told_anything(
     explorer.open(demo_app.url)
     expect(explorer.page.locator("#lpn-header")).to_contain_text("demo")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("within 50 m")
-    assert_shows(explorer, demo_app, expected(demo_app, DEMO_QUERY))
+    expect(explorer.page.locator("#lpn-scorings a.chosen")).to_have_text("CSLS 87.0 %")
+    assert_shows(explorer, demo_app, expected_under_csls(demo_app, DEMO_QUERY))
     explorer.key("m")
     expect(explorer.field("Map")).to_be_checked()
     explorer.stage(lambda picture: len(np.unique(picture.sum(axis=2))) > 100)
