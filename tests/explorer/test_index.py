@@ -28,6 +28,7 @@ from explorer.panels import answer_text, pages
 from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
+from lpn.analysis import part_weights
 from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison, effect_on
 from lpn.cli.main import main
@@ -37,6 +38,7 @@ from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask
 from lpn.maps import NamedWindow
 from lpn.sources import Indexed, ModelOptions
+from lpn.tasks import turned
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import GATES, GateModel
@@ -197,6 +199,8 @@ def test_what_an_index_cannot_tell_is_said(workspace: Workspace, monkeypatch: py
         reports.of_analysis(workspace, analysis)
     with pytest.raises(InputError, match="takes a search for each"):
         effect_on(analysis.task, None, (1, 1, 1, 0))
+    assert "gallery in memory" in part_weights.why_not(analysis.task)
+    assert "gallery in memory" in turned.why_not(analysis.task)
     html = comparison.page(analysis, workspace, Comparison.of(analysis.ranking, analysis.matches[1]), None, False)
     assert "among the 10 nearest tiles" in html.replace("\n", " ").replace("    ", "")
     job = ranking_job.RankingJob(_task(workspace))
