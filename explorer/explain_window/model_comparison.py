@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from markupsafe import Markup
 
-from explorer.browse.feeds import Side
 from explorer.compute.centre_mean import CentreMean
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
@@ -27,7 +26,8 @@ from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture, Match
 from lpn.tasks.task import Task
 
-_SIDES: tuple[Side, ...] = ("query", "tile")
+_Side = Literal["query", "tile"]
+_SIDES: tuple[_Side, ...] = ("query", "tile")
 # Numbers of matches and of queries listed, and the size of a picture with its heatmap: height, and the largest width.
 _MATCHES, _QUERIES, _SIZE = 5, 8, (256, 700)
 _LETTERS = "AB"
@@ -46,7 +46,7 @@ class _Map:
         share: of its activation in the centre box, in percent; None without a centre.
     """
 
-    side: Side
+    side: _Side
     caption: str
     picture: str
     labels: list[tuple[float, str]]
@@ -235,7 +235,7 @@ class ModelComparison:
         return drawn
 
     def _map(
-        self, workspace: Workspace, analysis: StateAnalysis, side: Side, cells: FloatingArray, low: float, high: float
+        self, workspace: Workspace, analysis: StateAnalysis, side: _Side, cells: FloatingArray, low: float, high: float
     ) -> _Map:
         task = analysis.task
         described, view = _side(analysis, side)
@@ -256,7 +256,7 @@ class ModelComparison:
             None if mean is None else 100 * centre_share(described.trace.activation),
         )
 
-    def _mean(self, workspace: Workspace, task: str, side: Side) -> CentreMean | None:
+    def _mean(self, workspace: Workspace, task: str, side: _Side) -> CentreMean | None:
         """Return the test set's mean of a side under a model; None where pictures have no centre."""
         opened = workspace.tasks.get(task)
         if opened is None or workspace.model is None:
@@ -381,7 +381,7 @@ def _state(state: SessionState, other: Workspace, tile: int | None) -> SessionSt
     )
 
 
-def _side(analysis: StateAnalysis, side: Side) -> tuple[DescribedPicture, View]:
+def _side(analysis: StateAnalysis, side: _Side) -> tuple[DescribedPicture, View]:
     query, tile = analysis.task.views
     return (analysis.query, query) if side == "query" else (analysis.tile, tile)
 

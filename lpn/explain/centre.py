@@ -34,8 +34,7 @@ def centre_shares(model: Model, pictures: Sequence[Picture], view: View) -> Iter
         batch = pictures[start : start + _BATCH]
         outputs = model.run(np.stack([model.prepare(picture.load_zoomed(), view) for picture in batch]), view)
         for i in range(len(batch)):
-            values = (None if array is None else array[i : i + 1] for array in outputs)
-            one = ForwardPass(*values)  # type: ignore[arg-type]
+            one = ForwardPass(*(None if values is None else values[i : i + 1] for values in outputs))  # type: ignore[arg-type]
             yield centre_share(Trace.from_pass(model, one, view).activation)
 
 

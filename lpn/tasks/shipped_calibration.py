@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -98,4 +98,4 @@ def read_calibration(model: Model, root: Path, lists: Mapping[View, Sequence[Seq
     if any(picture.path not in zooms[view] for view, of_view in lists.items() for some in of_view for picture in some):
         return None
     tried = {float(ratio): float(value) for ratio, value in values["tried"].tolist()}
-    return Calibration(cast("dict[View, Any]", means), zooms, tried, float(values["ratio"]), levels, tiles)
+    return Calibration(means, zooms, tried, float(values["ratio"]), levels, tiles)
