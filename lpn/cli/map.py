@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lpn.maps import Map
 
 
 @dataclass
 class MapCommand:
-    """Make a map of a GeoTIFF, a picture with corners, tiles, or several sheets; other commands take its folder."""
+    """Make a map of a GeoTIFF, a picture with corners, tiles, several sheets, or your own photos; other commands take its folder."""
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles, .sqlitedb; several
@@ -27,13 +32,14 @@ class MapCommand:
     keep_borders: bool = False
     """Keep white and black borders as part of the picture."""
 
+    from_flight: tuple[Path, ...] | None = None
+    """Photos with GPS tags that look straight down, or folders of them, in place of files: an orthophoto is made of them, as if
+    the ground were flat. Place and scale are those of the tags."""
+
     def run(self) -> None:
         from lpn.core.files import printable
-        from lpn.maps import MapOptions
-        from lpn.maps.folder import build_map
 
-        options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
-        written = build_map(self.files, self.out, options, lambda message: print(printable(message), flush=True))
+        written = self._written(lambda message: print(printable(message), flush=True))
         for note in written.notes:
             print(printable(note))
         west, south, east, north = written.bounds
@@ -44,3 +50,20 @@ class MapCommand:
             f"{longitude:.6f}, {written.coverage().mean():.0%} of it with data, from {sheets}; the finest has "
             f"{written.resolution:.3g} m per pixel."
         )
+
+    def _written(self, on_progress: Callable[[str], None]) -> Map:
+        from lpn.core.errors import InputError
+        from lpn.maps import MapOptions
+        from lpn.maps.folder import build_map
+
+        options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
+        if self.from_flight is None:
+            return build_map(self.files, self.out, options, on_progress)
+        if self.files or options != MapOptions():
+            raise InputError("--from-flight makes the map of photos alone; leave the other files and options out.")
+        from lpn.flights import photos_of
+        from lpn.flights.base import degrees
+        from lpn.maps.orthophoto import build_from_photos
+
+        frames = photos_of(self.from_flight, self.out.resolve().name).frames
+        return build_from_photos([frame.file for frame in frames], degrees(frames), self.out, on_progress)

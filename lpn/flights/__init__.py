@@ -15,7 +15,7 @@ from lpn.core.errors import DataError
 from lpn.flights.base import Flight, Frame, HeadingSource
 from lpn.flights.cameras import footprint, ground_width
 from lpn.flights.folder import is_flight, read_flight, write_flight
-from lpn.flights.sources import FlightOptions, flight_of_folder, flight_of_photos, make_flight
+from lpn.flights.sources import FlightOptions, flight_of_folder, flight_of_photos, make_flight, photos_of
 
 __all__ = [
     "Flight",
@@ -27,6 +27,7 @@ __all__ = [
     "ground_width",
     "make_flight",
     "open_flight",
+    "photos_of",
     "write_flight",
 ]
 

@@ -149,6 +149,22 @@ def flight_of_folder(folder: Path) -> Flight:
     return replace(flight, notes=(*flight.notes, *_others_note(files_below(folder, _OTHER_PICTURES))))
 
 
+def photos_of(paths: Sequence[Path], name: str) -> Flight:
+    """Read photos as a flight, without writing it.
+
+    Args:
+        paths: photos, and folders of photos.
+
+    Raises:
+        DataError: if a path is not there, or none has a photo that can be read.
+    """
+    photos = _sorted_files(paths).photos
+    if not photos:
+        where = ", ".join(printable(str(path)) for path in paths) or "what was named"
+        raise DataError(f"There is no photo in {where}; expected {', '.join(PHOTOS)}.")
+    return flight_of_photos(photos, name)
+
+
 def _others_note(files: Sequence[Path]) -> list[str]:
     """Return the note, if any, that names files which are left out."""
     if not files:

@@ -112,6 +112,34 @@ def build_map(
     files = files_of(paths, options)
     earlier = _written_before(out)
     _check_inputs(files, out)
+    return _build(files, out, options, earlier, on_progress)
+
+
+def write_own_map(
+    file: Path, out: Path, notes: Sequence[str], on_progress: Callable[[str], None] = lambda _: None
+) -> Map:
+    """Write the folder of a map whose one sheet lies in the folder itself, and return the map.
+
+    Args:
+        file: a GeoTIFF with transparency in `out`, a folder that holds nothing else.
+        notes: sentences about how the sheet was made, which commands that read the map print.
+
+    Raises:
+        DataError: if the file cannot be read, or has no valid pixel.
+        OutputError: if the folder cannot be written.
+    """
+    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes)
+
+
+def _build(
+    files: Sequence[Path],
+    out: Path,
+    options: MapOptions,
+    earlier: set[str],
+    on_progress: Callable[[str], None],
+    notes: Sequence[str] = (),
+) -> Map:
+    """Write the folder of a map whose place is checked; `earlier` are the names in `sheets/` that it may replace."""
     places = [None if is_tile_set(file) else georeference(file, options) for file in files]
     _check_places(files, places, options)
     targets = [out / _SHEETS / f"{number:02d}" for number in range(1, len(files) + 1)]
@@ -131,6 +159,7 @@ def build_map(
         if path.parent == target.parent:
             kept |= {f"{path.name}{end}" for end in _ENDS}
         sheets.append(raster_sheet(file, path, *place, options))
+        sheets[-1].raster.notes += notes
     for name in (earlier | planned) - kept:
         (out / _SHEETS / name).unlink(missing_ok=True)
     whole = Map(files[0].stem, sheets)

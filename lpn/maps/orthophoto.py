@@ -1,0 +1,195 @@
+"""A map from a flight's own photos: an orthophoto by pyOrthomosaic (the extra `orthophoto`), in the folder of a map.
+
+Photos are laid side by side as if the ground were a plane. Place, turn, and scale are fitted to the GPS tags, so the map is as
+good as these are together, and no better: an error that all tags share is one of the map.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError, OutputError
+from lpn.core.files import check_writable, printable
+from lpn.core.requirements import missing_package
+from lpn.maps import _gdal
+from lpn.maps.folder import NAME, open_folder, write_own_map
+from lpn.maps.map import Map
+
+# Photos that a map needs at least, and the names that a sentence lists.
+_LEAST, _NAMED = 3, 5
+# Side of the coarsest overview in pixels.
+_COARSEST = 512
+# Lines of the library's log that tell how far it is, by their beginnings, and the sentence for each.
+_STEPS = {
+    "Extracting features": "Step 1 of 3: looking for points to match in {photos} photos.",
+    "Matching": "Step 2 of 3: {line}.",
+    "Aligned": "Step 3 of 3: laying {photos} photos over one another.",
+    "rendered": "Step 3 of 3: {line} of the map.",
+}
+
+
+def build_from_photos(
+    photos: Sequence[Path], tags: Float64Array, out: Path, on_progress: Callable[[str], None] = lambda _: None
+) -> Map:
+    """Make an orthophoto of photos that look straight down, write it as the folder of a map, and return the map.
+
+    Args:
+        photos: files with GPS tags in their EXIF.
+        tags: latitude and longitude of each in degrees, (N, 2); NaN without one.
+        out: the folder, which must not be there; it appears when all is written.
+        on_progress: called with a sentence at each step, which has its number.
+
+    Raises:
+        DataError: if fewer than three photos have GPS tags, or overlap.
+        OutputError: if `out` is there already, or cannot be written.
+        MissingPackageError: without the library.
+    """
+    if out.exists():
+        raise OutputError(
+            f"{printable(str(out))} is there already; choose another folder for the map, or delete that one."
+        )
+    try:
+        import orthomosaic
+    except ModuleNotFoundError as error:
+        raise missing_package(error) from error
+    _gdal.rasterio()
+    _check_photos(photos, tags)
+    check_writable(out / NAME)
+    name = out.resolve().name
+    with TemporaryDirectory(prefix=f".{name}-", dir=out.parent) as folder:
+        part = Path(folder) / name
+        part.mkdir()
+        file = part / f"{name}.tif"
+        with _steps(len(photos), on_progress):
+            report = _orthophoto(orthomosaic, photos, file)
+        file.with_name(f"{name}_report.json").unlink()
+        on_progress(f"Making overviews of {printable(file.name)}.")
+        _make_overviews(file)
+        notes = [*_left_out(report), _limits(report, photos, tags)]
+        write_own_map(file, part, notes, on_progress).close()
+        try:
+            os.replace(part, out)
+        except OSError as error:
+            raise OutputError(
+                f"{printable(str(out))} cannot be written ({error.strerror}); choose another folder for the map."
+            ) from error
+    return open_folder(out)
+
+
+def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:
+    if len(photos) < _LEAST:
+        raise DataError(
+            f"There {'is' if len(photos) == 1 else 'are'} {len(photos)} photo{'s' * (len(photos) != 1)} for a map; expected "
+            f"{_LEAST} at least, which overlap."
+        )
+    twice = [name for name, count in Counter(photo.name for photo in photos).items() if count > 1]
+    if twice:
+        raise DataError(f"{printable(twice[0])} is the name of several photos; give each its own name.")
+    without = [photo.name for photo, tag in zip(photos, tags, strict=True) if np.isnan(tag).any()]
+    if len(photos) - len(without) < _LEAST:
+        raise DataError(
+            f"{len(without)} of {len(photos)} photos have no GPS tag, such as {printable(without[0])}; a map needs {_LEAST} with "
+            "one, as place and scale come from the tags."
+        )
+
+
+def _orthophoto(library: Any, photos: Sequence[Path], file: Path) -> dict[str, Any]:
+    """Write the orthophoto, and return the library's report on it."""
+    few = (
+        f"Too few of the {len(photos)} photos overlap for a map; expected {_LEAST} or more that look straight down, each sharing "
+        "half of its ground with the next."
+    )
+    try:
+        report: dict[str, Any] = library.build_orthomosaic(
+            [str(photo) for photo in photos], str(file), library.Options(preview=False, thermal="off", exposure_compensation=False)
+        )
+    except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+        raise DataError(f"{few} The library says: {printable(str(error))[:200]}.") from error
+    except (OSError, Image.DecompressionBombError) as error:
+        raise DataError(f"The photos cannot be made into a map ({printable(str(error))[:200]}); check them.") from error
+    if report["images_used"] < _LEAST:
+        raise DataError(few)
+    if not report["georeferenced"]:
+        raise DataError(
+            "The GPS tags do not fit the photos, so the map has no place; expected photos of one flight, with their own tags."
+        )
+    return report
+
+
+@contextmanager
+def _steps(photos: int, on_progress: Callable[[str], None]) -> Iterator[None]:
+    """Turn the library's log into sentences of progress while it works."""
+
+    class Teller(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            line = record.getMessage().strip()
+            for begin, sentence in _STEPS.items():
+                if line.startswith(begin):
+                    plain = line.partition(" (")[0].replace("/", " of ")
+                    on_progress(sentence.format(photos=photos, line=plain[:1].lower() + plain[1:]))
+
+    log, teller = logging.getLogger("orthomosaic"), Teller()
+    level, log.propagate = log.level, False
+    log.setLevel(logging.INFO)
+    log.addHandler(teller)
+    try:
+        yield
+    finally:
+        log.removeHandler(teller)
+        log.setLevel(level)
+        log.propagate = True
+
+
+def _make_overviews(file: Path) -> None:
+    library = _gdal.rasterio()
+    with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), library.open(file, "r+") as raster:
+        side = max(raster.width, raster.height)
+        factors = [1 << i for i in range(1, 20) if side >> (i - 1) > _COARSEST]
+        raster.build_overviews(factors, library.enums.Resampling.average)
+
+
+def _left_out(report: dict[str, Any]) -> list[str]:
+    names: list[str] = report["images_dropped"]
+    if not names:
+        return []
+    return [
+        f"{len(names)} of {report['images_total']} photos overlap too little with the others, and are not in the map: "
+        f"{', '.join(map(printable, names[:_NAMED]))}{', ...' if len(names) > _NAMED else ''}."
+    ]
+
+
+def _limits(report: dict[str, Any], photos: Sequence[Path], tags: Float64Array) -> str:
+    """Say how far the map can be relied on: the metres from each photo's tag to its middle on the map."""
+    middles, places = [], []
+    library = _gdal.rasterio()
+    for photo, tag in zip(photos, tags, strict=True):
+        camera = report["cameras"].get(photo.name)
+        if camera is None or np.isnan(tag).any():
+            continue
+        with Image.open(photo) as picture:
+            width, height = picture.size
+            if picture.getexif().get(274, 1) in (5, 6, 7, 8):
+                width, height = height, width
+        middles.append(np.array(camera["affine"]) @ [(width - 1) / 2, (height - 1) / 2, 1.0])
+        places.append(tag)
+    latitudes, longitudes = np.array(places).T
+    metres = np.stack(
+        library.warp.transform("EPSG:4326", f"EPSG:{report['epsg']}", longitudes.tolist(), latitudes.tolist()), axis=1
+    )
+    off = np.hypot(*(np.array(middles) - metres).T)
+    return (
+        f"The map is made of {report['images_used']} photos as if the ground were flat, so what stands on it leans. Place and "
+        f"scale are those of the GPS tags, which lie {np.median(off):.1f} m from the photos' middles on it in the median, "
+        f"{off.max():.1f} m at most."
+    )
