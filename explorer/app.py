@@ -285,7 +285,7 @@ def _start(
     _check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    return App(open_workspace(), host, port, authenticator, "pairs", others, embedders)
+    return App(open_workspace(), host, port, authenticator, "a rendered city", others, embedders)
 
 
 @contextmanager

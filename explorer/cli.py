@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from lpn.cli import by_source
-from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
@@ -187,8 +187,16 @@ class Explore(ExploreSource):
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
         is_demo = self.data is None and self.model is None
         baseline = DEMO_BASELINE if is_demo and DEMO_BASELINE.is_file() else None
-        flight = is_demo and DEMO_FLIGHT[0].is_file()
-        others = {"flight": offered_flight(*DEMO_FLIGHT, DEMO_MODEL, self.provider)} if flight else {}
+        others = {
+            key: offered_flight(
+                label, *place, DEMO_MODEL, self.provider, shipped=place[0].with_name(DEMO_ANSWERS)
+            )
+            for key, label, place in (
+                ("place", "a real flight", DEMO_PLACE),
+                ("flight", "a rendered flight", DEMO_FLIGHT),
+            )
+            if is_demo and place[0].is_file()
+        }
         return partial(
             open_model,
             self.data or DEMO,

@@ -241,6 +241,7 @@ def open_flight_over(
     report: ReportProgress | None = None,
     kind: Kind | None = None,
     beside_kinds: Sequence[Kind | None] = (),
+    shipped: Path | None = None,
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
 
@@ -258,6 +259,7 @@ def open_flight_over(
         report: receives the progress of the description; by default the terminal shows it.
         kind: the method of `model`, see `lpn.load`.
         beside_kinds: those of `beside`; None for models that tell theirs.
+        shipped: a folder of answers of `model` that ship with the flight, see `lpn.locate.shipped`.
 
     Raises:
         LPNError: when map, flight, or a model cannot be used, a model is given twice, or there is no such frame.
@@ -266,7 +268,7 @@ def open_flight_over(
     _check_different(model, kind, beside, kinds)
     name, names = _names(model, beside)
     source = Flown(map=map_path, flight=flight_path, model=ModelOptions(model=model, kind=kind, provider=provider))
-    opened = _open_flown(source, name, overlap, report)
+    opened = _open_flown(source, name, overlap, report, shipped)
     workspace, located, network = _workspace(opened, with_city=False), opened.located, opened.network
     assert located is not None
     assert network is not None
@@ -290,22 +292,45 @@ def _opens_flown(source: Flown, name: str, overlap: float) -> Callable[[ReportPr
     return lambda report: _workspace(_open_flown(source, name, overlap, report), with_city=False)
 
 
-def offered_flight(map_path: Path, flight_path: Path, model: Path, provider: ProviderName = "auto") -> LazyWorkspace:
-    """Return a flight over a map that is opened when a browser asks for it, see `open_flight_over`."""
+def offered_flight(
+    label: str,
+    map_path: Path,
+    flight_path: Path,
+    model: Path,
+    provider: ProviderName = "auto",
+    query: str | None = None,
+    shipped: Path | None = None,
+) -> LazyWorkspace:
+    """Return a flight over a map that is opened when a browser asks for it, see `open_flight_over`.
+
+    Args:
+        label: its name on the page.
+    """
 
     def opened(report: ReportProgress) -> Workspace:
-        return open_flight_over(map_path, flight_path, model, provider=provider, overlap=OFFERED_OVERLAP, report=report)
+        return open_flight_over(
+            map_path,
+            flight_path,
+            model,
+            query,
+            provider=provider,
+            overlap=OFFERED_OVERLAP,
+            report=report,
+            shipped=shipped,
+        )
 
-    return LazyWorkspace("a flight over its map", _naming_files([map_path, flight_path, model], opened))
+    return LazyWorkspace(label, _naming_files([map_path, flight_path, model], opened))
 
 
-def _open_flown(source: Flown, name: str, overlap: float, report: ReportProgress | None) -> OpenedSource:
+def _open_flown(
+    source: Flown, name: str, overlap: float, report: ReportProgress | None, shipped: Path | None = None
+) -> OpenedSource:
     """Open a flight without registration, under a name of its model."""
     with (
         _status(f"Opening {source.title}"),
         progress_bars() if report is None else nullcontext(_counts(report)) as progress,
     ):
-        return source.locate(overlap, progress).named(name)
+        return source.locate(overlap, progress, shipped=shipped).named(name)
 
 
 def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:

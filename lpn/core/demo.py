@@ -13,8 +13,12 @@ DEMO = ASSETS / "demo"
 DEMO_MODEL = DEMO / "lpn.onnx"
 # The model of one part, trained alike; the explorer offers to compare with it where the file is there.
 DEMO_BASELINE = DEMO / "baseline.onnx"
-# A map and a rendered flight over it; the explorer offers it beside the pairs where it is there.
+# A map and a rendered flight over it; the explorer offers it beside the city where it is there.
 DEMO_FLIGHT = DEMO.with_name("demo-flight") / "map-in-spring.tif", DEMO.with_name("demo-flight") / "flight-in-autumn"
+# A real flight over a map that `lpn map --from-flight` made of other photos of the same flight.
+DEMO_PLACE = DEMO.with_name("demo-place") / "map.tif", DEMO.with_name("demo-place") / "even-photos"
+# The folder of the model's answers beside the photos of either flight.
+DEMO_ANSWERS = "answers"
 # The query that the explorer shows first.
 DEMO_QUERY = "0394/06"
 
@@ -25,7 +29,7 @@ def own_file(folder: Path, name: str) -> Path:
     Raises:
         OutputError: for the demo, if the user has no home folder.
     """
-    shipped = {path.resolve() for path in (DEMO, DEMO_FLIGHT[1])}
+    shipped = {path.resolve() for path in (DEMO, DEMO_FLIGHT[1], DEMO_PLACE[1])}
     return data_folder() / folder.resolve().name / name if folder.resolve() in shipped else folder / name
 
 

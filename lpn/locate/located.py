@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import msgspec
@@ -143,6 +144,7 @@ class LocatedFlight:
         audit: of the tags against registered positions; None without registration.
         notes: sentences about the run.
         retrieval: scores of all windows; None without a model.
+        shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
     """
 
     flight: Flight
@@ -151,6 +153,7 @@ class LocatedFlight:
     audit: TagAudit | None
     notes: list[str]
     retrieval: MapRetrieval | None
+    shipped: Mapping[str, StageRecord] = field(default_factory=dict)
 
     @property
     def stages(self) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -17,8 +18,9 @@ from lpn.locate.index_windows import IndexedWindows
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import enter_retrieval, enter_sequence
-from lpn.locate.registered_stage import UNKNOWN, refuse_jumps, register_frames
+from lpn.locate.registered_stage import FORMAT, UNKNOWN, refuse_jumps, register_frames
 from lpn.locate.retrieval import retrieve
+from lpn.locate.shipped import ShippedAnswers
 from lpn.locate.tags import enter_corrections, tags_on_map
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -37,6 +39,7 @@ def locate(
     on_progress: Progress | None = None,
     corrections: Mapping[str, Correction] | None = None,
     indexed: IndexedWindows | None = None,
+    shipped: Path | None = None,
 ) -> LocatedFlight:
     """Locate the frames of a flight.
 
@@ -48,6 +51,7 @@ def locate(
         corrections: a person's, by the frame's name. They change no answer of a stage: they are the truth of errors and of the
             audit, and stand in the track in place of registrations.
         indexed: the map's windows, described by the model; without them, the windows that the options tell are described.
+        shipped: a folder of answers that ship with the flight, which are taken if they fit, see `lpn.locate.shipped`.
 
     Raises:
         InputError: if no stage is left, a prior is given beside a model, or the model lacks a view.
@@ -75,10 +79,12 @@ def locate(
             f"Registration searched around the tags only (prior {options.prior:g} m), so errors against the tags say less than "
             "those of a search without a prior."
         )
-    retrieval = None
+    retrieval, answers = None, None
     if model is not None:
+        if shipped is not None:
+            answers = ShippedAnswers.open(shipped, FORMAT, model, basemap, flight)
         retrieval = retrieve(
-            model, basemap, flight, options.sizes, options.overlap, options.centre, on_progress, indexed
+            model, basemap, flight, options.sizes, options.overlap, options.centre, on_progress, indexed, answers
         )
         notes += retrieval.notes
         if retrieval.broken:
@@ -89,7 +95,8 @@ def locate(
         enter_retrieval(retrieval, frames, options.top)
         if options.sequence:
             notes += enter_sequence(retrieval, flight, frames, options)
-    located = LocatedFlight(flight, basemap, frames, None, notes, retrieval)
+    registrations = {} if answers is None else answers.registration
+    located = LocatedFlight(flight, basemap, frames, None, notes, retrieval, registrations)
     return registered(located, model, options, on_progress) if options.register else located
 
 
@@ -123,7 +130,9 @@ def registered(
             on_partial(replace(located, frames=copies))
             published = time.monotonic()
 
-    notes = register_frames(located.basemap, located.flight, frames, options, model, located.retrieval, report)
+    notes = register_frames(
+        located.basemap, located.flight, frames, options, model, located.retrieval, report, located.shipped
+    )
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

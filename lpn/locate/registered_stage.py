@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
@@ -61,8 +61,9 @@ def register_frames(
     model: Model | None,
     retrieval: MapRetrieval | None,
     on_progress: Progress | None,
+    shipped: Mapping[str, StageRecord],
 ) -> list[str]:
-    """Enter the answers of the registration, those of a killed run from its records; return sentences about them."""
+    """Enter the answers of the registration, shipped ones and those of a killed run's records first; return sentences on them."""
     matchers = [open_matcher(options.matcher)]
     if options.matcher == "auto" and matchers[0].name != SiftMatcher.name:
         matchers.append(SiftMatcher())
@@ -79,7 +80,7 @@ def register_frames(
     for i, located in enumerate(frames):
         # An answer depends on the frames before it, whose widths it takes over.
         trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), _candidates(located, options)])
-        answer = records.get(trail)
+        answer = shipped.get(located.frame.name) or records.get(trail)
         if answer is None:
             answer = register_frame(basemap, features, located, options, widths, ratios, retrieval)
             records.append(trail, answer)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from lpn.locate.index_windows import IndexedWindows
 from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 from lpn.retrieval import scoring
+
+if TYPE_CHECKING:
+    from lpn.locate.shipped import ShippedAnswers
 
 # Ratio of one size of the pyramid to the next, and the most sizes without a known width.
 _PYRAMID = 1.4
@@ -198,6 +201,7 @@ def retrieve(
     centre: bool = True,
     on_progress: Progress | None = None,
     indexed: IndexedWindows | None = None,
+    shipped: ShippedAnswers | None = None,
 ) -> MapRetrieval:
     """Describe windows and frames, from the user's cache where they were described before.
 
@@ -209,6 +213,7 @@ def retrieve(
             neither is done, and a note says so.
         on_progress: called with "windows" or "frames", the number described, and the total.
         indexed: windows that are described already; `sizes` and `overlap` do not count then.
+        shipped: descriptors that ship with the flight; those of other windows or frames are not taken.
 
     Raises:
         InputError: if the model lacks a view, or no window of the map has data.
@@ -246,12 +251,14 @@ def retrieve(
     def bar(stage: str) -> AbstractContextManager[CountProgress]:
         return nullcontext(lambda done, total: None if on_progress is None else on_progress(stage, done, total))
 
-    if indexed is None:
+    if indexed is not None:
+        tiles, overlap = indexed.descriptors, indexed.overlap
+    elif (ready := shipped and shipped.windows(windows, side)) is not None:
+        tiles = ready
+    else:
         ground = _cached(basemap.digest(), model.fingerprint, side, windows)
         with in_cache():
             tiles = np.array(describe_windows(model, basemap, windows, ground, bar=bar("windows")).float32)
-    else:
-        tiles, overlap = indexed.descriptors, indexed.overlap
     rows = tuple(_frame_row(flight.frames[i], heading, share) for i, heading, share in jobs)
     manifest = Manifest.for_model(model, query, UNCHANGED, rows)
     broken: dict[int, PictureError] = {}
@@ -259,8 +266,11 @@ def retrieve(
     def fill(partial: PartialStore) -> None:
         fill_store(model, partial, of_frame, query, bar("frames"), broken)
 
-    with in_cache():
-        queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
+    if (ready := shipped and shipped.frames(flight, headings, cut_shares)) is not None:
+        queries = ready
+    else:
+        with in_cache():
+            queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
     bad = {jobs[j][0]: str(error) for j, error in broken.items()}
     notes = _size_notes(flight.frames, levels)
     good = np.array([job[0] not in bad for job in jobs], bool)

@@ -348,8 +348,13 @@ class Flown(TaskSource):
         on_progress: Progress = no_progress,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
+        shipped: Path | None = None,
     ) -> OpenedSource:
-        """Open the flight with windows that overlap by a share of their sides, `LocateOptions.overlap` by default."""
+        """Open the flight with windows that overlap by a share of their sides, `LocateOptions.overlap` by default.
+
+        Args:
+            shipped: see `lpn.locate.pipeline.locate`.
+        """
         from lpn.flights import open_flight
         from lpn.locate.options import LocateOptions
         from lpn.locate.pipeline import locate
@@ -363,7 +368,7 @@ class Flown(TaskSource):
         scoring.part_weights(model.n_parts, weights)
         query_positions(names, flight.frames, flight.name)
         options = LocateOptions(register=False, overlap=LocateOptions.overlap if overlap is None else overlap)
-        located = locate(ground, flight, model, options, on_progress)
+        located = locate(ground, flight, model, options, on_progress, shipped=shipped)
         task = flight_task(model, self.model.name, located, self.flight)
         notes = [printable(note) for note in (*ground.notes, *flight.notes, *located.notes)]
         return OpenedSource([weighted(task, weights)], task.model, model, located, notes=notes)

@@ -1,0 +1,141 @@
+"""A map made of a flight's own photos."""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core.arrays import UInt8Array
+from lpn.flights import photos_of
+from lpn.locate.options import LocateOptions
+from lpn.locate.pipeline import locate
+from lpn.maps import LocalFrame, Window, open_map
+from tools.fixtures.photos import exif, write_photo
+
+HERE = LocalFrame(48.0, 9.0)
+# Metres of a pixel, and pixels of a photo.
+PIXEL, WIDTH, HEIGHT = 0.2, 480, 360
+
+
+def ground(side: int = 900, seed: int = 0) -> UInt8Array:
+    """Ground with details of all sizes, (side, side, 3), whose middle is at HERE."""
+    rng = np.random.default_rng(seed)
+    layers = [
+        cv2.resize(rng.normal(size=(side // k, side // k)), (side, side), interpolation=cv2.INTER_CUBIC)
+        for k in (3, 9, 30, 100)
+    ]
+    grey = np.clip(128 + 30 * np.sum(layers, axis=0), 20, 235)
+    return np.stack([grey, 0.9 * grey, 0.8 * grey], axis=2).astype(np.uint8)
+
+
+def write_flight(folder: Path, picture: UInt8Array) -> Path:
+    """Write twelve photos over the ground in three rows; each shares two thirds with its neighbours, and has its GPS tag."""
+    middle = picture.shape[0] / 2
+    for number in range(12):
+        column, row = 60 + 110 * (number % 4), 80 + 170 * (number // 4)
+        east = (column + WIDTH / 2 - middle) * PIXEL
+        north = (middle - row - HEIGHT / 2) * PIXEL
+        latitude, longitude = HERE.degrees([(east, north)])[0]
+        file = write_photo(folder / f"photo_{number:02d}.jpg")
+        tags = exif(float(latitude), float(longitude)).tobytes()
+        Image.fromarray(picture[row : row + HEIGHT, column : column + WIDTH]).save(file, quality=95, exif=tags)
+    return folder
+
+
+def command(photos: Path, out: Path) -> int:
+    return main(["map", "--from-flight", str(photos), "--out", str(out)])
+
+
+def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("orthomosaic")
+    picture = ground()
+    photos, out = write_flight(tmp_path / "photos", picture), tmp_path / "maps" / "here"
+    assert command(photos, out) == 0
+    printed = capsys.readouterr().out
+    assert "Step 1 of 3" in printed
+    assert "Step 3 of 3" in printed
+    assert "is made of 12 photos as if the ground were flat" in printed
+    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "here.tif", "map.json"]
+    assert list((tmp_path / "maps").iterdir()) == [out]
+    made = open_map(out)
+    assert made.resolution == pytest.approx(PIXEL, rel=0.02)
+    assert any("Place and scale are those of the GPS tags" in note for note in made.notes)
+    east, north = made.frame.xy([48.0], [9.0])[0]
+    read, valid = made.read(Window(float(east), float(north), 60.0), 300)
+    assert valid.all()
+    shown = picture[300:600, 300:600, 0].astype(float)
+    agreement = np.corrcoef(cv2.GaussianBlur(shown, (0, 0), 3).ravel(), read[..., 0].astype(float).ravel())[0, 1]
+    assert agreement > 0.8
+
+
+def test_a_map_that_is_there_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_photo(tmp_path / "photos" / "a.jpg", exif(48.0, 9.0))
+    (tmp_path / "map").mkdir()
+    assert command(tmp_path / "photos", tmp_path / "map") == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_the_extra_is_named_where_the_library_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_photo(tmp_path / "photos" / "a.jpg", exif(48.0, 9.0))
+    monkeypatch.setitem(sys.modules, "orthomosaic", None)
+    assert command(tmp_path / "photos", tmp_path / "map") == 2
+    assert "pip install 'lpn-explorer[orthophoto]'" in capsys.readouterr().err
+    assert not (tmp_path / "map").exists()
+
+
+@pytest.mark.parametrize("case", ["no photo", "one photo", "no tags", "no overlap"])
+def test_photos_that_make_no_map_are_named_in_one_sentence(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("orthomosaic")
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    expected = {
+        "no photo": "There is no photo in",
+        "one photo": "There is 1 photo for a map",
+        "no tags": "4 of 4 photos have no GPS tag, such as 0.jpg",
+        "no overlap": "Too few of the 4 photos overlap",
+    }
+    for number in range({"no photo": 0, "one photo": 1}.get(case, 4)):
+        tags = None if case == "no tags" else exif(48.0 + 0.0002 * number, 9.0)
+        file = write_photo(photos / f"{number}.jpg", tags)
+        alone = ground(360, number + 1)
+        Image.fromarray(alone).save(file, exif=b"" if tags is None else tags.tobytes())
+    assert command(photos, tmp_path / "map") == 2
+    error = capsys.readouterr().err
+    assert expected[case] in error
+    assert "Traceback" not in error
+    assert list(tmp_path.iterdir()) == [photos]
+
+
+def test_other_files_beside_a_flight_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0))
+    assert main(["map", str(photo), "--from-flight", str(photo), "--out", str(tmp_path / "map")]) == 2
+    assert "leave the other files and options out" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_even_photos_of_caliterra_are_registered_on_a_map_of_the_odd_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if "LPN_FLIGHTS" not in os.environ:
+        pytest.skip("LPN_FLIGHTS names no folder of real flights")
+    pytest.importorskip("orthomosaic")
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+    files = sorted((Path(os.environ["LPN_FLIGHTS"]) / "caliterra" / "photos").iterdir())
+    assert main(["map", "--from-flight", *map(str, files[::2]), "--out", str(tmp_path / "map")]) == 0
+    even = photos_of(files[1::2], "even")
+    chosen = replace(even, frames=even.frames[::6])
+    located = locate(open_map(tmp_path / "map"), chosen, None, LocateOptions())
+    assert [frame.stages["registration"].accepted for frame in located.frames] == [True] * 5
+    assert max(frame.error("registration") or 99.0 for frame in located.frames) < 60
