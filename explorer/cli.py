@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from lpn.cli import by_source
-from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
@@ -189,11 +189,17 @@ class Explore(ExploreSource):
         baseline = DEMO_BASELINE if is_demo and DEMO_BASELINE.is_file() else None
         others = {
             key: offered_flight(
-                label, *place, DEMO_MODEL, self.provider, shipped=place[0].with_name(DEMO_ANSWERS)
+                label,
+                *place,
+                DEMO_MODEL,
+                self.provider,
+                query,
+                place[0].with_name(DEMO_ANSWERS),
+                about,
             )
-            for key, label, place in (
-                ("place", "a real flight", DEMO_PLACE),
-                ("flight", "a rendered flight", DEMO_FLIGHT),
+            for key, label, place, query, about in (
+                ("place", "a real flight", DEMO_PLACE, DEMO_PHOTO, _REAL),
+                ("flight", "a rendered flight", DEMO_FLIGHT, None, ""),
             )
             if is_demo and place[0].is_file()
         }
@@ -209,6 +215,9 @@ class Explore(ExploreSource):
             kinds,
             self.calibrate,
         ), others
+
+
+_REAL = "real photos; the model was trained on a rendered city alone, and the map is made of other photos of the flight"
 
 
 def _beside_kinds(beside: Sequence[Path], kinds: Sequence[Kind | Literal["auto"]]) -> list[Kind | None]:

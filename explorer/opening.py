@@ -300,15 +300,17 @@ def offered_flight(
     provider: ProviderName = "auto",
     query: str | None = None,
     shipped: Path | None = None,
+    about: str = "",
 ) -> LazyWorkspace:
     """Return a flight over a map that is opened when a browser asks for it, see `open_flight_over`.
 
     Args:
         label: its name on the page.
+        about: see `Workspace.about`.
     """
 
     def opened(report: ReportProgress) -> Workspace:
-        return open_flight_over(
+        workspace = open_flight_over(
             map_path,
             flight_path,
             model,
@@ -318,6 +320,8 @@ def offered_flight(
             report=report,
             shipped=shipped,
         )
+        workspace.about = about
+        return workspace
 
     return LazyWorkspace(label, _naming_files([map_path, flight_path, model], opened))
 

@@ -105,6 +105,8 @@ class Workspace:
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
+        # What a visitor must know of the pictures, in a few words; a workspace that has it opens at its first screen.
+        self.about = ""
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None

@@ -76,7 +76,8 @@ class PageAddress:
             state = replace(state, dark=greeting.theme == "dark")
         state = plain_state(state, greeting.first, self._url_state.names_a_state(search))
         if self._workspace.has_flight and self._url_state.names_only_a_workspace(search):
-            state = replace(state, flight=True, first_screen=False)
+            first = bool(self._workspace.about)
+            state = replace(state, flight=not first, first_screen=first)
         with self._lock:
             self._views.show_state(state)
             if self._state() is before:  # otherwise the change has woken the worker

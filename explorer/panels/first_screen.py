@@ -6,7 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import viser
+from numpy.typing import NDArray
 
 from explorer import lab_choices, session_state
 from explorer.lab_choices import Tab
@@ -20,18 +23,23 @@ from explorer.web.style import verdict_ink
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.errors import PictureError
+from lpn.core.numbers import distance
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import overlays, theme
 from lpn.drawing.theme import Colour
+from lpn.locate.coverage import outline
+from lpn.maps.map import OVERVIEW
 from lpn.retrieval import DescribedPicture
 
 # The figure of a flight is that of retrieval alone.
 _ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
+# The grey of a map's places without data.
+_NOTHING = 40
 
 
 class FirstScreen:
@@ -114,7 +122,8 @@ def page(
     colours = lead_colours(lead is not None and lead.sure)
     alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
-    if third is None and right is False and positive is not None and not positive.beyond:
+    laid = None if state.why else _laid(analysis, workspace)
+    if third is None and laid is None and right is False and positive is not None and not positive.beyond:
         third = positive.index
     return render(
         "first_screen",
@@ -125,6 +134,7 @@ def page(
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
+        laid=laid,
         third=_third_tile(analysis, workspace, third) if third is not None and analysis.chosen.rank == 1 else None,
         right=right,
         headline=headline,
@@ -209,6 +219,40 @@ def _third_tile(analysis: StateAnalysis, workspace: Workspace, index: int) -> tu
         picture = workspace.card(task, index)  # grey
     drawn = draw_parts(workspace, replace(analysis.tile, picture=picture, trace=None), task.gallery_view, _SIZE)
     return overlays.data_uri(drawn, 85), caption, right if known else None
+
+
+def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool, str] | None:
+    """Return where the photo of a flight fits the map: the map's picture as a data URI, a caption, True, and a sentence.
+
+    None without an accepted registration.
+    """
+    flight, state = workspace.flight, analysis.state
+    if flight is None or state.upload:
+        return None
+    located = flight.frames[state.query]
+    answer, ground = located.stages.get("registration"), outline(located)
+    if answer is None or not answer.accepted or ground is None or answer.x is None or answer.y is None:
+        return None
+    west, south, east, north = flight.basemap.bounds
+    picture, valid = flight.basemap.overview(OVERVIEW)
+    scale = _SIZE[0] / picture.shape[0]
+    drawn = images.resize(picture, _SIZE[0], round(picture.shape[1] * scale)).copy()
+    known = cv2.resize(valid.astype(np.uint8), drawn.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+    drawn[~known] = _NOTHING
+
+    def pixels(points: FloatingArray) -> NDArray[np.int32]:
+        shares = (np.asarray(points).reshape(-1, 2) - (west, north)) / (east - west, south - north)
+        return np.rint(shares * drawn.shape[1::-1]).astype(np.int32)
+
+    for colour, width in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
+        cv2.polylines(drawn, [pixels(ground.corners)], True, colour, width, cv2.LINE_AA)
+    sentence = f"Laid over the map, the photo fits where the frame is, to ± {answer.radius or 0:.1f} m"
+    if located.tag is not None:
+        at, tag = pixels(np.array([(answer.x, answer.y), located.tag]))
+        cv2.line(drawn, at.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
+        cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
+        sentence += f", {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
+    return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
 
 
 def plain_state(state: SessionState, first: bool, named: bool) -> SessionState:

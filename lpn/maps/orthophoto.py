@@ -23,7 +23,7 @@ from lpn.core.errors import DataError, OutputError
 from lpn.core.files import check_writable, printable
 from lpn.core.requirements import missing_package
 from lpn.maps import _gdal
-from lpn.maps.folder import NAME, open_folder, write_own_map
+from lpn.maps.folder import open_folder, write_own_map
 from lpn.maps.map import Map
 
 # Photos that a map needs at least, and the names that a sentence lists.
@@ -65,8 +65,8 @@ def build_from_photos(
         raise missing_package(error) from error
     _gdal.rasterio()
     _check_photos(photos, tags)
-    check_writable(out / NAME)
     name = out.resolve().name
+    check_writable(out.with_name(f".{name}"))
     with TemporaryDirectory(prefix=f".{name}-", dir=out.parent) as folder:
         part = Path(folder) / name
         part.mkdir()
