@@ -18,7 +18,7 @@ import lpn
 from explorer.opening import OFFERED_OVERLAP
 from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.flights import open_flight
-from lpn.locate.located import StageRecord
+from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.locate.registered_stage import FORMAT
@@ -46,15 +46,21 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     write_descriptors(out, WINDOWS, model, "satellite", windows, plain.windows_described, "int8")
     rows = frame_rows(flight, plain.headings, plain.cut_shares)
     write_descriptors(out, FRAMES, model, "drone", rows, frames, "int8")
-    write_record(out, FORMAT, model, basemap, flight, {})
-    locate(basemap, flight, model, options, shipped=out)
+    write_record(out, FORMAT, model, basemap, flight)
+    located = locate(basemap, flight, model, options, shipped=out)
     (records,) = (cache / "locate" / "registration").glob("*.jsonl")
     lines = [line for line in records.read_bytes().splitlines() if line]
     answers = [msgspec.json.decode(line, type=tuple[str, StageRecord])[1] for line in lines]
     named = {frame.name: answer for frame, answer in zip(flight.frames, answers, strict=True)}
-    write_record(out, FORMAT, model, basemap, flight, named)
+    sequence = {frame.frame.name: frame.stages["sequence"] for frame in located.frames}
+    write_record(out, FORMAT, model, basemap, flight, named, sequence, sequence_notes(located))
     size = sum(file.stat().st_size for file in out.rglob("*"))
     print(f"{out}: {len(windows)} windows, {len(rows)} squares of {len(flight.frames)} frames, {size:,} bytes.")
+
+
+def sequence_notes(located: LocatedFlight) -> list[str]:
+    """Return the sentences of a located flight that are about its sequence."""
+    return [note for note in located.notes if note.startswith("The scores are more probable")]
 
 
 if __name__ == "__main__":

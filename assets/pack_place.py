@@ -1,7 +1,7 @@
 """Makes `assets/demo-place` from a real flight: `python assets/pack_place.py PHOTOS LICENCE OUT`.
 
-PHOTOS is the folder of the flight's photos, LICENCE the file of their licence. OUT gets `map.tif`, which `lpn map --from-flight`
-makes of the odd photos (the first, third, ...), at `PIXEL` metres; `even-photos`, the others as WebP with the EXIF that places
+PHOTOS is the folder of the flight's photos, LICENCE the file of their licence. OUT gets `map`, the folder that `lpn map
+--from-flight` makes of the odd photos (the first, third, ...), at `PIXEL` metres; `even-photos`, the others as WebP with the EXIF that places
 them; and the licence.
 """
 
@@ -22,6 +22,8 @@ from rasterio.io import MemoryFile
 from lpn.cli.map import MapCommand
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.files import write_atomic
+from lpn.maps import open_map
+from lpn.maps.folder import write_own_map
 
 PIXEL, WIDTH = 0.105, 800
 """Metres of the map's pixels, and pixels across a photo."""
@@ -43,7 +45,10 @@ def main() -> None:
         part = Path(folder) / "part"
         MapCommand((), Path(folder) / "map", from_flight=tuple(files[::2])).run()
         map_name, photos_name = (path.name for path in DEMO_PLACE)
-        write_atomic(part / map_name, small_map(Path(folder) / "map" / "map.tif"))
+        large = open_map(Path(folder) / "map")
+        file = part / map_name / "map.tif"
+        write_atomic(file, small_map(Path(folder) / "map" / "map.tif"))
+        write_own_map(file, file.parent, large.notes).close()
         for file in files[1::2]:
             write_atomic(part / photos_name / f"{file.stem}.webp", small_photo(file))
         shutil.copyfile(licence, part / licence.name)

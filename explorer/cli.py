@@ -201,7 +201,7 @@ class Explore(ExploreSource):
                 ("place", "a real flight", DEMO_PLACE, DEMO_PHOTO, _REAL),
                 ("flight", "a rendered flight", DEMO_FLIGHT, None, ""),
             )
-            if is_demo and place[0].is_file()
+            if is_demo and place[0].exists()
         }
         return partial(
             open_model,

@@ -19,7 +19,7 @@ import trimesh
 import lpn
 from lpn import descriptors
 from lpn.core import images
-from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_QUERY
+from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_FLIGHT, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import ModelFileError
 from lpn.core.files import cache_folder
 from lpn.core.views import View
@@ -175,13 +175,28 @@ def test_the_demo_s_flight_lies_on_its_map_and_near_the_truth() -> None:
     assert errors.max() < 10
 
 
+def test_the_demo_s_real_photos_lie_on_the_map_of_the_others() -> None:
+    pytest.importorskip("rasterio")
+    place, flight = open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
+    assert [int(frame.file.stem[4:]) for frame in flight.frames] == sorted(int(f.stem[4:]) for f in DEMO_PLACE[1].iterdir())
+    assert DEMO_PHOTO in [frame.name for frame in flight.frames]
+    assert not is_rendered_flight(DEMO_PLACE[1])
+    assert "is made of 30 photos as if the ground were flat" in place.notes[0]
+    assert "Creative Commons" in (DEMO_PLACE[0].parent / "LICENSE.html").read_text() or "CC0" in (
+        DEMO_PLACE[0].parent / "LICENSE.html"
+    ).read_text()
+    west, south, east, north = place.bounds
+    tags = place.frame.xy(*flight.degrees.T)
+    assert ((tags > (west, south)) & (tags < (east, north))).all()
+
+
 def test_every_picture_of_the_demo_has_its_position() -> None:
     dataset, where = open_dataset(DEMO), Positions(DEMO)
     for view in ("drone", "satellite"):
         queries, gallery = dataset.queries(view), dataset.gallery(view)
         assert where.of(queries) == where.of(gallery)
         assert len(queries) > 0
-    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 45e6
+    assert sum(file.stat().st_size for file in DEMO.parent.rglob("*") if file.is_file()) < 48e6
 
 
 def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(

@@ -93,7 +93,11 @@ def locate(
                 "and Dis@K leaves them out."
             )
         enter_retrieval(retrieval, frames, options.top)
-        if options.sequence:
+        if options.sequence and answers is not None and len(answers.sequence) == len(frames):
+            for frame in frames:
+                frame.stages["sequence"] = answers.sequence[frame.frame.name]
+            notes += answers.notes
+        elif options.sequence:
             notes += enter_sequence(retrieval, flight, frames, options)
     registrations = {} if answers is None else answers.registration
     located = LocatedFlight(flight, basemap, frames, None, notes, retrieval, registrations)

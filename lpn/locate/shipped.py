@@ -1,6 +1,6 @@
 """Answers that ship with a flight over its map, as those of the demo do: descriptors and registrations of one model.
 
-    located.json   model, files of map and flight, and the registration of each frame
+    located.json   model, files of map and flight, and what sequence and registration answer for each frame
     windows/       store of the map's windows
     frames/        store of the flight's frames at the headings that are tried
 
@@ -45,7 +45,8 @@ class _Record(msgspec.Struct, frozen=True):
         registered_by: the format of the registration that made the answers.
         fingerprint: of the model.
         map, photos: their files.
-        registration: answers by the frame's name, without the map's own error.
+        registration, sequence: answers by the frame's name; those of the registration without the map's own error.
+        notes: sentences about the sequence.
     """
 
     format: str
@@ -53,7 +54,9 @@ class _Record(msgspec.Struct, frozen=True):
     fingerprint: str
     map: _Files
     photos: _Files
-    registration: dict[str, StageRecord]
+    registration: dict[str, StageRecord] = {}
+    sequence: dict[str, StageRecord] = {}
+    notes: list[str] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +66,15 @@ class ShippedAnswers:
     Attributes:
         folder: of the stores.
         fingerprint: of the model.
-        registration: answers by the frame's name.
+        registration, sequence: answers by the frame's name; none where they do not ship.
+        notes: sentences about the sequence.
     """
 
     folder: Path
     fingerprint: str
     registration: Mapping[str, StageRecord]
+    sequence: Mapping[str, StageRecord]
+    notes: Sequence[str]
 
     @classmethod
     def open(
@@ -85,7 +91,9 @@ class ShippedAnswers:
             return None
         wanted = (FORMAT, registered_by, model.fingerprint, _map_files(basemap), _photos(flight))
         stored = (record.format, record.registered_by, record.fingerprint, record.map, record.photos)
-        return cls(folder, record.fingerprint, record.registration) if stored == wanted else None
+        if stored != wanted:
+            return None
+        return cls(folder, record.fingerprint, record.registration, record.sequence, record.notes)
 
     def windows(self, windows: Sequence[Window], side: int) -> Float32Array | None:
         """Return descriptors (N, n, D) of windows, see `window_rows`; None if those that ship are of others, or damaged."""
@@ -144,9 +152,11 @@ def write_record(
     model: Model,
     basemap: Map,
     flight: Flight,
-    registration: Mapping[str, StageRecord],
+    registration: Mapping[str, StageRecord] | None = None,
+    sequence: Mapping[str, StageRecord] | None = None,
+    notes: Sequence[str] = (),
 ) -> None:
-    """Write which model, map, and photos the answers are of, and the answers of the registration.
+    """Write which model, map, and photos the answers are of, and the answers of the stages, see `ShippedAnswers`.
 
     Raises:
         DataError: if a photo cannot be read.
@@ -156,7 +166,7 @@ def write_record(
         files = _map_files(basemap), _photos(flight)
     except OSError as error:
         raise DataError(f"A file of the flight cannot be read ({error.strerror or error}); check it.") from error
-    record = _Record(FORMAT, registered_by, model.fingerprint, *files, dict(registration))
+    record = _Record(FORMAT, registered_by, model.fingerprint, *files, dict(registration or {}), dict(sequence or {}), list(notes))
     write_atomic(folder / NAME, json_bytes(msgspec.to_builtins(record)))
 
 

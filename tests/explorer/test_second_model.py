@@ -128,7 +128,7 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
         raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
 
     monkeypatch.setattr("lpn.maps.open_map", lacking)
-    flight = explorer.opening.offered_flight(tmp_path, tmp_path, tmp_path / "model.onnx")
+    flight = explorer.opening.offered_flight("a flight", tmp_path, tmp_path, tmp_path / "model.onnx")
     assert flight.open().wait(PATIENCE)
     assert flight.error == (
         "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."
