@@ -1,7 +1,7 @@
 """Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
 
 FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos in a row as WebP with their EXIF and XMP,
-because neighbours in time correct each other; `map-in-spring.tif`, the map with stronger compression; `truth.csv` with the
+because neighbours in time correct each other; `map-in-spring`, the folder of the map with stronger compression; `truth.csv` with the
 rows of these photos; and `flight_world.json`, which says that all of it is rendered.
 """
 
@@ -18,6 +18,7 @@ from PIL import Image
 from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.files import write_atomic
 from lpn.datasets.rendered import FLIGHT_PLAN, UNFINISHED
+from lpn.maps.folder import write_own_map
 from lpn.world.flight import MAP, TRUTH
 from lpn.world.flight_files import compressed_map
 
@@ -62,7 +63,9 @@ def pack(flight: Path, out: Path) -> None:
     csv.writer(text, lineterminator="\n").writerows([header, *chosen])
     write_atomic(out / TRUTH, text.getvalue().encode())
     write_atomic(out / FLIGHT_PLAN, (flight / FLIGHT_PLAN).read_bytes())
-    write_atomic(out / packed_map, compressed_map(flight / MAP, QUALITY["map"]))
+    file = out / packed_map / f"{packed_map}.tif"
+    write_atomic(file, compressed_map(flight / MAP, QUALITY["map"]))
+    write_own_map(file, file.parent, ()).close()
 
 
 def as_webp(data: bytes) -> bytes:

@@ -1,7 +1,7 @@
 """Makes `assets/demo-place` from a real flight: `python assets/pack_place.py PHOTOS LICENCE OUT`.
 
-PHOTOS is the folder of the flight's photos, LICENCE the file of their licence. OUT gets `map`, the folder that `lpn map
---from-flight` makes of the odd photos (the first, third, ...), at `PIXEL` metres; `even-photos`, the others as WebP with the EXIF that places
+PHOTOS is the folder of the flight's photos, LICENCE the file of their licence. OUT gets `caliterra-odd`, the folder that `lpn map
+--from-flight` makes of the odd photos (the first, third, ...), at `PIXEL` metres; `caliterra-even`, the others as WebP with the EXIF that places
 them; and the licence.
 """
 
@@ -46,7 +46,7 @@ def main() -> None:
         MapCommand((), Path(folder) / "map", from_flight=tuple(files[::2])).run()
         map_name, photos_name = (path.name for path in DEMO_PLACE)
         large = open_map(Path(folder) / "map")
-        file = part / map_name / "map.tif"
+        file = part / map_name / f"{map_name}.tif"
         write_atomic(file, small_map(Path(folder) / "map" / "map.tif"))
         write_own_map(file, file.parent, large.notes).close()
         for file in files[1::2]:

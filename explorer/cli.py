@@ -217,7 +217,7 @@ class Explore(ExploreSource):
         ), others
 
 
-_REAL = "real photos; the model was trained on a rendered city alone, and the map is made of other photos of the flight"
+_REAL = "real photos of a place that the model was not trained on; the map is made of the flight's other photos"
 
 
 def _beside_kinds(beside: Sequence[Path], kinds: Sequence[Kind | Literal["auto"]]) -> list[Kind | None]:

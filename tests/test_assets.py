@@ -216,7 +216,7 @@ def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(
     for frame in after:
         original = before[frame.file.with_suffix(".JPG").name]
         assert replace(frame, name=original.name, file=original.file) == original
-    with rasterio.open(made / "map/map.tif") as large, rasterio.open(packed / DEMO_FLIGHT[0].name) as small:
+    with rasterio.open(made / "map/map.tif") as large, rasterio.open(packed / DEMO_FLIGHT[0].name / f"{DEMO_FLIGHT[0].name}.tif") as small:
         assert (large.crs, large.transform, large.shape) == (small.crs, small.transform, small.shape)
     (made / "unfinished.txt").touch()
     monkeypatch.setattr(sys, "argv", ["pack_flight.py", str(made), str(tmp_path / "other")])

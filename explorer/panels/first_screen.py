@@ -246,12 +246,12 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
 
     for colour, width in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
         cv2.polylines(drawn, [pixels(ground.corners)], True, colour, width, cv2.LINE_AA)
-    sentence = f"Laid over the map, the photo fits where the frame is, to ± {answer.radius or 0:.1f} m"
+    sentence = f"By its details, the photo fits the map where the frame is, to ± {answer.radius or 0:.1f} m"
     if located.tag is not None:
         at, tag = pixels(np.array([(answer.x, answer.y), located.tag]))
         cv2.line(drawn, at.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
-        sentence += f", {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
+        sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
     return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
 
 

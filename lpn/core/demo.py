@@ -13,10 +13,10 @@ DEMO = ASSETS / "demo"
 DEMO_MODEL = DEMO / "lpn.onnx"
 # The model of one part, trained alike; the explorer offers to compare with it where the file is there.
 DEMO_BASELINE = DEMO / "baseline.onnx"
-# A map and a rendered flight over it; the explorer offers it beside the city where it is there.
-DEMO_FLIGHT = DEMO.with_name("demo-flight") / "map-in-spring.tif", DEMO.with_name("demo-flight") / "flight-in-autumn"
+# The folder of a map, and a rendered flight over it; the explorer offers it beside the city where it is there.
+DEMO_FLIGHT = DEMO.with_name("demo-flight") / "map-in-spring", DEMO.with_name("demo-flight") / "flight-in-autumn"
 # A real flight over a map that `lpn map --from-flight` made of other photos of the same flight.
-DEMO_PLACE = DEMO.with_name("demo-place") / "map", DEMO.with_name("demo-place") / "even-photos"
+DEMO_PLACE = DEMO.with_name("demo-place") / "caliterra-odd", DEMO.with_name("demo-place") / "caliterra-even"
 # The photo of it that the explorer shows first.
 DEMO_PHOTO = "IMG_9365.webp"
 # The folder of the model's answers beside the photos of either flight.
