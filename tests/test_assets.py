@@ -178,13 +178,16 @@ def test_the_demo_s_flight_lies_on_its_map_and_near_the_truth() -> None:
 def test_the_demo_s_real_photos_lie_on_the_map_of_the_others() -> None:
     pytest.importorskip("rasterio")
     place, flight = open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
-    assert [int(frame.file.stem[4:]) for frame in flight.frames] == sorted(int(f.stem[4:]) for f in DEMO_PLACE[1].iterdir())
+    assert [int(frame.file.stem[4:]) for frame in flight.frames] == sorted(
+        int(f.stem[4:]) for f in DEMO_PLACE[1].iterdir()
+    )
     assert DEMO_PHOTO in [frame.name for frame in flight.frames]
     assert not is_rendered_flight(DEMO_PLACE[1])
     assert "is made of 30 photos as if the ground were flat" in place.notes[0]
-    assert "Creative Commons" in (DEMO_PLACE[0].parent / "LICENSE.html").read_text() or "CC0" in (
-        DEMO_PLACE[0].parent / "LICENSE.html"
-    ).read_text()
+    assert (
+        "Creative Commons" in (DEMO_PLACE[0].parent / "LICENSE.html").read_text()
+        or "CC0" in (DEMO_PLACE[0].parent / "LICENSE.html").read_text()
+    )
     west, south, east, north = place.bounds
     tags = place.frame.xy(*flight.degrees.T)
     assert ((tags > (west, south)) & (tags < (east, north))).all()
@@ -216,7 +219,10 @@ def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(
     for frame in after:
         original = before[frame.file.with_suffix(".JPG").name]
         assert replace(frame, name=original.name, file=original.file) == original
-    with rasterio.open(made / "map/map.tif") as large, rasterio.open(packed / DEMO_FLIGHT[0].name / f"{DEMO_FLIGHT[0].name}.tif") as small:
+    with (
+        rasterio.open(made / "map/map.tif") as large,
+        rasterio.open(packed / DEMO_FLIGHT[0].name / f"{DEMO_FLIGHT[0].name}.tif") as small,
+    ):
         assert (large.crs, large.transform, large.shape) == (small.crs, small.transform, small.shape)
     (made / "unfinished.txt").touch()
     monkeypatch.setattr(sys, "argv", ["pack_flight.py", str(made), str(tmp_path / "other")])

@@ -99,7 +99,9 @@ class ShippedAnswers:
         """Return descriptors (N, n, D) of windows, see `window_rows`; None if those that ship are of others, or damaged."""
         return self._descriptors(WINDOWS, window_rows(windows, side))
 
-    def frames(self, flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array) -> Float32Array | None:
+    def frames(
+        self, flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array
+    ) -> Float32Array | None:
         """Return descriptors (N, n, D) of frames, see `frame_rows`; None if those that ship are of others, or damaged."""
         return self._descriptors(FRAMES, frame_rows(flight, headings, cut_shares))
 
@@ -132,7 +134,13 @@ def _row(numbers: Sequence[float], name: str = "", size: int = 0) -> Row:
 
 
 def write_descriptors(
-    folder: Path, name: str, model: Model, view: View, rows: Sequence[Row], described: Float32Array, precision: Precision
+    folder: Path,
+    name: str,
+    model: Model,
+    view: View,
+    rows: Sequence[Row],
+    described: Float32Array,
+    precision: Precision,
 ) -> None:
     """Write the descriptors (N, n, D) of WINDOWS or FRAMES, as the model made them.
 
@@ -166,7 +174,9 @@ def write_record(
         files = _map_files(basemap), _photos(flight)
     except OSError as error:
         raise DataError(f"A file of the flight cannot be read ({error.strerror or error}); check it.") from error
-    record = _Record(FORMAT, registered_by, model.fingerprint, *files, dict(registration or {}), dict(sequence or {}), list(notes))
+    record = _Record(
+        FORMAT, registered_by, model.fingerprint, *files, dict(registration or {}), dict(sequence or {}), list(notes)
+    )
     write_atomic(folder / NAME, json_bytes(msgspec.to_builtins(record)))
 
 

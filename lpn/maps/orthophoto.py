@@ -112,7 +112,9 @@ def _orthophoto(library: Any, photos: Sequence[Path], file: Path) -> dict[str, A
     )
     try:
         report: dict[str, Any] = library.build_orthomosaic(
-            [str(photo) for photo in photos], str(file), library.Options(preview=False, thermal="off", exposure_compensation=False)
+            [str(photo) for photo in photos],
+            str(file),
+            library.Options(preview=False, thermal="off", exposure_compensation=False),
         )
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         raise DataError(f"{few} The library says: {printable(str(error))[:200]}.") from error

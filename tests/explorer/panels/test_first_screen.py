@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from explorer import session_state
+from explorer.cli import Explore
 from explorer.lab_choices import LabChoices, Selection
 from explorer.opening import open_model, open_source
 from explorer.panels import answer_text, first_screen, pages
@@ -31,6 +32,8 @@ from tools.fixtures.published_results import save_result
 DEMO = Path(__file__).parents[3] / "assets" / "demo"
 
 TASK = "drone-to-satellite"
+# Seconds that a workspace may take to open on a busy machine.
+PATIENCE = 120.0
 
 
 @pytest.fixture(scope="module")
@@ -364,3 +367,28 @@ def test_on_the_demo_what_comes_from_no_place_is_what_the_constants_of_both_tile
     assert f"A further {further:+.3f} comes from no place".replace("-", "−") in shown
     assert f"All places together make {places:+.3f}.".replace("-", "−") in shown
     assert f"and speaks for {lead.leader if rest > 0 else lead.follower}." in shown
+
+
+def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rasterio")
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+    _, others = Explore().workspaces()
+    assert {key: other.label for key, other in others.items()} == {
+        "place": "a real flight",
+        "flight": "a rendered flight",
+    }
+    assert others["place"].open().wait(PATIENCE)
+    workspace = others["place"].workspace
+    assert workspace is not None
+    assert workspace.registration is not None
+    assert workspace.registration.wait(PATIENCE)
+    state = SessionState(TASK, 4, query=workspace.first_query, first_screen=True)
+    page = first_screen.page(analyse(workspace, state), workspace)
+    said = text(page)
+    assert "a place that the model was not trained on" in said
+    assert "Right." in said
+    assert "On the map laid by its details" in said
+    assert "By its details, the photo fits the map where the frame is, to ± 1.0 m; that is 9 m from its GPS tag" in said
+    assert page.count("data:image/jpeg") == 3
+    assert "On the map laid" not in text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
+    assert list(tmp_path.rglob("*.npy")) == []

@@ -22,7 +22,7 @@ pytest.importorskip("rasterio")
 OPTIONS = LocateOptions(overlap=OFFERED_OVERLAP, register=False)
 
 
-@pytest.mark.parametrize(("place", "accepted"), [(DEMO_PLACE, 30), (DEMO_FLIGHT, 35)])
+@pytest.mark.parametrize(("place", "accepted"), [(DEMO_PLACE, 30), (DEMO_FLIGHT, 30)])
 def test_nothing_of_the_demo_s_flights_is_computed_again(
     place: tuple[Path, Path], accepted: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
