@@ -1,7 +1,7 @@
 """Makes the answers of the demo's model for both flights of the demo: `python assets/pack_answers.py`.
 
-They are computed as `lpn explore` computes them where no answers ship, in an empty cache. SIFT registers the photos, as it needs no
-further package.
+They are computed as `lpn explore` computes them where no answers ship, in an empty cache. SIFT registers the photos, as it
+needs no further package.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
-    """Write the answers of one flight, whose registrations are read from the cache, as they are before flight and map change them."""
+    """Write the answers of one flight; its registrations are read from the cache, where no error of the map is in them yet."""
     model, basemap, flight = lpn.load(DEMO_MODEL), open_map(map_path), open_flight(flight_path)
     options = LocateOptions(overlap=OFFERED_OVERLAP, matcher="sift")
     plain = retrieve(model, basemap, flight, overlap=OFFERED_OVERLAP, centre=False)

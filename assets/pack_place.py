@@ -1,8 +1,8 @@
 """Makes `assets/demo-place` from a real flight: `python assets/pack_place.py PHOTOS LICENCE OUT`.
 
-PHOTOS is the folder of the flight's photos, LICENCE the file of their licence. OUT gets `caliterra-odd`, the folder that `lpn map
---from-flight` makes of the odd photos (the first, third, ...), at `PIXEL` metres; `caliterra-even`, the others as WebP with the EXIF that places
-them; and the licence.
+PHOTOS is the folder of the flight's photos, LICENCE the file of their licence. OUT gets `caliterra-odd`, the folder that
+`lpn map --from-flight` makes of the odd photos (the first, third, ...), at `PIXEL` metres; `caliterra-even`, the others as WebP
+with the EXIF that places them; and the licence.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class MapCommand:
-    """Make a map of a GeoTIFF, a picture with corners, tiles, several sheets, or your own photos; other commands take its folder."""
+    """Make a map of a GeoTIFF, a picture with corners, tiles, sheets, or your own photos; other commands take its folder."""
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles, .sqlitedb; several
