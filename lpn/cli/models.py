@@ -73,7 +73,7 @@ def _show(card: ModelCard, console: Console) -> None:
         ("limits", card.limits),
         ("licence", (card.licence,)),
         ("file", (f"{card.file().resolve()}, {card.size / 1e6:.1f} MB",)),
-        ("to train from", (str(card.file(trained=True).resolve()),)),
+        ("to train from", (str(card.file(trained=True).resolve()),) if card.trained else ()),
     ):
         for number, line in enumerate(lines):
             console.print(f"  {what if number == 0 else '':14}{line}", markup=False, highlight=False, soft_wrap=True)

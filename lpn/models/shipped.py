@@ -48,7 +48,7 @@ class ModelCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         name: what `--model` and `lpn.load` take.
         summary: one sentence.
         network: backbone and number of parts.
-        exported, trained: its files below the assets: an `.onnx`, and a `.safetensors` to train from.
+        exported, trained: its files below the assets: an `.onnx`, and a `.safetensors` to train from, empty without one.
         trained_on: the training pictures.
         commands: what made it, in their order.
         seeds: of the trainings.
@@ -71,7 +71,14 @@ class ModelCard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     licence: str
 
     def file(self, trained: bool = False) -> Path:
-        """Return the path of the `.onnx`, or of the `.safetensors`."""
+        """Return the path of the `.onnx`, or of the `.safetensors`.
+
+        Raises:
+            ModelFileError: if the model ships without a `.safetensors`.
+        """
+        if trained and not self.trained:
+            able = " or ".join(card.name for card in model_cards() if card.trained)
+            raise ModelFileError(f"{self.name} ships as an .onnx alone, which is not trained or exported; give {able}.")
         return ASSETS / (self.trained if trained else self.exported)
 
     @property
