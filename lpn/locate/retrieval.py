@@ -253,7 +253,7 @@ def retrieve(
 
     if indexed is not None:
         tiles, overlap = indexed.descriptors, indexed.overlap
-    elif (ready := shipped and shipped.windows(windows, side)) is not None:
+    elif shipped is not None and (ready := shipped.windows(windows, side)) is not None:
         tiles = ready
     else:
         ground = _cached(basemap.digest(), model.fingerprint, side, windows)
@@ -266,7 +266,7 @@ def retrieve(
     def fill(partial: PartialStore) -> None:
         fill_store(model, partial, of_frame, query, bar("frames"), broken)
 
-    if (ready := shipped and shipped.frames(flight, headings, cut_shares)) is not None:
+    if shipped is not None and (ready := shipped.frames(flight, headings, cut_shares)) is not None:
         queries = ready
     else:
         with in_cache():
