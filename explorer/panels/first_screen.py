@@ -242,7 +242,8 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
 
     def pixels(points: FloatingArray) -> NDArray[np.int32]:
         shares = (np.asarray(points).reshape(-1, 2) - (west, north)) / (east - west, south - north)
-        return np.rint(shares * drawn.shape[1::-1]).astype(np.int32)
+        cells: NDArray[np.int32] = np.rint(shares * drawn.shape[1::-1]).astype(np.int32)
+        return cells
 
     for colour, width in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
         cv2.polylines(drawn, [pixels(ground.corners)], True, colour, width, cv2.LINE_AA)
