@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from explorer.browse.feeds import Feeds
 from explorer.compute.request_context import RequestContext
@@ -15,6 +15,7 @@ from explorer.flight_window.service import FlightService
 from explorer.server.picture_route import EncodedPicture
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
+from lpn.tasks.task import Task
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +44,16 @@ class WorkspaceServices:
     @classmethod
     def of(cls, workspace: Workspace) -> WorkspaceServices:
         """Derive them from a workspace."""
+        queued = RequestContext(workspace.inference).queued(workspace.model, background=True)
+
+        def in_background(key: str) -> Task:
+            task = workspace.rankings[key].task
+            return (
+                task
+                if queued is None
+                else replace(task, model=workspace.scored_model(queued.for_task(*task.views), task))
+            )
+
         return cls(
             workspace,
             FailureLab(workspace),
@@ -50,8 +61,8 @@ class WorkspaceServices:
             Feeds(workspace),
             FlightService(workspace),
             FlightPictures(workspace),
-            WeightFigures(workspace.tasks),
-            TurnedJobs(workspace.tasks, RequestContext(workspace.inference).queued(workspace.model, background=True)),
+            WeightFigures(lambda key: workspace.rankings[key].task),
+            TurnedJobs(in_background),
         )
 
     def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:

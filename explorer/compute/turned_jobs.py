@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
-from explorer.compute.request_context import QueuedModel
 from lpn.core.resources import yield_cores
 from lpn.tasks.task import Task
 from lpn.tasks.turned import TurnedFigures, turned
@@ -23,12 +21,12 @@ class TurnedJobs:
     left; what it has described is kept in the cache of descriptors.
 
     Args:
-        tasks: by their names; each that is asked for must have figures, see `turned.why_not`.
-        model: describes queries in the background; None without a network.
+        task: returns a task by its key, with the model that describes queries in the background; each that is asked for must have
+            figures, see `turned.why_not`.
     """
 
-    def __init__(self, tasks: Mapping[str, Task], model: QueuedModel | None) -> None:
-        self._tasks, self._model, self._jobs = tasks, model, BackgroundJobs()
+    def __init__(self, task: Callable[[str], Task]) -> None:
+        self._task, self._jobs = task, BackgroundJobs()
         self._known: dict[tuple[str, float], TurnedFigures] = {}
         self._lock, self._turn = threading.Lock(), threading.Lock()
 
@@ -64,9 +62,7 @@ class TurnedJobs:
         self._jobs.leave(client)
 
     def _compute(self, name: str, turns: Sequence[float], report: ReportProgress) -> None:
-        task, model = self._tasks[name], self._model
-        if model is not None:
-            task = replace(task, model=model.for_task(*task.views))
+        task = self._task(name)
         with self._lock:
             missing = [degrees for degrees in turns if (name, degrees) not in self._known]
         queries, described = len(task.queries), 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
@@ -27,11 +27,11 @@ class WeightFigures:
     A job ends early when the last browser that waits for it has left.
 
     Args:
-        tasks: by their names; each that is asked for must have figures, see `part_weights.why_not`.
+        task: returns a task by its key; each that is asked for must have figures, see `part_weights.why_not`.
     """
 
-    def __init__(self, tasks: Mapping[str, Task]) -> None:
-        self._tasks, self._jobs = tasks, BackgroundJobs()
+    def __init__(self, task: Callable[[str], Task]) -> None:
+        self._task, self._jobs = task, BackgroundJobs()
         self._measured: dict[str, WeightedTask] = {}
         self._known: OrderedDict[_Key, WeightEffect] = OrderedDict()
         # One computation takes all cores, and `WeightedTask` is not thread-safe.
@@ -64,7 +64,7 @@ class WeightFigures:
 
         def work(report: ReportProgress) -> None:
             yield_cores()
-            n = self._tasks[tasks[0]].contract.n_parts
+            n = self._task(tasks[0]).contract.n_parts
             combined = [(task, weights_of(parts, n)) for parts in part_combinations(n) for task in tasks]
             try:
                 for done, (task, weights) in enumerate(combined):
@@ -86,7 +86,7 @@ class WeightFigures:
             effect = self.known(task, weights)
             if effect is None:
                 if task not in self._measured:
-                    self._measured[task] = WeightedTask(self._tasks[task])
+                    self._measured[task] = WeightedTask(self._task(task))
                 effect = self._measured[task].effect(weights, report)
                 with self._lock:
                     self._known[key] = effect

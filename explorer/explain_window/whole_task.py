@@ -61,8 +61,8 @@ class WholeTask:
             "paper": PAPER_TURNS,
             "circle": tuple(float(angle) for angle in range(0, 360, 30)),
         }
-        before, self.task = self.job, state.task
-        self.job = self._jobs.join(self, state.task, turns[choice])
+        before, self.task = self.job, state.ranking_key
+        self.job = self._jobs.join(self, state.ranking_key, turns[choice])
         if before is not None and before is not self.job:
             before.leave(self)
         self._worker.wake()
@@ -79,8 +79,8 @@ class WholeTask:
 
     def section(self, task: Task) -> WholeTaskSection:
         """Return what the tab says about a task."""
-        job = self.job if self.task == task.name else None
-        figures = self._jobs.known(task.name)
+        job = self.job if self.task == task.key else None
+        figures = self._jobs.known(task.key)
         return WholeTaskSection(
             why_not(task), [TaskRecall(one.degrees, one.recall, one.ap) for one in figures], job, len(task.queries)
         )

@@ -25,7 +25,7 @@ from lpn.analysis.part_weights import (
     weights_of,
     why_not,
 )
-from lpn.core.views import views_of
+from lpn.tasks.task import Task, scored_key
 
 # Seconds between two looks at a computation.
 _INTERVAL = 0.25
@@ -88,8 +88,8 @@ class PartsPanel:
     def try_combinations(self) -> None:
         """Compute the figures of all combinations of parts, in each direction of the task that has figures."""
         state = self._state
-        if state is not None and not why_not(self._workspace.tasks[state.task]):
-            self._combined = self._directions(state.task)
+        if state is not None and not why_not(task := self._workspace.task_of(state)):
+            self._combined = self._directions(task)
             self._combinations = self._figures.join_all(self._of_combinations, self._combined)
             self._worker.wake()
 
@@ -99,23 +99,24 @@ class PartsPanel:
         self._figures.leave(self._of_weights)
         self._figures.leave(self._of_combinations)
 
-    def _directions(self, task: str) -> tuple[str, ...]:
-        """Return the task, and the same views the other way round if the workspace has that with figures."""
-        query, gallery = views_of(task)
-        other = f"{gallery}-to-{query}"
-        reverse = other in self._workspace.tasks and other != task and not why_not(self._workspace.tasks[other])
-        return (task, other) if reverse else (task,)
+    def _directions(self, task: Task) -> tuple[str, ...]:
+        """Return the key of a task, and of the same views the other way round if the workspace has that with figures."""
+        query, gallery = task.views
+        other = self._workspace.rankings.get(scored_key(f"{gallery}-to-{query}", task.scoring))
+        reverse = other is not None and other.task.key != task.key and not why_not(other.task)
+        return (task.key, other.task.key) if other is not None and reverse else (task.key,)
 
     def _follow(self) -> float | None:
         """Draw what is known; return the seconds until the next look while something is computed."""
         state = self._state
         if state is None:
             return None
-        if reason := why_not(self._workspace.tasks[state.task]):
+        task = self._workspace.task_of(state)
+        if reason := why_not(task):
             self._html.show(render("panels/weights", reason=reason))
             return None
         values = state.part_values()
-        wanted = None if len(set(values)) == 1 else (state.task, values)
+        wanted = None if len(set(values)) == 1 else (task.key, values)
         if wanted != self._wanted:
             self._figures.leave(self._of_weights)
             self._wanted, self._job = wanted, None
@@ -134,7 +135,7 @@ class PartsPanel:
                 reason="",
                 effect=effect,
                 job=job if effect is None else None,
-                queries=len(self._workspace.tasks[state.task].queries),
+                queries=len(task.queries),
                 combinations=combinations,
                 trying=trying,
                 tasks=self._combined,

@@ -113,7 +113,7 @@ class WeightedTask:
     ) -> tuple[Int64Array, Float64Array]:
         """Return rank and average precision of each query, see `PartRanks.under`."""
         task = self._task
-        query, gallery = task.sides()
+        query, gallery = task.compared
         labelled = query, gallery, task.query_labels, task.gallery_labels, task.truth
         if not self._compared:
             self._parts = PartRanks.of(*labelled, progress, self._budget)

@@ -10,7 +10,7 @@ from lpn.core.errors import InputError
 from lpn.core.progress import CountProgress
 from lpn.descriptors import cached_descriptors
 from lpn.descriptors.transforms import Change
-from lpn.retrieval import metrics
+from lpn.retrieval import csls, metrics
 from lpn.tasks.task import Task
 
 # The turns of Table IV, in degrees counter-clockwise.
@@ -81,6 +81,8 @@ def turned(task: Task, degrees: float, progress: CountProgress | None = None) ->
 
             query[rows] = cached_descriptors(task.model, some, task.query_view, change, on_progress)
             done += len(rows)
+    if task.neighbours:
+        query, gallery = csls.scaled(query, gallery, task.neighbours)
     ranking = metrics.retrieve(query, task.query_labels, gallery, task.gallery_labels, task.truth)
     figures = ranking.metrics(task.known)
     return TurnedFigures(angle, figures["recall@1"], figures["ap"], int(figures["queries"]))

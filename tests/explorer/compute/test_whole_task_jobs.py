@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
+from explorer.client.services import WorkspaceServices
 from explorer.compute import turned_jobs, weight_figures
-from explorer.compute.request_context import RequestContext
 from explorer.compute.turned_jobs import TurnedJobs
 from explorer.compute.weight_figures import WeightFigures
 from explorer.opening import open_model
@@ -29,7 +29,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Wor
 
 
 def test_figures_are_computed_once_for_equal_proportions(workspace: Workspace) -> None:
-    figures, client = WeightFigures(workspace.tasks), object()
+    figures, client = WeightFigures(workspace.tasks.__getitem__), object()
     assert figures.known(TASK, (1, 0, 1, 1)) is None
     job = figures.join(client, TASK, (1, 0, 1, 1))
     assert job.wait(TIMEOUT)
@@ -38,7 +38,7 @@ def test_figures_are_computed_once_for_equal_proportions(workspace: Workspace) -
 
 
 def test_all_combinations_of_both_directions_are_counted_and_kept(workspace: Workspace) -> None:
-    figures = WeightFigures(workspace.tasks)
+    figures = WeightFigures(workspace.tasks.__getitem__)
     job = figures.join_all(object(), (TASK, REVERSE))
     assert job.wait(TIMEOUT)
     assert (job.done, job.total, job.error) == (30, 30, None)
@@ -58,7 +58,7 @@ def test_weights_that_moved_on_are_not_computed_to_the_end(
             return super().effect(weights, progress)
 
     monkeypatch.setattr(weight_figures, "WeightedTask", Slow)
-    figures, client, other = WeightFigures(workspace.tasks), object(), object()
+    figures, client, other = WeightFigures(workspace.tasks.__getitem__), object(), object()
     first = figures.join(client, TASK, (1, 1, 0, 0))
     assert begun.wait(TIMEOUT)
     figures.leave(client)
@@ -74,7 +74,7 @@ def test_weights_that_moved_on_are_not_computed_to_the_end(
 
 
 def turned_of(workspace: Workspace) -> TurnedJobs:
-    return TurnedJobs(workspace.tasks, RequestContext(workspace.inference).queued(workspace.model, background=True))
+    return WorkspaceServices.of(workspace).turned
 
 
 def test_turned_queries_pass_through_the_queue_and_are_kept(workspace: Workspace) -> None:

@@ -19,8 +19,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from explorer import session_state
+from explorer.client.services import WorkspaceServices
 from explorer.compute.request_context import RequestContext
-from explorer.compute.turned_jobs import TurnedJobs
 from explorer.explain_window import activation, comparison, evidence, messages, region, sweep_page
 from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.sweep_request import SweepRequest
@@ -328,7 +328,7 @@ def make_window(
         Viewport(),
         SimpleNamespace(),  # type: ignore[arg-type]
         RequestContext(workspace.inference),
-        TurnedJobs(workspace.tasks, RequestContext(workspace.inference).queued(workspace.model, background=True)),
+        WorkspaceServices.of(workspace).turned,
         open_tab,
     )
 
