@@ -94,6 +94,7 @@ interface Lpn {
   stageSize(): Point | null;
   legend(html: string): void;
   watch(): void;
+  fill(name: string, texts: Record<string, string>): void;
   reveal(selector: string): void;
   tab(name: string, tries?: number): void;
   once(key: string): boolean;
