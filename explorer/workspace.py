@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from base64 import b64decode
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -195,6 +195,11 @@ class Workspace:
     def task_of(self, state: SessionState) -> Task:
         """Return the state's task under its scoring, or as it was opened where that one is not ready."""
         return self.rankings[self.supported_state(state).ranking_key].task
+
+    def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
+        """Return a task under its scoring if all others rank it so, else as it was opened: models are compared alike."""
+        alike = all(task.key in other.rankings for other in others if task.name in other.tasks)
+        return task if alike else self.tasks[task.name]
 
     def ranked_as(self, task: Task) -> RankingJob | None:
         """Return the ranking of the task of another workspace: under its scoring, else as opened; None if there is none."""

@@ -104,6 +104,7 @@ class ModelComparison:
     def __init__(self, workspace: Workspace, requests: RequestContext) -> None:
         self._workspace, self._requests = workspace, requests
         self._analysers: dict[int, StateAnalyser] = {}
+        self._own: StateAnalyser | None = None
         self._joined: list[RankingJob | CentreMean] = []
         # The last page, and how many there were.
         self._drawn = "", 0
@@ -120,7 +121,7 @@ class ModelComparison:
         if waiting and not any(one.opening for one in beside):
             waiting[0].open()
         workspaces = [self._workspace, *(one.workspace for one in beside if one.workspace is not None)]
-        task = self._workspace.task_of(state)
+        task = self._shared_task(state)
         rankings = [ranking for one in workspaces if (ranking := one.ranked_as(task)) is not None]
         of_pair = [self._workspace, None if compared is None else compared.workspace]
         means = [
@@ -148,19 +149,20 @@ class ModelComparison:
 
     def page(self, analysis: StateAnalysis) -> str:
         """Render the tab; the column of a model that is being opened says how far it is."""
-        workspace, task, state = self._workspace, analysis.task, analysis.state
+        workspace, state, task = self._workspace, analysis.state, self._shared_task(analysis.state)
         lazy = workspace.compared(state)
         assert lazy is not None
         other = lazy.workspace
-        pairs, reason = [(workspace, analysis)], ""
+        own = analysis if task.key == analysis.task.key else self._analyse_own(analysis, task)
+        pairs, reason = [(workspace, own)], ""
         if other is None:
             reason = lazy.error
         elif other.ranked_as(task) is None:
             reason = f"{other.model_name} does not know the views of {task.name}; choose another task."
         else:
-            pairs.append((other, self._analyse(state, other, analysis)))
+            pairs.append((other, self._analyse(replace(state, scoring=task.scoring), other, analysis)))
         maps = self._maps(pairs, state)
-        columns = [_column(one, of_one, drawn, analysis) for (one, of_one), drawn in zip(pairs, maps, strict=True)]
+        columns = [_column(one, of_one, drawn, own) for (one, of_one), drawn in zip(pairs, maps, strict=True)]
         rankings = [ranking for one, _ in pairs if (ranking := one.ranked_as(task)) is not None]
         html = render(
             "explain/model_comparison",
@@ -178,6 +180,7 @@ class ModelComparison:
             ),
             has_box=any(one.share is not None for drawn in maps for one in drawn),
             changes=changes(*rankings) if len(rankings) == 2 else None,
+            scoring="" if own is analysis else task.scoring,
             queries=task.queries,
             thumbnail=workspace.thumbnail,
             ordinal=ordinal,
@@ -203,6 +206,17 @@ class ModelComparison:
         if other is None and not compared.error:
             texts["opening"] = _opening(compared, self._workspace.beside)
         return run(call("fill", "live", texts, self._drawn[1]))
+
+    def _shared_task(self, state: SessionState) -> Task:
+        opened = [one.workspace for one in self._workspace.beside if one.workspace is not None]
+        return self._workspace.shared_task(self._workspace.task_of(state), opened)
+
+    def _analyse_own(self, analysis: StateAnalysis, task: Task) -> StateAnalysis:
+        """Analyse the pair of an analysis under another scoring of its task."""
+        if self._own is None:
+            self._own = StateAnalyser(self._workspace, self._requests.queued(self._workspace.model, background=True))
+        state = replace(analysis.state, scoring=task.scoring, heat=True, selected=analysis.chosen.index, why=False)
+        return self._own.analyse(state, _MATCHES)
 
     def _analyse(self, state: SessionState, other: Workspace, analysis: StateAnalysis) -> StateAnalysis:
         """Analyse the same query and, where it is in its gallery, the same tile under another model."""
@@ -277,7 +291,7 @@ class ModelComparison:
             _Choice(
                 index,
                 one.label,
-                None if one.workspace is None else _recall(one.workspace, self._workspace.task_of(state)),
+                None if one.workspace is None else _recall(one.workspace, self._shared_task(state)),
                 index == state.beside,
                 "" if one.opening else "not opened" if one.error else "R@1 not known yet",
             )
@@ -295,7 +309,7 @@ class ModelComparison:
         known = [
             (key, name, one.contract, recall)
             for key, name, one in opened
-            if (recall := _recall(one, self._workspace.task_of(state))) is not None
+            if (recall := _recall(one, self._shared_task(state))) is not None
         ]
         drawn = []
         differ = {

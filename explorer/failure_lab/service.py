@@ -201,9 +201,10 @@ class FailureLab:
             return findings
         ranked = ranking.result.ranking
         columns = query_outcomes.compared_ranks(findings.table, ranked.first, ranked.depth)
-        ranks = SecondRanks(
-            (self._workspace.model_name, second.model_name), findings.outcomes.known & (ranked.first == 0)
-        )
+        names = self._workspace.model_name, second.model_name
+        if ranking.task.scoring != findings.task.scoring:
+            names = f"{names[0]}, {findings.task.scoring}", f"{names[1]}, {ranking.task.scoring}"
+        ranks = SecondRanks(names, findings.outcomes.known & (ranked.first == 0))
         return replace(findings, table=findings.table.with_columns(columns), second=ranks)
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:

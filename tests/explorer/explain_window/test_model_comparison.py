@@ -211,7 +211,7 @@ def test_a_model_without_cells_and_one_of_other_views_say_so_in_a_sentence(data:
     assert other is not None
     assert other.without_cells in page.replace("&#39;", "'")
     assert "B" not in {text[:1] for text in re.findall("([AB]) (?:query|tile)", comparison.live(analysis.state))}
-    del other.rankings[TASK]
+    del other.rankings[TASK], other.tasks[TASK]
     assert f"does not know the views of {TASK}; choose another task." in comparison.page(analysis)
     comparison.leave()
 
