@@ -68,7 +68,7 @@ def busy(lab: LabState) -> LabState:
 
 def test_a_command_before_the_first_table_says_so(window: FailureLabWindow, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(window._service, "findings", lambda _: None)
+    monkeypatch.setattr(window._service, "findings", lambda *_: None)
     window._client.add_notification = lambda title, _: said.append(title)  # type: ignore[method-assign, misc, assignment]
     window._download()
     window._report()
