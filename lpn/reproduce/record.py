@@ -41,7 +41,6 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     Attributes:
         label: the name by which claims refer to the row.
         mean: for each column; empty if the row was not run.
-        interval: half the width of the 95 % interval of the mean over networks, for each column; 0 for one network.
         paper: the paper's values, empty if it has no such row.
         note: printed after the label.
         quoted: the paper quotes the row from other work, and nothing is measured.
@@ -53,7 +52,6 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     label: str
     mean: Values = ()
-    interval: Values = ()
     paper: PrintedValues = ()
     note: str = ""
     quoted: bool = False
@@ -62,6 +60,11 @@ class RowRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     trained: dict[str, Provenance] = {}
     measured: dict[str, Provenance] = {}
     reason: str = ""
+
+    @property
+    def interval(self) -> Values:
+        """Half the width of the 95 % interval of the mean over networks, for each column; 0 for one network."""
+        return tuple(half_interval(column) for column in zip(*self.values.values(), strict=True))
 
     @property
     def title(self) -> str:
@@ -109,7 +112,6 @@ def row_record(
     return RowRecord(
         label,
         tuple(sum(column) / len(column) for column in columns),
-        tuple(half_interval(column) for column in columns),
         paper,
         note,
         quoted,
