@@ -19,7 +19,7 @@ from explorer.opening import open_model, open_source
 from explorer.panels import pages
 from explorer.session_state import SessionState
 from explorer.stories import tour
-from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core.errors import StoreError
 from lpn.explain import sweeps
 from lpn.index import create_index
@@ -168,14 +168,12 @@ def test_without_cells_there_is_a_reason_in_place_of_a_heatmap(without_cells: Wo
 
 
 def test_two_contracts_stand_side_by_side(regions: Workspace, without_cells: Workspace) -> None:
-    second = LazyWorkspace("gates", lambda _: without_cells)
-    second.open().wait(60)
-    found = model_comparison._column(analysed(regions), regions)
-    other = model_comparison._column(analysed(without_cells), without_cells)
-    assert (found.claim, found.without_cells) == ("exact, with the regions of each picture held", "")
-    assert found.map is not None
-    assert other.map is None
-    assert "no cells" in other.without_cells
+    own, other = analysed(regions), analysed(without_cells)
+    column = model_comparison._column(regions, own, [], own)
+    assert (column.claim, column.without_cells) == ("exact, with the regions of each picture held", "")
+    assert "no cells" in model_comparison._column(without_cells, other, [], own).without_cells
+    assert len(model_comparison._values(own, own.state)) == 2
+    assert not model_comparison._values(other, other.state)
 
 
 def test_branches_by_role_describe_each_side_of_each_task(data: Path) -> None:
