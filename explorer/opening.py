@@ -169,6 +169,8 @@ def _offer_scorings(workspace: Workspace, model: Model, model_name: str, dataset
     job.wait(threading.TIMEOUT_MAX)
     if job.error is not None and wait:
         raise LPNError(job.error)
+    if wait:
+        workspace.asked_scoring = "calibrated"
 
 
 def _names(model: Path | Model, beside: Sequence[Path]) -> tuple[str, list[str]]:
@@ -269,7 +271,7 @@ def open_flight_over(
     name, names = _names(model, beside)
     source = Flown(map=map_path, flight=flight_path, model=ModelOptions(model=model, kind=kind, provider=provider))
     opened = _open_flown(source, name, overlap, report, shipped)
-    workspace, located, network = _workspace(opened, with_city=False), opened.located, opened.network
+    workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
     assert network is not None
     _print_notes(opened)
@@ -289,7 +291,15 @@ def open_flight_over(
 
 def _opens_flown(source: Flown, name: str, overlap: float) -> Callable[[ReportProgress | None], Workspace]:
     """Return what opens a flight under another model, see `_open_flown`."""
-    return lambda report: _workspace(_open_flown(source, name, overlap, report), with_city=False)
+    return lambda report: _flight_workspace(_open_flown(source, name, overlap, report))
+
+
+def _flight_workspace(opened: OpenedSource) -> Workspace:
+    workspace = _workspace(opened, with_city=False)
+    workspace.scorings = Scorings(
+        "Frames are cut to the ground of the map's windows, so a flight needs no calibration."
+    )
+    return workspace
 
 
 def offered_flight(

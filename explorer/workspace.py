@@ -89,6 +89,8 @@ class Workspace:
         # By the keys of their tasks: as the tasks were opened, and, once they are calibrated, under the further scorings.
         self.rankings = {ranking.task.key: ranking for ranking in rankings}
         self.tasks = {ranking.task.name: ranking.task for ranking in rankings}
+        # The scoring that was asked for when the app was started.
+        self.asked_scoring: Scoring | None = None
         self.scorings: Scorings = Scorings(
             "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
         )
@@ -188,9 +190,12 @@ class Workspace:
     def default_scoring(self, name: str) -> Scoring:
         """Return the scoring that a task opens with: of those that are ready, the one with the best measured Recall@1.
 
-        Without a measured one, the task is ranked as it was opened.
+        Until all are measured, it is the one that was asked for at the start, or that of the task as it was opened.
         """
-        return scorings.best(scorings.choices(self.rankings, name)) or self.tasks[name].scoring
+        choices = [choice for choice in scorings.choices(self.rankings, name) if choice.ready]
+        if self.asked_scoring is not None and any(choice.recall is None for choice in choices):
+            return self.asked_scoring
+        return scorings.best(choices) or self.tasks[name].scoring
 
     def task_of(self, state: SessionState) -> Task:
         """Return the state's task under its scoring, or as it was opened where that one is not ready."""

@@ -10,6 +10,7 @@ import time
 import traceback
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -95,15 +96,32 @@ class BackgroundJobs:
 
     def __init__(self) -> None:
         self._jobs: dict[Hashable, BackgroundJob[Any]] = {}
+        # The work of the newest job of each key.
+        self._passing: dict[Hashable, object] = {}
         self._lock = threading.Lock()
 
-    def join(self, key: Hashable, client: object, work: Callable[[ReportProgress], T]) -> BackgroundJob[T]:
-        """Return the job of a key; start it if there is none."""
+    def join(
+        self, key: Hashable, client: object, work: Callable[[ReportProgress], T], keep: bool = True
+    ) -> BackgroundJob[T]:
+        """Return the job of a key; start it if there is none.
+
+        Args:
+            keep: False if the job is to be forgotten when it ends, because its value is kept elsewhere.
+        """
         with self._lock:
             job = self._jobs.get(key)
             if job is None or not job.join(client):
-                job = self._jobs[key] = BackgroundJob(work, client)
+                self._passing[key] = work
+                job = self._jobs[key] = BackgroundJob(work if keep else partial(self._pass, key, work), client)
             return job
+
+    def _pass(self, key: Hashable, work: Callable[[ReportProgress], T], report: ReportProgress) -> T:
+        try:
+            return work(report)
+        finally:
+            with self._lock:
+                if self._passing.get(key) is work:  # a job that was cancelled leaves alone the one that took its place
+                    del self._jobs[key], self._passing[key]
 
     def forget_failed(self, key: Hashable) -> None:
         """Forget the job of a key if it failed, so that it can start again."""
@@ -111,11 +129,6 @@ class BackgroundJobs:
             job = self._jobs.get(key)
             if job is not None and job.error is not None:
                 del self._jobs[key]
-
-    def forget(self, key: Hashable) -> None:
-        """Forget the job of a key, whose value is kept elsewhere."""
-        with self._lock:
-            self._jobs.pop(key, None)
 
     def leave(self, client: object, key: Hashable | None = None) -> None:
         """Remove a client from the job of a key, or from all jobs."""

@@ -53,9 +53,8 @@ class TurnedJobs:
                 self._compute(task, turns, report)
             finally:
                 self._turn.release()
-                self._jobs.forget(key)
 
-        return self._jobs.join(key, client, work)
+        return self._jobs.join(key, client, work, keep=False)
 
     def leave(self, client: object) -> None:
         """Remove a client from the jobs that it waits for."""

@@ -15,6 +15,8 @@ from lpn.tasks.task import Task
 
 # Number of weightings whose figures are kept.
 _KEPT = 1024
+# Number of tasks whose part products are kept: each may take hundreds of megabytes.
+_MEASURED = 2
 # Seconds between two looks at whether a waiting job is still wanted.
 _PATIENCE = 0.1
 
@@ -48,12 +50,9 @@ class WeightFigures:
 
         def work(report: ReportProgress) -> WeightEffect:
             yield_cores()
-            try:
-                return self._compute(task, weights, report)
-            finally:
-                self._jobs.forget(key)
+            return self._compute(task, weights, report)
 
-        return self._jobs.join(key, client, work)
+        return self._jobs.join(key, client, work, keep=False)
 
     def join_all(self, client: object, tasks: Sequence[str]) -> BackgroundJob[None]:
         """Compute the figures of all combinations of parts of some tasks, see `part_weights.part_combinations`.
@@ -66,15 +65,12 @@ class WeightFigures:
             yield_cores()
             n = self._task(tasks[0]).contract.n_parts
             combined = [(task, weights_of(parts, n)) for parts in part_combinations(n) for task in tasks]
-            try:
-                for done, (task, weights) in enumerate(combined):
-                    report(done, len(combined))
-                    self._compute(task, weights, lambda *_, done=done: report(done, len(combined)))
-                report(len(combined), len(combined))
-            finally:
-                self._jobs.forget(key)
+            for done, (task, weights) in enumerate(combined):
+                report(done, len(combined))
+                self._compute(task, weights, lambda *_, done=done: report(done, len(combined)))
+            report(len(combined), len(combined))
 
-        return self._jobs.join(key, client, work)
+        return self._jobs.join(key, client, work, keep=False)
 
     def leave(self, client: object) -> None:
         """Remove a client from the jobs that it waits for."""
@@ -86,6 +82,8 @@ class WeightFigures:
             effect = self.known(task, weights)
             if effect is None:
                 if task not in self._measured:
+                    for before in list(self._measured)[: 1 - _MEASURED]:
+                        del self._measured[before]
                     self._measured[task] = WeightedTask(self._task(task))
                 effect = self._measured[task].effect(weights, report)
                 with self._lock:

@@ -372,7 +372,8 @@ def _mean_text(mean: CentreMean) -> str:
 
 def _recall(workspace: Workspace, task: Task) -> float | None:
     ranking = workspace.ranked_as(task)
-    return None if ranking is None or ranking.result is None else ranking.results["recall@1"]
+    known = ranking is not None and ranking.result is not None and ranking.results["queries"]
+    return ranking.results["recall@1"] if ranking is not None and known else None
 
 
 def _same_tile(first: Task, second: Task, index: int) -> bool:
@@ -412,7 +413,7 @@ def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own
     task, truth = analysis.task, analysis.positive
     return _Column(
         workspace.description,
-        workspace.contract.claim,
+        task.contract.claim,
         workspace.without_cells,
         _recall(workspace, task),
         analysis.matches[0].true,

@@ -21,6 +21,6 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
         painted=[cell for cell in analysis.state.region if cell < rows * columns],
         picture=overlays.data_uri(draw_parts(workspace, analysis.query, view, _SIZE), 88),
         without_cells=workspace.without_cells,
-        claim=workspace.contract.claim,
+        claim=analysis.task.contract.claim,
         stacked=workspace.layout.stacked,
     )

@@ -172,7 +172,10 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, alte
         text = answer_text.overall(workspace.rankings[analysis.task.key].result, altered)
         if text and workspace.has_flight:
             text = f"{text[:-1]}, {_ALONE}."
-        return f"{text} The model is calibrated on these pictures." if text and analysis.task.calibration else text
+        csls = ", and its answers are re-ranked by CSLS" if analysis.task.neighbours else ""
+        return (
+            f"{text} The model is calibrated on these pictures{csls}." if text and analysis.task.calibration else text
+        )
     city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
     return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace), answer_text.OWN_KEPT)))
 

@@ -115,6 +115,9 @@ class PartsPanel:
         if reason := why_not(task):
             self._html.show(render("panels/weights", reason=reason))
             return None
+        if self._combined and task.key not in self._combined:  # the table is of another task, or of another scoring
+            self._figures.leave(self._of_combinations)
+            self._combined, self._combinations = (), None
         values = state.part_values()
         wanted = None if len(set(values)) == 1 else (task.key, values)
         if wanted != self._wanted:

@@ -129,6 +129,7 @@ class EvaluationWithAnswers(EvaluationOfSource):
                 "of queries, and other rankings out."
             )
         check_writable(self.answers)
+        _check_no_query_lacks(self._data())
         written = write_answers(self._task(), self.answers)
         print(f"{printable(str(self.answers))} has the answers to {written} queries; a server takes it zipped.")
 
@@ -136,9 +137,25 @@ class EvaluationWithAnswers(EvaluationOfSource):
     def _task(self) -> Task:
         """Open the task."""
 
+    @abstractmethod
+    def _data(self) -> Path | None:
+        """Return the data set of the queries."""
+
     def _changed(self) -> bool:
         """Return whether options of the measurement are given."""
         return False
+
+
+def _check_no_query_lacks(data: Path | None) -> None:
+    """Refuse a data set without some of its queries: a server takes each line of answers as that of its own list's query."""
+    from lpn.datasets import open_dataset
+
+    left_out = [] if data is None else open_dataset(data).left_out
+    if left_out:
+        raise InputError(
+            f"{left_out[0].file} {left_out[0].why}, and {len(left_out)} files of the data set cannot be used; a server takes "
+            "answers by their place in its list, so unpack the data set again."
+        )
 
 
 @dataclass(kw_only=True)
@@ -210,6 +227,9 @@ class EvaluationOfIndex(EvaluationWithAnswers):
 
     def _task(self) -> Task:
         return open_task(self.source)
+
+    def _data(self) -> Path | None:
+        return self.source.data
 
 
 @dataclass(kw_only=True)
@@ -297,6 +317,9 @@ class EvaluateCommand(EvaluationWithAnswers):
 
     def _task(self) -> Task:
         return open_task(self.source)
+
+    def _data(self) -> Path | None:
+        return self.source.data
 
     def _changed(self) -> bool:
         return self.compile or (self.changes, self.ranking) != (ChangeOptions(), RankingOptions())

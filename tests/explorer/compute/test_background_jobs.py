@@ -137,3 +137,28 @@ def test_another_process_returns_its_result_or_error_or_is_killed() -> None:
     with pytest.raises(WorkCancelledError):
         run_in_process(cancel, time.sleep, 10 * TIMEOUT)
     assert time.monotonic() - started < 5 * TIMEOUT
+
+
+def test_a_cancelled_job_that_ends_late_leaves_alone_the_one_that_took_its_place() -> None:
+    jobs, stop, client = BackgroundJobs(), [threading.Event(), threading.Event()], object()
+
+    def work(number: int) -> Callable[[ReportProgress], int]:
+        def run(report: ReportProgress) -> int:
+            while not stop[number].wait(0.005):
+                pass
+            report(0, 0)
+            return number
+
+        return run
+
+    first = jobs.join("a", client, work(0), keep=False)
+    jobs.leave(client)
+    second = jobs.join("a", client, work(1), keep=False)
+    assert second is not first
+    stop[0].set()
+    assert first.wait(TIMEOUT)
+    assert jobs.join("a", object(), work(1), keep=False) is second
+    stop[1].set()
+    assert second.wait(TIMEOUT)
+    assert second.value == 1
+    until(lambda: "a" not in jobs._jobs)

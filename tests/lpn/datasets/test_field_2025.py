@@ -212,6 +212,11 @@ def test_answers_of_university160k_are_names_in_the_order_of_its_list(
     )
     assert main([*command, "--answers", str(out), "--rotate", "90"]) == 2
     assert "leave --json, changes of queries, and other rankings out" in capsys.readouterr().err
+    next(file for file in root.rglob("*") if file.parent.name.startswith("query_drone") and file.is_file()).unlink()
+    before = out.read_text()
+    assert main([*command, "--answers", str(out)]) == 2
+    assert "a server takes answers by their place in its list" in " ".join(capsys.readouterr().err.split())
+    assert out.read_text() == before
     assert main(command) == 2
     assert "lpn evaluate --answers writes a file of answers" in " ".join(capsys.readouterr().err.split())
 
