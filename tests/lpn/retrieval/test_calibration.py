@@ -31,6 +31,7 @@ from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, groun
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
 from lpn.tasks.opening import calibrated, open_task
+from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
 
@@ -215,20 +216,22 @@ def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
     model_file: Path, one_part_model_file: Path, wide: Path
 ) -> None:
     workspace = open_model(wide, model_file, beside=[one_part_model_file], calibrate=True)
-    assert "calibrated" in workspace.description
+    assert workspace.asked_scoring == "calibrated"
     other = workspace.beside[0].open()
     assert other.wait(60)
     assert other.value is not None
-    assert "calibrated" in other.value.description
-    task = workspace.tasks["satellite-to-drone"]
+    calibrated = scored_key(TASK, "calibrated")
+    assert calibrated in workspace.rankings.keys() & other.value.rankings.keys()
+    task = workspace.rankings[scored_key("satellite-to-drone", "calibrated")].task
     tile = task.gallery[0]
     assert tile.note == f"zoomed by {tile.zoom:.2f}"
     card = workspace.card(task, 0)
     np.testing.assert_array_equal(card, images.resize(tile.load_zoomed(), *card.shape[:2]))
     np.testing.assert_array_equal(workspace.ground_picture(task, 0), tile.load())
-    state = SessionState(TASK, 4, upload=OwnPicture("mine", workspace.tasks[TASK].queries[0].load()))
+    query = workspace.rankings[calibrated].task.queries[0]
+    state = SessionState(TASK, 4, scoring="calibrated", upload=OwnPicture("mine", query.load()))
     shown = StateAnalyser(workspace).analyse(state, 5)
-    assert shown.query_note == workspace.tasks[TASK].queries[0].note == f"zoomed by {shown.zoom:.2f}"
+    assert shown.query_note == query.note == f"zoomed by {shown.zoom:.2f}"
 
 
 def test_too_few_pictures_are_refused(model: Model, data: Path) -> None:
