@@ -107,7 +107,7 @@ class Workspace:
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
-        # What a visitor must know of the pictures, in a few words; a workspace that has it opens at its first screen.
+        # A few words about the pictures for the first screen; a workspace that has them opens there.
         self.about = ""
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         self.flight: LocatedFlight | None = None

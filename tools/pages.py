@@ -126,7 +126,7 @@ def copy_run(run: Path, world: Path, docs: Path) -> None:
     write_json(docs / "measured" / "reproduction.json", data, ensure_ascii=False)
     for name, picture in _DRAWINGS.items():
         if (drawn := run / f"{name}.png").is_file():
-            cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))))
+            cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))), [cv2.IMWRITE_JPEG_QUALITY, 80])
         else:
             (docs / picture).unlink(missing_ok=True)
 

@@ -21,14 +21,13 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
-from explorer.compute.scorings import choices
 from explorer.compute.worker import DelayedCall, Worker
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.workspace import StateAnalyser, StateAnalysis
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
-from lpn.tasks.task import Scoring
+from lpn.tasks.task import Scoring, scored_key
 
 log = logging.getLogger(__name__)
 
@@ -180,8 +179,7 @@ class ClientSession:
 
     def _show_scoring(self, scoring: Scoring) -> None:
         """Rank by a scoring; one that is not ready is prepared first, while the page goes on."""
-        ready = any(one.scoring == scoring and one.ready for one in choices(self._workspace.rankings, self._state.task))
-        if ready:
+        if scored_key(self._state.task, scoring) in self._workspace.rankings:
             self.change(lambda state: replace(state, scoring=scoring))
         elif (job := self._workspace.scorings.prepare()) is not None:
             threading.Thread(

@@ -12,7 +12,7 @@ from lpn.datasets import Picture
 from lpn.explain.centre import centre_shares
 from lpn.models.base import Model
 
-# Of more pictures, so many are drawn at random, which leaves the mean uncertain by about 0.1 %.
+# The size of the random sample of a larger test set; it leaves the mean uncertain by about 0.1 %.
 MOST = 2000
 
 

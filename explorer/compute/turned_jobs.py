@@ -5,13 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 
-from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_turn
 from lpn.core.resources import yield_cores
 from lpn.tasks.task import Task
 from lpn.tasks.turned import TurnedFigures, turned
-
-# Seconds between two looks at whether a waiting job is still wanted.
-_PATIENCE = 0.1
 
 
 class TurnedJobs:
@@ -47,12 +44,8 @@ class TurnedJobs:
 
         def work(report: ReportProgress) -> None:
             yield_cores()
-            while not self._turn.acquire(timeout=_PATIENCE):
-                report(0, 0)
-            try:
+            with in_turn(self._turn, report):
                 self._compute(task, turns, report)
-            finally:
-                self._turn.release()
 
         return self._jobs.join(key, client, work, keep=False)
 

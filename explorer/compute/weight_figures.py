@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
-from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_turn
 from lpn.analysis.part_weights import WeightedTask, WeightEffect, part_combinations, weights_of
 from lpn.core.resources import yield_cores
 from lpn.retrieval import scoring
@@ -17,8 +16,6 @@ from lpn.tasks.task import Task
 _KEPT = 1024
 # Number of tasks whose part products are kept: each may take hundreds of megabytes.
 _MEASURED = 2
-# Seconds between two looks at whether a waiting job is still wanted.
-_PATIENCE = 0.1
 
 _Key = tuple[str, bytes]
 
@@ -78,7 +75,7 @@ class WeightFigures:
 
     def _compute(self, task: str, weights: Sequence[float], report: ReportProgress) -> WeightEffect:
         key = self._key(task, weights)
-        with self._one_at_a_time(report):
+        with in_turn(self._turn, report):
             effect = self.known(task, weights)
             if effect is None:
                 if task not in self._measured:
@@ -91,15 +88,6 @@ class WeightFigures:
                     if len(self._known) > _KEPT:
                         self._known.popitem(last=False)
             return effect
-
-    @contextmanager
-    def _one_at_a_time(self, report: ReportProgress) -> Iterator[None]:
-        while not self._turn.acquire(timeout=_PATIENCE):
-            report(0, 0)
-        try:
-            yield
-        finally:
-            self._turn.release()
 
     def _key(self, task: str, weights: Sequence[float]) -> _Key:
         """Return a key that is the same for equal proportions."""

@@ -75,7 +75,7 @@ class FailureLabWindow:
         self._lock = threading.RLock()
         task = next(iter(workspace.tasks))
         self._lab, self._view = LabState(task=task), _View(task, None, False)
-        # Which of the models beside the workspace's own is the second one.
+        # The index of the second model among those beside the workspace's own.
         self._beside = 0
         self._table_rows = np.zeros(0, np.int64)
         # The task and the choices of an address, until there is a table that they can be applied to.

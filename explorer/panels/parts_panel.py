@@ -56,7 +56,7 @@ class PartsPanel:
         self._html = Html(gui)
         self._state: SessionState | None = None
         self._sorted_by: int | None = None
-        # Who waits for the figures of the weights, and for those of all combinations.
+        # The clients of two jobs: the figures of the weights, and those of all combinations.
         self._of_weights, self._of_combinations = object(), object()
         self._wanted: tuple[str, tuple[float, ...]] | None = None
         self._job: BackgroundJob[WeightEffect] | None = None

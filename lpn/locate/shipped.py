@@ -4,7 +4,8 @@
     windows/       store of the map's windows
     frames/        store of the flight's frames at the headings that are tried
 
-They count only if model, map, photos, windows, and headings are those that they were made with. Otherwise all is computed anew.
+They count only if model, map, and photos are those that they were made with, and descriptors only if windows and headings are,
+too. Otherwise they are computed anew.
 """
 
 from __future__ import annotations

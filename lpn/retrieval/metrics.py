@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array
+from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.models.base import as_array
@@ -131,18 +131,32 @@ def retrieve(
         progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
     """
     (queries, tiles), lengths = checked_sides(query, gallery)
-    if truth is None:
-        of_query = checked_labels(query_labels, queries, "query")
-        ground_truth = GroundTruth.by_labels(of_query, checked_labels(gallery_labels, tiles, "gallery"))
-    else:
-        check_truth(truth, len(queries), len(tiles))
-        ground_truth = GroundTruth.by_lists(truth)
+    ground_truth = checked_ground_truth(queries, tiles, query_labels, gallery_labels, truth)
     scores, blocks = Scores(queries, tiles, lengths, factors), []
     for rows, block, errors in scores.blocks():
         blocks.append(ranks.rank(scores, ground_truth, rows, block, errors))
         if progress is not None:
             progress(rows.stop, len(queries))
     return joined(blocks, len(tiles))
+
+
+def checked_ground_truth(
+    queries: Float32Array,
+    tiles: Float32Array,
+    query_labels: npt.ArrayLike | None,
+    gallery_labels: npt.ArrayLike | None,
+    truth: Sequence[Truth] | None,
+) -> GroundTruth:
+    """Return the true matches and junk of queries (Q, F) in a gallery (G, F): by lists, without them by labels.
+
+    Raises:
+        InputError: if lists or labels do not fit the queries or the gallery.
+    """
+    if truth is None:
+        of_query = checked_labels(query_labels, queries, "query")
+        return GroundTruth.by_labels(of_query, checked_labels(gallery_labels, tiles, "gallery"))
+    check_truth(truth, len(queries), len(tiles))
+    return GroundTruth.by_lists(truth)
 
 
 def joined(parts: Sequence[Ranked], gallery: int) -> Retrieval:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.datasets import Truth
 from lpn.retrieval.inner_products import Scores, norms
-from lpn.retrieval.metrics import check_truth, checked_labels, checked_sides
+from lpn.retrieval.metrics import checked_ground_truth, checked_sides
 from lpn.retrieval.ranks import GroundTruth, average_precision
 
 # Bytes of kept products beyond which they are not kept.
@@ -91,12 +91,7 @@ class PartRanks:
             None where more than the budget would be kept: the parts of a weak model disagree about most tiles.
         """
         (flat_query, flat_gallery), lengths = checked_sides(query, gallery)
-        if truth is None:
-            labels = checked_labels(query_labels, flat_query, "query")
-            ground_truth = GroundTruth.by_labels(labels, checked_labels(gallery_labels, flat_gallery, "gallery"))
-        else:
-            check_truth(truth, len(query), len(gallery))
-            ground_truth = GroundTruth.by_lists(truth)
+        ground_truth = checked_ground_truth(flat_query, flat_gallery, query_labels, gallery_labels, truth)
         n = query.shape[1]
         errors = _errors(query, gallery)
         tiles = [np.ascontiguousarray(gallery[:, part], np.float32).T for part in range(n)]

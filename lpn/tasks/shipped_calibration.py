@@ -67,7 +67,7 @@ def write_calibration(
 
 
 def read_calibration(model: Model, root: Path, lists: Mapping[View, Sequence[Sequence[Picture]]]) -> Calibration | None:
-    """Return the calibration that ships with a data set; None without one, and if it is of another model or other pictures.
+    """Return the calibration that ships with a data set; None without one, and if it is of another model or lacks a picture.
 
     Args:
         lists: for each view, the lists of pictures that it must have.

@@ -188,7 +188,7 @@ class Task(ABC):
 
     @property
     def compared(self) -> tuple[Float32Array, Float32Array]:
-        """What is ranked by inner product, see `sides`; under CSLS each part has one number more."""
+        """The descriptors that are ranked by inner product, see `sides`; CSLS appends one number to each part."""
         return self.sides()
 
     @abstractmethod

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from lpn.core.errors import InputError
 from lpn.core.progress import CountProgress
 from lpn.descriptors import cached_descriptors
 from lpn.descriptors.transforms import Change
-from lpn.retrieval import csls, metrics
 from lpn.tasks.task import Task
 
 # The turns of Table IV, in degrees counter-clockwise.
@@ -64,7 +63,7 @@ def turned(task: Task, degrees: float, progress: CountProgress | None = None) ->
     if reason := why_not(task):
         raise InputError(reason)
     assert task.model is not None
-    query, gallery = task.sides()
+    query, _ = task.sides()
     angle = float(degrees % 360)
     if angle:
         query = np.empty_like(query)
@@ -81,8 +80,5 @@ def turned(task: Task, degrees: float, progress: CountProgress | None = None) ->
 
             query[rows] = cached_descriptors(task.model, some, task.query_view, change, on_progress)
             done += len(rows)
-    if task.neighbours:
-        query, gallery = csls.scaled(query, gallery, task.neighbours)
-    ranking = metrics.retrieve(query, task.query_labels, gallery, task.gallery_labels, task.truth)
-    figures = ranking.metrics(task.known)
+    figures = replace(task, query_descriptors=query, weights=None).metrics
     return TurnedFigures(angle, figures["recall@1"], figures["ap"], int(figures["queries"]))

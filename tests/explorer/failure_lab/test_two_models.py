@@ -24,7 +24,7 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
-from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
+from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn.core.arrays import Int64Array
 from lpn.datasets import open_dataset
 from lpn.tasks import ranking_cache
@@ -163,11 +163,8 @@ def test_ranks_are_those_of_the_model_that_is_compared(workspace: Workspace) -> 
     assert alone.second is None
 
 
-def test_a_filter_on_the_ranks_of_one_model_is_refused_until_those_of_the_next_are_known(
-    waiting: Workspace, held: tuple[Event, Event]
-) -> None:
-    held[1].set()
-    waiting.beside = [*waiting.beside, LazyWorkspace("the next", lambda _: open_model(waiting.root, GateModel(seed=7)))]
+def window_of(waiting: Workspace) -> tuple[FailureLabWindow, WindowGui, StateAnalysis]:
+    """Open the laboratory on a workspace, and ask for the second model's ranks."""
     gui, client = WindowGui(), SimpleNamespace()
     client.gui = gui
     window = FailureLabWindow(
@@ -183,6 +180,15 @@ def test_a_filter_on_the_ranks_of_one_model_is_refused_until_those_of_the_next_a
     window.show(analysis)
     wait_until(lambda: "Compare the ranks with the other" in gui.shown("lpn-lab-second"))
     window.receive(messages.OpenSecond())
+    return window, gui, analysis
+
+
+def test_a_filter_on_the_ranks_of_one_model_is_refused_until_those_of_the_next_are_known(
+    waiting: Workspace, held: tuple[Event, Event]
+) -> None:
+    held[1].set()
+    waiting.beside = [*waiting.beside, LazyWorkspace("the next", lambda _: open_model(waiting.root, GateModel(seed=7)))]
+    window, gui, analysis = window_of(waiting)
     wait_until(lambda: "rank B" in gui.shown("lpn-lab-table"))
     window.receive(messages.SetFilter("rank B > 1"))
     wait_until(lambda: window._lab.filter == "rank B > 1")
@@ -286,21 +292,7 @@ def test_a_second_model_that_cannot_be_opened_says_why(
 
 def test_the_window_shows_the_wait_and_then_the_ranks(waiting: Workspace, held: tuple[Event, Event]) -> None:
     begun, go = held
-    gui, client = WindowGui(), SimpleNamespace()
-    client.gui = gui
-    window = FailureLabWindow(
-        client,  # type: ignore[arg-type]
-        waiting,
-        FailureLab(waiting),
-        Feeds(waiting),
-        lambda _: None,
-        Viewport(),
-        SimpleNamespace(),  # type: ignore[arg-type]
-    )
-    analysis = StateAnalyser(waiting).analyse(SessionState(TASK, 4, lab=True), 10)
-    window.show(analysis)
-    wait_until(lambda: "Compare the ranks with the other" in gui.shown("lpn-lab-second"))
-    window.receive(messages.OpenSecond())
+    window, gui, _ = window_of(waiting)
     assert begun.wait(120)
     wait_until(lambda: "rank B: ranking 5 of 13 queries" in gui.shown("lpn-lab-second"))
     assert "rank B" not in gui.shown("lpn-lab-table")
