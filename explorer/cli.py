@@ -1,7 +1,8 @@
-"""The command that opens the app: explore. The entry point group `lpn.commands` makes it a command of `lpn`."""
+"""The commands of the app: explore opens it, story films it. The entry points `lpn.commands` make them commands of `lpn`."""
 
 from __future__ import annotations
 
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import tyro
 from lpn.cli import by_source
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
+from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 from lpn.sources import Arrays, Flown, Indexed, Published, TaskSource
@@ -229,3 +231,67 @@ def _beside_kinds(beside: Sequence[Path], kinds: Sequence[Kind | Literal["auto"]
             f"There are {len(kinds)} kinds for {len(beside)} models of --beside; give one for each in their order, or auto."
         )
     return [None if kind == "auto" else kind for kind in kinds] or [None] * len(beside)
+
+
+@dataclass(kw_only=True)
+class StoryCommand:
+    """List the stories of a data set, or make a silent film of one for slides."""
+
+    name: Annotated[str | None, tyro.conf.Positional] = None
+    """Name of the story, as the row Stories shows it; the stories are listed without it."""
+    record: Path | None = None
+    """Film to write: .mp4 (H.264), or .webp, which moves in a README."""
+    data: Path | None = None
+    """Data set in any layout of docs/data.md that the story lies beside; by default the demo."""
+    model: Path | None = None
+    """Trained LPN, as of lpn explore; by default the demo's."""
+    kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
+    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    calibrate: bool = False
+    """Rank with calibration, as lpn explore --calibrate does."""
+    size: tuple[int, int] = (1280, 800)
+    """Width and height of the film in pixels, both even."""
+    seconds: float | None = None
+    """Seconds for which each step stands; by default as long as its caption takes to read."""
+    light: bool = False
+    """Use the light theme."""
+
+    def run(self) -> None:
+        from rich.console import Console
+
+        from explorer.app import serve_in_background
+        from explorer.stories import film
+        from explorer.stories.library import stories_of
+        from lpn.core.consoles import stage_bars
+
+        if self.record is not None and self.name is None:
+            raise InputError("--record needs the name of a story; lpn story alone lists them.")
+        if self.seconds is not None and not 0.1 <= self.seconds <= 60:
+            raise InputError(f"--seconds is {self.seconds:g}; expected 0.1 to 60.")
+        open_workspace, _ = Explore(
+            data=self.data, model=self.model, kind=self.kind, calibrate=self.calibrate
+        ).workspaces()
+        workspace = open_workspace()
+        stories = stories_of(workspace)
+        for problem in stories.errors:
+            print(f"lpn: {problem}", file=sys.stderr)
+        if self.name is None:
+            for story in stories.by_name.values():
+                print(f"{story.name}  ({len(story.steps)} steps)")
+            return
+        chosen = stories.by_name.get(self.name)
+        if chosen is None:
+            raise InputError(f"There is no story {printable(self.name)!r}; there are {', '.join(stories.by_name)}.")
+        if self.record is None:
+            raise InputError("Give --record FILE.mp4 or FILE.webp; lpn explore tells a story in the browser.")
+        film.check_film(self.record, chosen, self.size)
+        with (
+            serve_in_background(lambda: workspace) as page,
+            stage_bars(Console(stderr=True), "Recording {}") as on_progress,
+        ):
+            takes = film.record(
+                page.url, chosen, self.size, not self.light, self.seconds, partial(on_progress, "steps")
+            )
+        film.write(takes, self.record)
+        length = sum(take.seconds for take in takes) + (len(takes) - 1) * (film.FADE - 1) / film.RATE
+        print(f"{self.record}: {len(takes)} steps, {length:.0f} s, {self.record.stat().st_size / 1e6:.1f} MB")

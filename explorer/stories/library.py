@@ -9,7 +9,9 @@ from pathlib import Path
 
 import msgspec
 
+from explorer.stories import tour
 from explorer.stories.story import Story, StoryDraft
+from explorer.workspace import Workspace
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import DataError, InputError, LPNError, OutputError
 from lpn.core.files import printable
@@ -60,6 +62,12 @@ def read_all(root: Path, built_in: Sequence[Story] = (), shipped: bool = True) -
         except LPNError as error:
             errors.append(str(error))
     return Stories(stories | {story.name: story for story in built_in if story.name not in stories}, tuple(errors))
+
+
+def stories_of(workspace: Workspace) -> Stories:
+    """Read the stories of a workspace, the tour last; the demo's own are left out where its ranking is another."""
+    calibrated = any(task.calibration for task in workspace.tasks.values())
+    return read_all(workspace.root, [tour.story(workspace)], shipped=not calibrated)
 
 
 def save(root: Path, draft: StoryDraft) -> StoryDraft:

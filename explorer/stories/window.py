@@ -163,8 +163,7 @@ class StoryWindow:
                     self._edit(replace(self._draft, story=story.remove(self._draft.story, index)))
 
     def _read(self) -> library.Stories:
-        calibrated = any(task.calibration for task in self._workspace.tasks.values())
-        return library.read_all(self._workspace.root, [self.tour], shipped=not calibrated)
+        return library.stories_of(self._workspace)
 
     def _new_draft(self) -> StoryDraft:
         return StoryDraft(Story(story.new_name(list(self._stories.by_name))))

@@ -28,6 +28,7 @@ _EXTRAS = {
     **dict.fromkeys(("bpy", "mathutils"), "world"),
     **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
     "av": "video",
+    "playwright": "film",
 }
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
+from explorer.stories import film
+from explorer.stories.story import Step, Story
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 
 
@@ -245,3 +247,16 @@ def test_a_draft_outlives_a_reload(story_app: RunningApp, contexts: Callable[...
     explorer.page.locator("#lpn-story-names a").last.click()
     expect(explorer.page.locator("#lpn-story-steps .caption")).to_have_count(1)
     expect(explorer.page.locator("#lpn-story-message")).to_contain_text("Not saved yet")
+
+
+@pytest.mark.slow
+def test_a_film_shows_each_step_with_its_caption(story_app: RunningApp) -> None:
+    steps = (Step("query=0007", "One place"), Step("query=0011&angle=90", "Another one, turned"))
+    counts: list[tuple[int, int]] = []
+    takes = film.record(story_app.url, Story("Two", steps), (960, 600), True, None, lambda *done: counts.append(done))
+    assert counts == [(1, 2), (2, 2)]
+    assert [take.picture.shape for take in takes] == [(600, 960, 3)] * 2
+    # The caption lies over the lower edge, and both steps show another query above it.
+    captions, stages = ([take.picture[rows] for take in takes] for rows in (slice(520, None), slice(0, 480)))
+    assert all(caption.max() > 200 for caption in captions)
+    assert (stages[0] != stages[1]).any(axis=2).mean() > 0.02

@@ -227,8 +227,8 @@
   };
 
   lpn.telling = () => told !== null;
-  lpn.tell = (story) => {
-    if (free(story.steps[0]) && lpn.screen() === "first") {
+  lpn.tell = (story, first = 0) => {
+    if (free(story.steps[first]) && lpn.screen() === "first") {
       wanted = begunOnFirst = story;
       return lpn.send("screen", "all");
     }
@@ -236,7 +236,7 @@
     begunOnFirst = null;
     told = story;
     frame();
-    go(0);
+    go(first);
   };
 
   // Without storage, the tour would start at every visit.
