@@ -111,6 +111,7 @@ class MapPage:
             "palette": colours.palette,
             "legend": map_data.legend(colours, rows),
             "lines": map_data.lines(findings, points, rows),
+            "pictures": [self._feeds.thumbnails(findings.task, side) for side in ("query", "tile")],
             "axes": points.axes,
             "selected": len(rows),
             "chosen": len(chosen),

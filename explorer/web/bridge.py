@@ -38,6 +38,7 @@ _SCRIPT = ";".join(
         "first_screen.js",
         "tips.js",
         "tiles.js",
+        "thumbnails.js",
         "pens.js",
         "map_marks.js",
         "pan_zoom.js",

@@ -281,6 +281,9 @@ def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
     lab.page.locator("#lpn-lab-maps a", has_text="PCA").click()
     expect(shown).to_have_attribute("data-map", "pca")
     expect(counted).to_have_text("40 of 40")
+    expect(shown).to_have_attribute("data-pictures", re.compile("[1-9]"))  # so few queries are shown as pictures
+    lab.page.get_by_label("Pictures in place of points").click()
+    expect(shown).to_have_attribute("data-pictures", "0")
     lasso(lab, ALL)
     expect(lab.page.locator(".lab-summary .pick")).to_contain_text("lasso on the PCA")
     expect(lab.count).to_contain_text("40 of 40 queries")
@@ -319,6 +322,13 @@ def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
     assert box is not None
     at = box["x"] + place[0], box["y"] + place[1]
     lab.page.mouse.move(*at)
+    while shown.locator(".marks").evaluate("marks => marks.style.cursor") == "zoom-in":  # a pie of several places
+        frames = shown.get_attribute("data-frames")
+        lab.page.mouse.click(*at)
+        expect(shown).not_to_have_attribute("data-frames", frames or "")
+        place = lab.page.evaluate("row => lpn.labMap.pixels(row)", row)
+        at = box["x"] + place[0], box["y"] + place[1]
+        lab.page.mouse.move(*at)
     tip = lab.page.locator(".lab-tip")
     expect(tip).to_be_visible()
     expect(tip).to_contain_text(table.columns["name"].text(int(tip.get_attribute("data-row") or -1)))

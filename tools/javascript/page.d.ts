@@ -129,6 +129,7 @@ interface Lpn {
   // Maps and their drawing.
   panZoom(element: HTMLElement, options: PanZoomOptions): PanZoom;
   tiles(redraw: () => void): { draw(pen: CanvasRenderingContext2D, ratio: number, data: any, map: PanZoom): number; clear(): void };
+  thumbnails(redraw: () => void): { all(addresses: string[]): (HTMLImageElement | null)[] };
   pens: {
     canvas(element: HTMLCanvasElement): [CanvasRenderingContext2D, number];
     stroke(pen: CanvasRenderingContext2D, colour: string, width: number, dash?: number[]): void;
@@ -148,7 +149,7 @@ interface Lpn {
   flight: any;
 
   // stories.js and url_state.js
-  tell(story: Story): void;
+  tell(story: Story, first?: number): void;
   telling(): boolean;
   welcome(unasked: boolean): void;
   keepDraft(draft: unknown): void;

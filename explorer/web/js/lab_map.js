@@ -17,6 +17,9 @@
   const FARTHEST = 8, NEAREST = 1e5;
   // Side in pixels of the cells whose queries are one pie on the ground.
   const PIE_CELL = 26;
+  // Sides in pixels of a picture that stands for a point and of its room, the zoom from which pictures stand, and the number of
+  // selected queries up to which they always stand.
+  const PICTURE = 60, ROOM = 70, CLOSE = 2, FEW = 60;
   const GREY = "#8a8a8a", PALE = "#515357", TILE = "#9aa1a8";
   const { clamp } = lpn;
   // The corners of what a drag encloses: its own, or those of the box that a straight one spans; null if it encloses nothing.
@@ -30,6 +33,7 @@
     return Math.min(Math.abs(right), Math.abs(down)) < LEAST_SIDE ? null : [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
   };
   const views = new Map(); // middle and pixels per unit of each map that was looked at
+  let pictured = true; // pictures stand for points where the map is close enough
   let mode = "move", data = null, root = null, current = null;
 
   // ---- what the server publishes, by address; the newest few
@@ -90,6 +94,7 @@
     const [ground, points, overlay] = box.querySelectorAll("canvas");
     const counted = box.querySelector(".counted"), position = box.querySelector(".read");
     let plane = null, flags = null, codes = null, palette = [], picture = null, order = null, groups = null, gathered = 0;
+    let placed = [], placedAt = 0; // points that have a picture, and the scale at which they were chosen
     let bounds = null, frame = 0, buffer = null, rest = 0, hovered = -1, lasso = null, asked = 0;
     const ratio = () => Math.min(window.devicePixelRatio || 1, 2);
     const x = (i) => plane[2 * i], y = (i) => plane[2 * i + 1];
@@ -143,6 +148,49 @@
       for (const members of groups) for (const i of members) alone[i] = 0;
       return alone;
     };
+    // Points whose pictures do not cover one another at this zoom, failures first and tiles last. They are chosen from all, in sight
+    // or not, so that a picture stays while the map is dragged.
+    const place = () => {
+      placedAt = map.view.scale;
+      placed = [];
+      if (data.ground || !pictured || (map.view.scale < CLOSE * fitted() && data.selected > FEW)) return;
+      const cells = new Map(), room = ROOM / map.view.scale;
+      const free = (i) => {
+        const [column, row] = [Math.floor(x(i) / room), Math.floor(y(i) / room)];
+        for (let c = column - 1; c <= column + 1; c++)
+          for (let r = row - 1; r <= row + 1; r++) {
+            const other = cells.get(c + "," + r);
+            if (other !== undefined && Math.abs(x(other) - x(i)) < room && Math.abs(y(other) - y(i)) < room) return false;
+          }
+        cells.set(column + "," + row, i);
+        return true;
+      };
+      for (const layer of [order[3], order[2], order[0]]) for (const i of layer) if (x(i) === x(i) && free(i)) placed.push(i);
+    };
+    const inPicture = ([left, top]) =>
+      placed.find((i) => {
+        const [px, py] = map.toPixels([x(i), y(i)]);
+        return Math.max(Math.abs(px - left), Math.abs(py - top)) < PICTURE / 2;
+      });
+    const thumbnails = lpn.thumbnails(() => soon());
+    const drawPictures = (pen) => {
+      const [width, height] = map.size();
+      const seen = placed.map((i) => ({ i: i, at: map.toPixels([x(i), y(i)]) })).filter(({ at: [left, top] }) => left > -PICTURE && top > -PICTURE && left < width + PICTURE && top < height + PICTURE);
+      const images = thumbnails.all(seen.map(({ i }) => (i < data.queries ? data.pictures[0] + i : data.pictures[1] + (i - data.queries))));
+      let drawn = 0;
+      seen.forEach(({ i, at: [left, top] }, n) => {
+        const image = images[n], tile = i >= data.queries;
+        if (!image) return;
+        const side = PICTURE - 6, cut = Math.min(image.naturalWidth, image.naturalHeight);
+        pen.fillStyle = "#0a0a0c";
+        pen.fillRect(left - PICTURE / 2, top - PICTURE / 2, PICTURE, PICTURE);
+        pen.fillStyle = tile ? TILE : colour(i);
+        pen.fillRect(left - PICTURE / 2 + 1, top - PICTURE / 2 + 1, PICTURE - 2, PICTURE - 2);
+        pen.drawImage(image, (image.naturalWidth - cut) / 2, (image.naturalHeight - cut) / 2, cut, cut, left - side / 2, top - side / 2, side, side);
+        drawn++;
+      });
+      box.dataset.pictures = String(drawn);
+    };
     const colour = (i) => (codes[i] === UNKNOWN ? GREY : palette[codes[i]] || GREY);
 
     const draw = () => {
@@ -150,6 +198,7 @@
       if (!ready()) return;
       const begun = performance.now(), k = ratio();
       if (data.ground && gathered !== map.view.scale) sort(); // a zoom gathers other queries
+      if (placedAt !== map.view.scale) place();
       const [width, height] = map.size().map((side) => Math.round(side * k));
       if (!width || !height) return;
       for (const canvas of [ground, points, overlay]) if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
@@ -268,6 +317,7 @@
       const wrong = style.getPropertyValue("--lpn-map-false").trim(), right = style.getPropertyValue("--lpn-map-true").trim();
       for (const [query, tile] of data.lines) line(query, data.queries + tile, wrong, 1);
       for (const members of groups || []) drawPie(pen, members);
+      drawPictures(pen);
       if (data.query && x(data.query[0]) === x(data.query[0])) {
         const [query, answer, positive] = data.query;
         const tiles = [];
@@ -281,10 +331,10 @@
           pen.fillStyle = ink;
           pen.fillRect(left - 4.5, top - 4.5, 9, 9);
         }
-        ring(pen, query, data.ground ? 13 : 9, "#fff", 2.5);
+        ring(pen, query, placed.includes(query) ? PICTURE * 0.72 : data.ground ? 13 : 9, "#fff", 2.5);
       }
       for (let i = 0; data.chosen && data.chosen < MANY && i < data.queries; i++) if (flags[i] & CHOSEN && x(i) === x(i)) ring(pen, i, data.ground ? 12 : 7, "#e69f00", 2);
-      if (hovered >= 0) ring(pen, hovered, data.ground ? 13 : 8, "#56b4e9", 2);
+      if (hovered >= 0) ring(pen, hovered, placed.includes(hovered) ? PICTURE * 0.72 : data.ground ? 13 : 8, "#56b4e9", 2);
       if (lasso && lasso.length > 1) {
         pen.beginPath();
         (enclosed(lasso) || lasso).forEach((at, i) => pen[i ? "lineTo" : "moveTo"](...at));
@@ -304,9 +354,14 @@
       lpn.pens.stroke(pen, ink, width);
     };
 
+    // The queries of the pie that a query is in, if they were taken at several places.
+    const apart = (query) => groups?.find((members) => members.includes(query) && members.some((i) => x(i) !== x(query) || y(i) !== y(query)));
+
     // The query nearest to a place; selected ones go before others.
     /** @param {Point} at */
     const near = ([left, top]) => {
+      const picture = inPicture([left, top]);
+      if (picture !== undefined) return picture < data.queries ? picture : -1;
       const best = [[REACH, -1], [REACH, -1]];
       for (let i = 0; i < data.queries; i++) {
         const [px, py] = map.toPixels([x(i), y(i)]);
@@ -346,14 +401,16 @@
       if (pressed) return;
       const query = near(at);
       if (query !== hovered) (hovered = query), soon();
-      overlay.style.cursor = query >= 0 ? "pointer" : mode === "lasso" || event.shiftKey ? "crosshair" : "grab";
-      if (query < 0) return;
+      const several = query >= 0 && apart(query);
+      overlay.style.cursor = several ? "zoom-in" : query >= 0 ? "pointer" : mode === "lasso" || event.shiftKey ? "crosshair" : "grab";
+      if (query < 0 || several) return;
       lpn.mouse = [event.clientX, event.clientY];
       rest = setTimeout(() => lpn.send("lab-tip", [data.map, query]), REST);
     };
     const tapped = (at, { ctrlKey, metaKey }) => {
-      const query = near(at);
-      if (query >= 0) ctrlKey || metaKey ? lpn.send("lab-rows", [query, query, "toggle"]) : lpn.send("lab-point", [data.map, query]);
+      const query = near(at), several = query >= 0 && !ctrlKey && !metaKey && apart(query);
+      if (several) fit(extent((i) => several.includes(i)), 0.6);
+      else if (query >= 0) ctrlKey || metaKey ? lpn.send("lab-rows", [query, query, "toggle"]) : lpn.send("lab-point", [data.map, query]);
       return query >= 0;
     };
     // A drag in the lasso's mode, or with Shift held in the other, draws.
@@ -417,10 +474,16 @@
       out: map.stepOut,
       all: home,
       chosen: () => fit(extent((i) => flags[i] & SELECTED), 0.8),
+      pictures: () => {
+        pictured = !pictured;
+        placedAt = 0;
+        soon();
+      },
     };
     const pressed = () => {
       box.querySelector(".hint").hidden = mode !== "lasso";
       box.querySelectorAll("button").forEach((one) => ["move", "lasso"].includes(one.dataset.act) && one.setAttribute("aria-pressed", one.dataset.act === mode));
+      box.querySelector("[data-act=pictures]")?.setAttribute("aria-pressed", pictured);
     };
     box.querySelectorAll("button").forEach((one) => one.addEventListener("click", () => (ready() && acts[one.dataset.act](), pressed())));
     overlay.addEventListener("keydown", (event) => {
@@ -496,6 +559,7 @@
           if (map.view) views.set(next.view + "fit", map.view.scale);
         }
         sort();
+        placedAt = 0; // others may be selected
         tell(next.selected);
         legend();
         draw();
