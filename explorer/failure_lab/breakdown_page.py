@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
+
+import numpy as np
 
 from explorer.failure_lab import state
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState
 from explorer.web.render import render
 from explorer.workspace import Workspace
-from lpn.analysis import breakdown
+from lpn.analysis import breakdown, near_duplicates
 from lpn.analysis.breakdown import Rate
+from lpn.analysis.near_duplicates import NearDuplicate
 from lpn.core.tables import Column
+from lpn.tasks.task import Task
 
-_MAX_PAIRS, _MAX_VALUES = 10, 10
+_MAX_PAIRS, _MAX_VALUES, _MAX_TILES = 10, 10, 6
 
 
 class _Line(NamedTuple):
@@ -30,7 +35,7 @@ class _Line(NamedTuple):
 
 @dataclass(frozen=True)
 class _Card:
-    """A chart; `style` is "part", "pair", or "rate".
+    """A chart; `style` is "part", "pair", "hub", "alike", or "rate".
 
     Attributes:
         about: what the values of a column mean; may be empty.
@@ -72,7 +77,9 @@ def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card
         for column in state.charted_columns(findings)
         if 1 < len(state.failure_rates(findings, everything, column)) <= most
     ]
-    drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace)]
+    drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace), _hub_card(findings, lab, workspace)]
+    if findings.task.depth is None and len(findings.task.gallery) <= near_duplicates.MAX_TILES:
+        drawn.append(_alike_card(findings, lab, workspace))
     return drawn + [_rate_card(findings, lab, column, state.failure_rates(findings, lab, column)) for column in columns]
 
 
@@ -115,6 +122,59 @@ def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card
         )
     listed = f"; the first {_MAX_PAIRS} of {len(confusions):,}" if len(confusions) > _MAX_PAIRS else ""
     return _Card("pair", f"Places taken for others{listed}", lines)
+
+
+def _hub_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:
+    hubs, chosen, task = state.hubs(findings, lab), _label(lab, "hub"), findings.task
+    lines = [
+        _Line(
+            "lab-hub",
+            hub.tile,
+            state.hub_label(findings, hub.tile) == chosen,
+            f"{len(hub.queries)} queries of {hub.places} other places were answered with this tile",
+            (task.tile_name(hub.tile), _tile_picture(findings, workspace, hub.tile), hub.places, len(hub.queries)),
+        )
+        for hub in hubs[:_MAX_TILES]
+    ]
+    listed = f"; the first {_MAX_TILES} of {len(hubs):,}" if len(hubs) > _MAX_TILES else ""
+    return _Card("hub", f"Hubs: tiles that answer queries of several other places{listed}", lines)
+
+
+def _alike_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:
+    task, chosen, lines = findings.task, _label(lab, "alike"), []
+    for pair in _near_duplicates(task):
+        apart = _apart(task, pair)
+        names = [task.tile_name(tile) for tile in pair.tiles]
+        pictures = [_tile_picture(findings, workspace, tile) for tile in pair.tiles]
+        lines.append(
+            _Line(
+                "lab-alike",
+                list(pair.tiles),
+                state.alike_label(findings, pair.tiles) == chosen,
+                f"The cosine of the descriptors of these tiles is {pair.cosine:.3f}{apart and f'; they are {apart} apart'}",
+                (names, pictures, pair.cosine, apart),
+            )
+        )
+    return _Card("alike", "Near-duplicates: tiles of two places that the model describes alike", lines)
+
+
+@lru_cache(maxsize=4)
+def _near_duplicates(task: Task) -> list[NearDuplicate]:
+    return near_duplicates.near_duplicates(task.compared[1], task.gallery_labels, _MAX_TILES, task.weights)
+
+
+def _apart(task: Task, pair: NearDuplicate) -> str:
+    """Return the distance of two tiles on the ground in words; empty if it is not known."""
+    if task.geometry is None:
+        return ""
+    one, other = task.geometry.ground[list(pair.tiles)]
+    metres = float(np.hypot(*(one - other)))
+    return f"{metres:,.0f} m" if np.isfinite(metres) else ""
+
+
+def _tile_picture(findings: Findings, workspace: Workspace, tile: int) -> str:
+    gallery = findings.task.gallery
+    return workspace.thumbnail(gallery[tile]) if tile < len(gallery) else ""
 
 
 def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Rate]) -> _Card:

@@ -73,6 +73,17 @@ class SelectPair(LabMessage, tag="lab-pair"):
     answered: int
 
 
+class SelectHub(LabMessage, tag="lab-hub"):
+    tile: QueryIndex
+
+
+class SelectAlike(LabMessage, tag="lab-alike"):
+    """Select the queries of two tiles' places."""
+
+    first: QueryIndex
+    second: QueryIndex
+
+
 class ChooseRows(LabMessage, tag="lab-rows"):
     """Choose all rows of the table from one query's to another's, or toggle or drop them."""
 
@@ -184,7 +195,7 @@ class CloseLab(LabMessage, tag="lab-close"): ...
 
 
 # A click on a line of a chart.
-OF_CHARTS = SelectPart, SelectPair, SelectBin
+OF_CHARTS = SelectPart, SelectPair, SelectHub, SelectAlike, SelectBin
 
 
 def apply(message: LabMessage, lab: LabState, findings: Findings | None) -> LabState:
@@ -238,6 +249,10 @@ def _apply_to_table(message: LabMessage, lab: LabState, findings: Findings) -> L
             selection = state.select_part(findings, part)
         case SelectPair(place, answered):
             selection = state.select_pair(findings, lab, place, answered)
+        case SelectHub(tile):
+            selection = state.select_hub(findings, lab, tile)
+        case SelectAlike(first, second) if max(first, second) < len(findings.task.gallery):
+            selection = state.select_alike(findings, (first, second))
         case SelectBin(column, index, name):
             selection = state.select_bin(findings, lab, column, index, name)
     return lab if selection is None else state.toggle_selection(lab, selection)

@@ -323,6 +323,35 @@ def select_pair(findings: Findings, lab: LabState, place: int, answered: int) ->
     return None
 
 
+def select_hub(findings: Findings, lab: LabState, tile: int) -> Selection | None:
+    """Select the queries that a tile answers wrongly; None if there are none."""
+    hub = next((hub for hub in hubs(findings, lab) if hub.tile == tile), None)
+    return None if hub is None else Selection.of("hub", hub_label(findings, tile), hub.queries)
+
+
+def hub_label(findings: Findings, tile: int) -> str:
+    """Return what a selection of a hub's queries is called."""
+    return f"wrongly answered with {findings.task.tile_name(tile)}"
+
+
+def hubs(findings: Findings, lab: LabState) -> list[breakdown.Hub]:
+    """Return the hubs of the selected queries."""
+    rows = selected_rows(findings, lab, "hub", any_outcome=True)
+    return breakdown.hubs(findings.outcomes, findings.task.query_labels, rows)
+
+
+def select_alike(findings: Findings, tiles: tuple[int, int]) -> Selection:
+    """Select the queries of the places that two tiles show."""
+    task = findings.task
+    rows = np.flatnonzero(np.isin(task.query_labels, task.gallery_labels[list(tiles)]))
+    return Selection.of("alike", alike_label(findings, tiles), rows)
+
+
+def alike_label(findings: Findings, tiles: tuple[int, int]) -> str:
+    """Return what a selection of the queries of two tiles is called."""
+    return " and ".join(findings.task.tile_name(tile) for tile in tiles)
+
+
 def select_part(findings: Findings, part: int) -> Selection:
     """Select the failures in which this part lowers the margin most."""
     blamed = findings.outcomes.failed & (findings.outcomes.deciding_part == part)

@@ -38,6 +38,21 @@ class Confusion:
         return len(self.queries)
 
 
+@dataclass(frozen=True, eq=False)
+class Hub:
+    """A tile that is the answer to queries of other places.
+
+    Attributes:
+        tile: its gallery position.
+        queries: the queries that it answers wrongly, (C,).
+        places: the number of places that they show.
+    """
+
+    tile: int
+    queries: Int64Array
+    places: int
+
+
 @dataclass(frozen=True)
 class Rate:
     """The failure rate of the queries in one bin.
@@ -95,6 +110,21 @@ def confusions(
         for (place, answered), group in zip(kinds, groups, strict=False)
     ]
     return sorted(result, key=lambda confusion: -confusion.count)
+
+
+def hubs(outcomes: Outcomes, query_labels: Int64Array, rows: Int64Array | None = None) -> list[Hub]:
+    """Return the tiles that answer queries of at least two other places, those of the most places first.
+
+    Args:
+        query_labels: the place of each query, (Q,).
+        rows: the queries to count, all by default.
+    """
+    rows = _rows(outcomes, rows)
+    rows = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
+    answers = outcomes.answer[rows]
+    of_tiles = [(int(tile), rows[answers == tile]) for tile in np.unique(answers)]
+    all_hubs = [Hub(tile, queries, len(np.unique(query_labels[queries]))) for tile, queries in of_tiles]
+    return sorted((hub for hub in all_hubs if hub.places > 1), key=lambda hub: (-hub.places, -len(hub.queries)))
 
 
 def blame(outcomes: Outcomes, rows: Int64Array | None = None) -> Int64Array:

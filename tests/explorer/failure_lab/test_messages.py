@@ -26,6 +26,8 @@ from explorer.web.messages import decode
         ("lab-pair", [1, "2"]),
         ("lab-pair", [True, 2]),
         ("lab-pair", 3),
+        ("lab-hub", -1),
+        ("lab-alike", [0, 10**6]),
         ("lab-bin", ["weather", 0, None]),
         ("lab-bin", ["weather", True, "sun"]),
         ("lab-bin", ["weather", "sun"]),

@@ -8,7 +8,7 @@ from html import unescape
 import numpy as np
 
 from explorer.browse.feeds import Feeds
-from explorer.failure_lab import breakdown_page, state, table
+from explorer.failure_lab import breakdown_page, messages, state, table
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState
 from explorer.lab_choices import Selection
@@ -76,6 +76,22 @@ def test_a_chart_says_which_queries_it_counts(workspace: Workspace, findings: Fi
     assert "Failures by weather, of all 13 queries" in breakdown_page.page(
         findings, replace(lab, filter="rank > 1"), workspace
     )
+
+
+def test_near_duplicates_are_pairs_of_tiles_and_a_click_chooses_their_queries(
+    workspace: Workspace, findings: Findings, lab: LabState
+) -> None:
+    card = next(card for card in breakdown_page.cards(findings, lab, workspace) if card.style == "alike")
+    cosines = [line.content[2] for line in card.lines]  # type: ignore[index]
+    assert cosines == sorted(cosines, reverse=True)
+    line, task = card.lines[0], findings.task
+    first, second = line.value  # type: ignore[misc]
+    chosen = messages.apply(messages.SelectAlike(first, second), lab, findings)
+    places = set(task.query_labels[list(chosen.selections[0].rows)].tolist())
+    assert places == {int(task.gallery_labels[first]), int(task.gallery_labels[second])}
+    again = next(card for card in breakdown_page.cards(findings, chosen, workspace) if card.style == "alike")
+    assert [one.chosen for one in again.lines].count(True) == 1
+    assert messages.apply(messages.SelectAlike(first, second), chosen, findings).selections == ()
 
 
 def test_a_bar_is_as_long_as_its_share(workspace: Workspace, findings: Findings, lab: LabState) -> None:

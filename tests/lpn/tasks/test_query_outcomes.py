@@ -294,6 +294,13 @@ def test_confusions_and_blame_count_failures() -> None:
     assert breakdown.confusions(outcomes, places, tiles, np.array([0])) == []
 
 
+def test_a_hub_is_a_tile_that_answers_queries_of_several_other_places() -> None:
+    outcomes = outcomes_of([1, 1, 1, 1, 0], [2, 2, 0, 2, 1], [0] * 5)
+    places = np.array([5, 5, 6, 7, 8])
+    assert [(h.tile, h.queries.tolist(), h.places) for h in breakdown.hubs(outcomes, places)] == [(2, [0, 1, 3], 2)]
+    assert breakdown.hubs(outcomes, places, np.array([0, 1, 2])) == []
+
+
 def test_wilson_intervals_are_the_published_ones() -> None:
     # Newcombe, Statistics in Medicine 17 (1998), Table I, method 3.
     for hits, of, expected in [(81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605)), (0, 20, (0.0, 0.1611))]:
