@@ -36,6 +36,7 @@ from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalysis
 from lpn.core.errors import LPNError
 from lpn.datasets.rendered import shows_rendered
+from lpn.drawing import theme
 
 
 class ClientViews:
@@ -214,7 +215,7 @@ class ClientViews:
             dark_mode=state.dark,
             show_logo=False,
             show_share_button=False,
-            brand_color=(86, 180, 233) if state.dark else (0, 114, 178),
+            brand_color=state.palette.ink(theme.COLOURS["accent"]),
         )
 
 

@@ -21,13 +21,9 @@ from lpn.locate.summary import describe_flight
 
 # The part whose cosines are painted, or all parts under the current weights.
 Painted = int | Literal["all", "off"]
-# Colours of the tracks on the map, which is bright or dark; Okabe and Ito's, as in the track files.
-COLOURS = {
-    "corrected": (255, 120, 200),
-    "tag": (255, 255, 255),
-    "retrieval": (230, 159, 0),
-    "sequence": (86, 180, 233),
-    "registration": (0, 190, 136),
+# Colours of the tracks on the map, which is bright or dark, as in the track files.
+COLOURS = {name: theme.COLOURS[name] for name in ("tag", "retrieval", "sequence", "registration")} | {
+    "corrected": theme.COLOURS["by-hand"]
 }
 LABELS = {
     "corrected": "By hand",
@@ -169,7 +165,7 @@ def _correction(view: FlightView, frame: int, place: StageRecord | None) -> tupl
 
 
 def _verdict_colour(sign: bool | None) -> str:
-    return theme.css(COLOURS["registration"] if sign else theme.FOR if sign is None else theme.AGAINST)
+    return f"var(--lpn-{'text' if sign else 'line' if sign is None else 'error'})"
 
 
 def chosen(

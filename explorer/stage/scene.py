@@ -335,7 +335,7 @@ class Stage:
         full = max(0.4 * chosen.distance2, float(chosen.contributions.max()), 1e-6)
         length = (right - left) * float(chosen.contributions[part]) / full
         if length >= 1:
-            draw.rectangle((left, y, left + length, y + 9), fill=colour)
+            draw.rectangle((left, y, left + length, y + 9), fill=palette.mark(colour))
         below = y + 16 + small / 2
         if off and not one_line:
             draw.text((middle, below), share, palette.dim, captions.font(small), anchor="mm")
@@ -366,7 +366,9 @@ def _row_heights(layout: ScreenLayout, n: int) -> list[float]:
 
 def _link_colours(weights: AnyArray, palette: Palette) -> UInt8Array:
     """Return the colour of each segment's ends, (2n, 2, 3): the part's colour, or a very dim one at weight 0."""
-    colours = [theme.part_colour(part) if weight > 0 else palette.off for part, weight in enumerate(weights)]
+    colours = [
+        palette.mark(theme.part_colour(part)) if weight > 0 else palette.off for part, weight in enumerate(weights)
+    ]
     return np.repeat(np.array(colours, np.uint8), 2, axis=0)[:, None].repeat(2, axis=1)
 
 

@@ -11,11 +11,6 @@ _SHEETS = (
     *("tokens", "panels", "page", "explain", "failure_lab", "flight", "stories", "browse", "lab_map"),
     "first_screen",
 )
-_VARIABLES = {f"part-{i}": colour for i, colour in enumerate(theme.PART_COLOURS)} | {
-    "true": theme.TRUE_COLOUR,
-    "false": theme.FALSE_COLOUR,
-    "unknown": theme.UNKNOWN_COLOUR,
-}
 
 
 def part_ink(part: int) -> str:
@@ -25,16 +20,12 @@ def part_ink(part: int) -> str:
 
 def verdict_ink(true: bool | None) -> str:
     """Return the text colour of a right, wrong, or unknown (None) match; it follows the page's theme."""
-    return f"var(--lpn-{'unknown' if true is None else 'true' if true else 'false'})"
+    return f"var(--lpn-{'unknown' if true is None else 'right' if true else 'wrong'})"
 
 
 def variables(dark: bool) -> str:
     """Return a rule with the theme's colours as CSS variables, for a page of one theme."""
-    return f":root{{{_variables(theme.DARK if dark else theme.LIGHT)}}}"
-
-
-def _variables(palette: theme.Palette) -> str:
-    return ";".join(f"--lpn-{name}:{theme.css(palette.ink(colour))}" for name, colour in _VARIABLES.items())
+    return f":root{{{theme.variables(theme.DARK if dark else theme.LIGHT)}}}"
 
 
 def _read_sheets() -> str:
@@ -42,7 +33,9 @@ def _read_sheets() -> str:
     return "".join((folder / f"{name}.css").read_text("utf-8") for name in _SHEETS)
 
 
+# The colours as they are, for maps and photos, which are drawn alike in both themes.
+_RAW = ";".join(f"--raw-{name}:{theme.css(colour)}" for name, colour in theme.COLOURS.items())
 STYLE = (
-    f"<style>:root{{{_variables(theme.DARK)}}}:root[data-mantine-color-scheme=light]{{{_variables(theme.LIGHT)}}}"
+    f"<style>:root{{{_RAW};{theme.variables(theme.DARK)}}}:root[data-mantine-color-scheme=light]{{{theme.variables(theme.LIGHT)}}}"
     f"{charts.STYLE}{_read_sheets()}</style>"
 )

@@ -84,5 +84,5 @@ def draw_shares(
     for part, share in enumerate(contributions):
         end = left + max(float(share), 0.0) / max(full, 1e-9) * (right - box[0])
         if end - left >= 0.5:
-            draw.rectangle((left, top, min(end, right), bottom), fill=part_colour(part))
+            draw.rectangle((left, top, min(end, right), bottom), fill=palette.mark(part_colour(part)))
         left = end

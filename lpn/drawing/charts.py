@@ -26,8 +26,8 @@ from lpn.explain.sweeps import UNITS, SweepPoint, SweepResult, signed_value
 
 STYLE = (Path(__file__).parent / "css" / "charts.css").read_text("utf-8")
 EVIDENCE_COLOURS = {
-    "cells for": theme.css(theme.FOR),
-    "cells against": theme.css(theme.AGAINST),
+    "cells for": theme.mark("for"),
+    "cells against": theme.mark("against"),
     "constant": "var(--chart-constant, #828282)",
 }
 
@@ -105,7 +105,7 @@ class ModelPoint:
 
 def part_colour(part: int) -> str:
     """Return the CSS colour of a part."""
-    return theme.css(theme.part_colour(part))
+    return theme.mark(f"part-{part % len(theme.PART_COLOURS)}")
 
 
 def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -> Markup:
@@ -181,7 +181,7 @@ def waterfall(margin: FloatingArray) -> list[Markup]:
             zip(rounded_to_sum(margin.tolist()), pairwise(places), strict=True)
         )
     ]
-    verdict = "var(--chart-true, #ffc81e)" if total >= 0 else "var(--chart-false, #4678f0)"
+    verdict = theme.mark("right" if total >= 0 else "wrong")
     return [*drawn, _draw("step", zero, zero, places[-1], total, verdict, places[-1], None)]
 
 

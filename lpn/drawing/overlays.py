@@ -35,9 +35,7 @@ def with_heat(picture: UInt8Array, activation: Float32Array, inside: BoolArray |
     if inside is not None:
         low, high = float(heat[inside].min()), float(heat[inside].max())
         heat = np.where(inside, np.clip((heat - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
-    colours = cv2.cvtColor(
-        cv2.applyColorMap((255 * (0.25 + 0.75 * heat)).astype(np.uint8), cv2.COLORMAP_INFERNO), cv2.COLOR_BGR2RGB
-    )
+    colours = cv2.cvtColor(cv2.applyColorMap((255 * heat).astype(np.uint8), cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
     alpha = (opacity * heat * np.sqrt(heat)).astype(np.float32)
     blended = cv2.blendLinear(picture, colours, 1 - alpha, alpha)
     if inside is not None:

@@ -1,4 +1,4 @@
-"""Colours of parts, verdicts, and evidence, and the palettes of the dark and the light theme."""
+"""The colours of the app, the reports, and the figures: each stands for one thing, in Python's pictures as in style sheets."""
 
 from __future__ import annotations
 
@@ -8,28 +8,41 @@ from typing import cast
 
 Colour = tuple[int, int, int]
 
-# Okabe and Ito's colours, distinguishable with any colour vision. A ninth part has the first colour again.
-PART_COLOURS: tuple[Colour, ...] = (
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 178, 128),
-    (214, 133, 181),
-    (240, 228, 66),
-    (90, 140, 255),
-    (213, 94, 0),
-    (170, 170, 170),
-)
-TRUE_COLOUR: Colour = (255, 200, 30)
-FALSE_COLOUR: Colour = (70, 120, 240)
-UNKNOWN_COLOUR: Colour = (130, 130, 130)
-# Evidence for and against a pair: orange and violet differ for any colour vision.
-FOR: Colour = (255, 140, 26)
-AGAINST: Colour = (143, 123, 255)
+# The one table of colours. Right and wrong are yellow and blue as in the paper; evidence for and against is orange and violet.
+# `tests/lpn/drawing/test_theme.py` measures that all differ, and that parts, stages, and opposites differ for any colour vision.
+COLOURS: dict[str, Colour] = {
+    "part-0": (251, 117, 187),
+    "part-1": (122, 221, 255),
+    "part-2": (196, 232, 75),
+    "part-3": (211, 70, 59),
+    "part-4": (165, 241, 214),
+    "part-5": (151, 174, 30),
+    "part-6": (156, 79, 143),
+    "part-7": (185, 121, 115),
+    "right": (255, 200, 30),
+    "wrong": (70, 120, 240),
+    "unknown": (130, 130, 130),
+    "for": (255, 128, 32),
+    "against": (158, 120, 255),
+    "tag": (255, 255, 255),
+    "by-hand": (255, 61, 138),
+    "retrieval": (250, 197, 186),
+    "sequence": (201, 179, 255),
+    "registration": (84, 176, 96),
+    # What can be pressed, and what is chosen.
+    "accent": (44, 199, 184),
+}
+# A ninth part has the first colour again. Where no parts are shown, categories of a column have these colours.
+PART_COLOURS: tuple[Colour, ...] = tuple(COLOURS[f"part-{part}"] for part in range(8))
+TRUE_COLOUR, FALSE_COLOUR, UNKNOWN_COLOUR = COLOURS["right"], COLOURS["wrong"], COLOURS["unknown"]
+FOR, AGAINST = COLOURS["for"], COLOURS["against"]
 BACKGROUND: Colour = (20, 20, 20)
 TEXT: Colour = (236, 236, 236)
 DIM: Colour = (160, 160, 160)
 # The contrast of text that WCAG 2 requires (level AA).
 MIN_CONTRAST = 4.5
+# The contrast of bars and lines, which have names beside them: at 3, those on white would look alike without red cones.
+MARK_CONTRAST = 2.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +57,11 @@ class Palette:
 
     def ink(self, colour: Colour) -> Colour:
         """Return a text colour: the same hue, mixed with black or white until it is readable on the background."""
-        return _ink(colour, self.background)
+        return _mixed(colour, self.background, MIN_CONTRAST)
+
+    def mark(self, colour: Colour) -> Colour:
+        """Return the colour of a bar or a line: as `ink`, with the smaller contrast that graphics need."""
+        return _mixed(colour, self.background, MARK_CONTRAST)
 
 
 DARK = Palette(BACKGROUND, TEXT, DIM, (48, 48, 48), (55, 55, 55))
@@ -59,6 +76,18 @@ def part_colour(part: int) -> Colour:
 def verdict_colour(true: bool | None) -> Colour:
     """Return the frame colour of a match: yellow true, blue false (as in the paper), grey unknown."""
     return UNKNOWN_COLOUR if true is None else TRUE_COLOUR if true else FALSE_COLOUR
+
+
+def variables(palette: Palette) -> str:
+    """Return the table as CSS variables for one palette: `--lpn-NAME` for texts, `--mark-NAME` for bars and lines."""
+    inks = [f"--lpn-{name}:{css(palette.ink(colour))}" for name, colour in COLOURS.items()]
+    marks = [f"--mark-{name}:{css(palette.mark(colour))}" for name, colour in COLOURS.items()]
+    return ";".join(inks + marks)
+
+
+def mark(name: str) -> str:
+    """Return the CSS colour of bars and lines by a name of the table; it follows the page's palette, if the page has one."""
+    return f"var(--mark-{name},{css(COLOURS[name])})"
 
 
 def css(colour: Colour) -> str:
@@ -77,11 +106,11 @@ def _luminance(colour: Colour) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-@lru_cache(maxsize=64)
-def _ink(colour: Colour, background: Colour) -> Colour:
+@lru_cache(maxsize=128)
+def _mixed(colour: Colour, background: Colour, least: float) -> Colour:
     end = 0 if _luminance(background) > 0.5 else 255
     for percent in range(101):
         mixed = cast(Colour, tuple(round(c + (end - c) * percent / 100) for c in colour))
-        if contrast(mixed, background) >= MIN_CONTRAST:
+        if contrast(mixed, background) >= least:
             return mixed
     return (end, end, end)

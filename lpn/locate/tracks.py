@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.files import json_bytes, portable, printable, write_atomic
+from lpn.drawing import theme
 
 SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
 # A time under this value is counted from the start of a video; it is not a UTC epoch.
@@ -23,7 +24,6 @@ _OURS = "urn:lpn-explorer:track"
 _KML = "http://www.opengis.net/kml/2.2"
 # "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
 State = Literal["accepted", "refused", "not verified"]
-_COLOURS = {"retrieval": "ff00a5ff", "sequence": "ffff8000", "registration": "ff00c000", "by hand": "ffff00ff"}
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             line = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
             ElementTree.SubElement(line, f"{{{_KML}}}name").text = f"{stage}: track" + _remark(state)
             style = ElementTree.SubElement(ElementTree.SubElement(line, f"{{{_KML}}}Style"), f"{{{_KML}}}LineStyle")
-            ElementTree.SubElement(style, f"{{{_KML}}}color").text = _COLOURS.get(stage, "ffffffff")
+            ElementTree.SubElement(style, f"{{{_KML}}}color").text = _kml_colour(stage)
             ElementTree.SubElement(style, f"{{{_KML}}}width").text = "2"
             string = ElementTree.SubElement(line, f"{{{_KML}}}LineString")
             ElementTree.SubElement(string, f"{{{_KML}}}coordinates").text = " ".join(map(_coordinates, chosen))
@@ -190,6 +190,12 @@ def _lines(points: Sequence[TrackPoint]) -> dict[tuple[str, State], list[TrackPo
 
 def _remark(state: State) -> str:
     return "" if state == "accepted" else f" ({state})"
+
+
+def _kml_colour(stage: str) -> str:
+    """Return the colour of a stage's line as KML has it, aabbggrr."""
+    red, green, blue = theme.COLOURS.get(stage.replace(" ", "-"), theme.COLOURS["tag"])
+    return f"ff{blue:02x}{green:02x}{red:02x}"
 
 
 def _figures(point: TrackPoint) -> str:

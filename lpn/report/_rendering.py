@@ -11,7 +11,7 @@ from markupsafe import Markup
 from lpn.core.arrays import UInt8Array
 from lpn.core.files import printable
 from lpn.core.templates import environment
-from lpn.drawing import charts, overlays
+from lpn.drawing import charts, overlays, theme
 
 _THUMBNAIL = 60
 
@@ -23,7 +23,9 @@ def render(template: str, **context: object) -> Markup:
 
 def style_sheet() -> str:
     """Return the CSS of a report."""
-    return (Path(__file__).parent / "css" / "report.css").read_text("utf-8") + charts.STYLE
+    dark, light = theme.variables(theme.DARK), theme.variables(theme.LIGHT)
+    colours = f":root{{{light}}}@media screen and (prefers-color-scheme: dark){{:root{{{dark}}}}}"
+    return colours + (Path(__file__).parent / "css" / "report.css").read_text("utf-8") + charts.STYLE
 
 
 def thumbnail(picture: UInt8Array) -> str:

@@ -130,6 +130,7 @@ interface Lpn {
   panZoom(element: HTMLElement, options: PanZoomOptions): PanZoom;
   tiles(redraw: () => void): { draw(pen: CanvasRenderingContext2D, ratio: number, data: any, map: PanZoom): number; clear(): void };
   thumbnails(redraw: () => void): { all(addresses: string[]): (HTMLImageElement | null)[] };
+  colour(name: string): string;
   pens: {
     canvas(element: HTMLCanvasElement): [CanvasRenderingContext2D, number];
     stroke(pen: CanvasRenderingContext2D, colour: string, width: number, dash?: number[]): void;

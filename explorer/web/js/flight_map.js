@@ -89,16 +89,16 @@
     const outline = data.outlines[chosen];
     if (outline) {
       path(pen, outline.slice(0, 4), true);
-      stroke(pen, "#ffe14d", 2, outline[4] ? [] : [7, 5]);
+      stroke(pen, lpn.colour("accent"), 2, outline[4] ? [] : [7, 5]);
       // The picture's top edge is thicker.
       path(pen, outline.slice(0, 2));
-      stroke(pen, "#ffe14d", 4);
+      stroke(pen, lpn.colour("accent"), 4);
     }
     if (answered && followed && followed.frame === chosen) {
       const [x, y, side] = answered;
       const half = side / 2;
       path(pen, [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
-      stroke(pen, data.tracks.retrieval ? data.tracks.retrieval.colour : "#e69f00", 1.5, [2, 3]);
+      stroke(pen, lpn.colour("retrieval"), 1.5, [2, 3]);
     }
     for (const [name, track] of flight.tracks()) {
       const at = place(track, chosen);

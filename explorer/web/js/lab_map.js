@@ -313,8 +313,7 @@
         pen.lineTo(...map.toPixels([x(to), y(to)]));
         lpn.pens.stroke(pen, ink, width);
       };
-      const style = getComputedStyle(document.documentElement);
-      const wrong = style.getPropertyValue("--lpn-map-false").trim(), right = style.getPropertyValue("--lpn-map-true").trim();
+      const wrong = lpn.colour("wrong"), right = lpn.colour("right");
       for (const [query, tile] of data.lines) line(query, data.queries + tile, wrong, 1);
       for (const members of groups || []) drawPie(pen, members);
       drawPictures(pen);
@@ -333,13 +332,13 @@
         }
         ring(pen, query, placed.includes(query) ? PICTURE * 0.72 : data.ground ? 13 : 9, "#fff", 2.5);
       }
-      for (let i = 0; data.chosen && data.chosen < MANY && i < data.queries; i++) if (flags[i] & CHOSEN && x(i) === x(i)) ring(pen, i, data.ground ? 12 : 7, "#e69f00", 2);
-      if (hovered >= 0) ring(pen, hovered, placed.includes(hovered) ? PICTURE * 0.72 : data.ground ? 13 : 8, "#56b4e9", 2);
+      for (let i = 0; data.chosen && data.chosen < MANY && i < data.queries; i++) if (flags[i] & CHOSEN && x(i) === x(i)) ring(pen, i, data.ground ? 12 : 7, lpn.colour("accent"), 2);
+      if (hovered >= 0) ring(pen, hovered, placed.includes(hovered) ? PICTURE * 0.72 : data.ground ? 13 : 8, "#fff", 2);
       if (lasso && lasso.length > 1) {
         pen.beginPath();
         (enclosed(lasso) || lasso).forEach((at, i) => pen[i ? "lineTo" : "moveTo"](...at));
         pen.closePath();
-        pen.fillStyle = "rgba(86,180,233,.18)";
+        pen.fillStyle = "rgba(255,255,255,.14)";
         pen.fill("evenodd");
         lpn.pens.stroke(pen, "#fff", 1.5, [5, 4]);
       }

@@ -68,7 +68,7 @@
   };
 
   // How each kind of list is laid out: entries beside one another with their pictures, or rows of a table.
-  const SIGNS = { 1: ["✓", "true", "found"], 0: ["✗", "false", "failed"] };
+  const SIGNS = { 1: ["✓", "right", "found"], 0: ["✗", "wrong", "failed"] };
   const KINDS = {
     queries: {
       measure: (root) => {

@@ -44,5 +44,7 @@
     pen.fillStyle = "#fff";
     pen.fillText(words, left, top);
   };
+  // A colour by its name in lpn/drawing/theme.py.
+  lpn.colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--raw-" + name).trim();
   lpn.pens = { canvas: canvas, stroke: stroke, dot: dot, text: text };
 })();

@@ -6,8 +6,8 @@
   const TURNS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageUp: 10, PageDown: -10 };
   const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." };
   const LABELS = { error: "Error", radius: "Radius", height: "Height" };
-  // The colours of verdicts: to believe, without a position, to doubt.
-  const SIGNS = { true: "#00be88", false: "#8f7bff", null: "#ff8c1a" };
+  // How tall the marks of verdicts are, in pixels: to believe, to doubt, without a position.
+  const SIGNS = { true: 9, null: 5, false: 2 };
   // Where a frame lies between the left and the right border, in pixels.
   const across = (i, width, data) => {
     const { times, low, high } = data.span;
@@ -91,12 +91,12 @@
       pen.fillText(LABELS[plot], 40, (i + 0.5) * tall + 4);
     });
     data.signs.forEach((sign, i) => {
-      pen.fillStyle = SIGNS[sign];
-      pen.fillRect(across(i, width, data) - 2, foot + 4, 4, 8);
+      pen.fillStyle = colour;
+      pen.fillRect(across(i, width, data) - 2, foot + 13 - SIGNS[sign], 4, SIGNS[sign]);
     });
     say();
     if (chosen < 0) return;
-    pen.strokeStyle = "#e6c300";
+    pen.strokeStyle = lpn.colour("accent");
     pen.lineWidth = 2;
     pen.beginPath();
     pen.moveTo(across(chosen, width, data), 4);
