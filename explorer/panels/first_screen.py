@@ -22,6 +22,7 @@ from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.analyser import OwnPicture
+from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.errors import PictureError
@@ -30,7 +31,9 @@ from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import overlays, theme
 from lpn.drawing.theme import Colour
+from lpn.flights.cut import TurnedFrame
 from lpn.locate.coverage import outline
+from lpn.locate.retrieval import heading_is_certain
 from lpn.maps.map import OVERVIEW
 from lpn.retrieval import DescribedPicture
 
@@ -40,6 +43,13 @@ _ALONE = "each searched by itself; the flight's window adds its neighbours and r
 _SIZE = 420, 1100
 # The grey of a map's places without data.
 _NOTHING = 40
+# A turn of fewer degrees is not worth a word.
+_LEVEL = 3
+_TURNED_BY = {
+    "heading": "The top of the query points another way than north, by its known heading; the answer is turned to lie like it.",
+    "registration": "The answer is turned to lie like the photo, by where the photo fits the map.",
+    "model": "The answer is turned to where its places fit those of the query best, as the model sees both; no heading is known.",
+}
 
 
 class FirstScreen:
@@ -135,6 +145,8 @@ def page(
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
         laid=laid,
+        turn=_turn(analysis, workspace),
+        turned_by=_TURNED_BY,
         third=_third_tile(analysis, workspace, third) if third is not None and analysis.chosen.rank == 1 else None,
         right=right,
         headline=headline,
@@ -257,6 +269,21 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
     return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
+
+
+def _turn(analysis: StateAnalysis, workspace: Workspace) -> MatchingTurn | None:
+    """Return how far the answers are turned to lie like the query; None where they need no turn, or none is known."""
+    state, query = analysis.state, None if analysis.state.upload else analysis.state.query
+    registered = None
+    if workspace.flight is not None and query is not None:
+        located, cut = workspace.flight.frames[query], analysis.task.queries[query].cut
+        answer = located.stages.get("registration")
+        if answer is not None and answer.accepted and answer.heading is not None and isinstance(cut, TurnedFrame):
+            registered = answer.heading - cut.heading
+        elif not heading_is_certain(located.frame):  # it is the best of those that were tried
+            query = None
+    turn = matching_turn(analysis, query, state.angle, registered)
+    return None if turn is None or abs(turn.degrees) < _LEVEL else turn
 
 
 def plain_state(state: SessionState, first: bool, named: bool) -> SessionState:

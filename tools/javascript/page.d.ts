@@ -122,6 +122,7 @@ interface Lpn {
   prefersFirst(): boolean;
   opening(): unknown;
   firstAgain(): unknown;
+  northUp(link: HTMLElement): void;
   first(html: string, free: boolean, unasked: boolean): void;
   hideTip(): void;
   stageMap(ground: Ground | null): void;

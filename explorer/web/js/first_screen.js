@@ -4,7 +4,7 @@
   if (lpn.first) return;
   const { SELECTORS } = lpn.viser;
   const STORAGE_KEY = "lpn-screen";
-  const AT_ONCE = ["copy", "dark", "glossary", "upload"]; // these need no answer
+  const AT_ONCE = ["copy", "dark", "glossary", "north", "upload"]; // these need no answer
   let newest = ""; // the screen's content when it was last shown
   /** @type {"" | "first" | "all"} */
   let shown = ""; // "first", "all", or nothing before the first answer
@@ -54,6 +54,14 @@
     document.querySelector("#lpn-first:has(.reason) [data-act='why']")?.click();
   };
   window.addEventListener("keydown", escaped, true);
+
+  // Show the answers north up, or turned to lie like the query.
+  lpn.northUp = (link) => {
+    const north = link.closest(".pair").classList.toggle("north-up");
+    link.dataset.turned ||= link.textContent;
+    link.textContent = north ? "north up" : link.dataset.turned;
+    link.setAttribute("aria-pressed", String(!north));
+  };
 
   // Until the first answer the page says that it is coming.
   lpn.opening = () => document.getElementById("lpn-first") || open('<p class="wait"><span class="busy"></span>Looking at the first picture …</p>');

@@ -22,10 +22,13 @@ from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
+from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core.numbers import rounded_to_sum
 from lpn.datasets import rendered
+from lpn.datasets.geo import Position
 from lpn.drawing import theme
 from lpn.sources import Published
+from lpn.tasks.gallery_geometry import GalleryGeometry
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -75,6 +78,26 @@ def test_the_first_screen_has_two_pictures_one_sentence_and_one_button(workspace
         assert analysis.positive is not None
         assert re.search(rf"the right one came {analysis.positive.rank}(st|nd|rd|th)\.$", sentence)
     assert "d²" not in html, "figures are for those who ask why"
+
+
+def test_the_answer_is_turned_to_lie_like_the_query(workspace: Workspace) -> None:
+    by_model = query(workspace, True)
+    assert by_model.task.geometry is None
+    tiles = [Position(46.0, 8.0)] * len(by_model.task.gallery)
+    places = [Position(46.0, 8.0, heading=188.0)] * len(by_model.task.queries)
+    known = replace(by_model, task=replace(by_model.task, geometry=GalleryGeometry.of(places, tiles)))
+    html = first_screen.page(known, workspace)
+    assert "turned 172° to match" in text(html)
+    assert re.findall(r"--turn:(-?\d+)deg", html) == ["172"], "the top of the tile is turned clockwise in the page"
+    assert "by its known heading" in html
+    upright = replace(known, state=replace(known.state, angle=172.0))
+    assert "to match" not in text(first_screen.page(upright, workspace)), "the query is north up by now"
+    unknown = matching_turn(by_model, by_model.state.query, 0.0, None)
+    assert unknown is not None
+    assert unknown.source == "model"
+    assert matching_turn(known, None, 0.0, None) == unknown, "the heading of an own picture is not known"
+    registered = matching_turn(known, known.state.query, 10.0, -30.0)
+    assert registered == MatchingTurn(-20.0, "registration")
 
 
 @pytest.mark.parametrize("found", [True, False])
