@@ -14,13 +14,17 @@ import tyro
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
+from lpn.descriptors.weather import WeatherName
 from lpn.models.adapters import Kind
 from lpn.sources import Arrays, Data, Flown, Indexed, Published
 from lpn.sources.opened import open_task
 
 if TYPE_CHECKING:
+    from lpn.datasets import Dataset
+    from lpn.models.base import Model
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
+    from lpn.retrieval.weathers import WeatherResult
     from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
@@ -37,6 +41,13 @@ class ChangeOptions:
     that is uncovered becomes black."""
     scale: float = 1.0
     """Zoom factor of each query about its centre; below 1 with a black border."""
+    weather: WeatherName | Literal["all"] = "normal"
+    """Weather of University-WX in drone or street pictures, whichever side they are; all measures the ten of them in both
+    directions and prints the leaderboard's table."""
+    weather_strength: float = 1.0
+    """Share of the weather in each picture, 0 to 1."""
+    weather_seed: int = 0
+    """Seed of the weather; with a seed, the same picture always has the same weather."""
     whole: bool = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
     branch: View | None = None
@@ -68,13 +79,16 @@ class RankingOptions:
             InputError: if one of them is out of range.
         """
         from lpn.descriptors.transforms import Change
+        from lpn.descriptors.weather import Weather
         from lpn.retrieval.protocol import Protocol
 
         if self.csls < 0:
             raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
         parts, changed = _numbers(self.parts), changes or ChangeOptions()
+        name: WeatherName = "normal" if changed.weather == "all" else changed.weather
+        weather = Weather(name, changed.weather_strength, changed.weather_seed)
         return Protocol(
-            Change(changed.rotate, changed.shift, changed.scale),
+            Change(changed.rotate, changed.shift, changed.scale, weather=weather),
             None if parts is None else tuple(parts),
             changed.branch,
             self.average_queries,
@@ -303,17 +317,53 @@ class EvaluateCommand(EvaluationWithAnswers):
     changes: ChangeOptions = field(default_factory=ChangeOptions)
     ranking: RankingOptions = field(default_factory=RankingOptions)
 
+    def run(self) -> None:
+        if self.changes.weather == "all" and self.answers is None:
+            self._run_weathers()
+        else:
+            super().run()
+
+    def _run_weathers(self) -> None:
+        from lpn.core.files import check_writable, write_json
+        from lpn.retrieval.weathers import evaluate_weathers
+
+        if self.json is not None:
+            check_writable(self.json)
+        model, dataset, tasks, title = self._opened()
+        result = evaluate_weathers(
+            model,
+            dataset,
+            tasks,
+            self.ranking.protocol(self.changes, self.source.calibrate),
+            self.changes.weather_strength,
+            self.changes.weather_seed,
+        )
+        _print_weathers(title, result)
+        if self.json is not None:
+            write_json(self.json, result.to_dict())
+
     def _evaluate(self) -> tuple[str, Result]:
-        from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.evaluate import evaluate
 
-        source, protocol = self.source, self.ranking.protocol(self.changes, self.source.calibrate)
+        protocol = self.ranking.protocol(self.changes, self.source.calibrate)
+        model, dataset, tasks, title = self._opened()
+        return title, evaluate(model, dataset, tasks[0], protocol, descriptor_reader(dataset.root))
+
+    def _opened(self) -> tuple[Model, Dataset, list[str], str]:
+        """Open model and data set; return them, the task and, unless one is given, its reverse if offered, and the title."""
+        from lpn.core.views import views_of
+        from lpn.datasets import open_dataset
+
+        source = self.source
         model, dataset = source.model.load(self.compile), open_dataset(source.data)
         tasks = dataset.tasks()
         task = source.task or (tasks[0] if tasks else "drone-to-satellite")
         title = f"{source.model.name} ({model.describe()}) on {source.data.resolve().name}"
-        return title, evaluate(model, dataset, task, protocol, descriptor_reader(dataset.root))
+        reverse = [
+            name for name in tasks if source.task is None and views_of(name) == views_of(task)[::-1] != views_of(task)
+        ]
+        return model, dataset, [task, *reverse], title
 
     def _task(self) -> Task:
         return open_task(self.source)
@@ -361,6 +411,26 @@ def _print_result(title: str, result: Result) -> None:
         console.print(
             f"By the positions, the median error of the top match is {median}; the shares of queries are {shares}."
         )
+
+
+def _print_weathers(title: str, result: WeatherResult) -> None:
+    """Print University-WX's table: a row for each weather, and their mean."""
+    from rich.table import Table
+
+    from lpn.core.consoles import wide_console
+
+    table = Table(title=title)
+    table.add_column("weather", no_wrap=True)
+    for task in result.tasks:
+        table.add_column(f"{task}\nR@1", justify="right")
+        table.add_column("\nAP", justify="right")
+    for name, figures in result.rows():
+        if name == result.MEAN:
+            table.add_section()
+        table.add_row(name, *(_percent(value) for pair in figures for value in pair))
+    console = wide_console()
+    console.print(table)
+    console.print(result.sentence)
 
 
 def _percent(value: float) -> str:

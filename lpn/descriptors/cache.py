@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -74,6 +74,7 @@ def _cached(
     identity += ["around"] if change.around else []
     identity += ["cropped"] if any(boxes) else []
     identity += ["released"] if change.released else []
+    identity += [["weather", *astuple(change.weather)]] if change.weather else []
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
     title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
     with in_cache():

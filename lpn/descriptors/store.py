@@ -27,6 +27,7 @@ from lpn.core.files import open_memmap, unreadable_error
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.views import View
 from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import CLEAR, Weather
 from lpn.models.base import Model
 from lpn.models.contract import Role
 
@@ -70,6 +71,7 @@ class Manifest:
         around: the pictures are panoramas, rotated by rolling their columns; written only if true.
         role: of the branch, where branches have roles; written only if there is one.
         released: the pictures were read and rotated as the released test does; written only if true.
+        weather: drawn on the pictures first; written only if there is one.
         checksums: None before the store is complete.
     """
 
@@ -86,6 +88,7 @@ class Manifest:
     around: bool = False
     role: Role | None = None
     released: bool = False
+    weather: Weather = CLEAR
     format: str = FORMAT
     checksums: Checksums | None = field(default=None, compare=False)
 
@@ -97,14 +100,14 @@ class Manifest:
         transform = (change.shift, change.scale, change.down, change.around)
         n, embedding = model.n_parts, model.embedding
         role = model.role(view) if model.contract.roles == "role" else None
-        return cls(
-            model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform, role, change.released
-        )
+        further = (role, change.released, change.weather)
+        return cls(model.fingerprint, view, change.rotate, n, embedding, rows, precision, *transform, *further)
 
     @property
     def change(self) -> Change:
         """The transform of the pictures."""
-        return Change(self.rotate, self.shift, self.scale, self.down, self.around, released=self.released)
+        moves = (self.rotate, self.shift, self.scale, self.down, self.around)
+        return Change(*moves, released=self.released, weather=self.weather)
 
     @property
     def cropped(self) -> bool:
@@ -130,8 +133,8 @@ class Manifest:
     def _values(self) -> dict[str, Any]:
         values = asdict(self)
         del values["checksums"]
-        for optional in ("down", "around", "role", "released"):
-            if not values[optional]:
+        for optional in ("down", "around", "role", "released", "weather"):
+            if not getattr(self, optional):
                 del values[optional]
         for row in values["rows"]:
             if row["box"] is None:

@@ -1,4 +1,4 @@
-"""Transforms of a query before it is described, to test the robustness of its retrieval: rotation, zoom, shift."""
+"""Transforms of a query before it is described, to test the robustness of its retrieval: weather, rotation, zoom, shift."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
 from lpn.datasets import Picture as Picture
+from lpn.descriptors.weather import CLEAR, Weather
 
 MAX_SCALE = 16.0
 
@@ -27,6 +28,7 @@ class Change:
         around: the picture is a panorama, rotated by rolling its columns: counter-clockwise is to the left.
         zoom: the picture's own zoom, by which `scale` is multiplied; see `Picture.zoom`.
         released: as the released test reads and rotates pictures: without their EXIF orientation, and to the nearest pixel.
+        weather: drawn on the picture first.
 
     Raises:
         InputError: if a number is not finite, a shift is not whole, or the scale is outside 1/16 .. 16.
@@ -39,6 +41,7 @@ class Change:
     around: bool = False
     zoom: float = 1.0
     released: bool = False
+    weather: Weather = CLEAR
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.rotate):
@@ -57,10 +60,12 @@ class Change:
 
     def __bool__(self) -> bool:
         """Return whether this is not the identity."""
-        return bool(self.rotate or self.shift or self.scale * self.zoom != 1 or self.down or self.released)
+        moved = self.rotate or self.shift or self.scale * self.zoom != 1 or self.down
+        return bool(moved or self.released or self.weather)
 
     def apply(self, picture: UInt8Array) -> UInt8Array:
-        """Rotate and zoom a picture at its own resolution: (H, W, 3) uint8 to the same shape, or smaller (`images.zoom`)."""
+        """Draw the weather, rotate, and zoom: (H, W, 3) uint8 to the same shape, or smaller (`Weather.apply`, `images.zoom`)."""
+        picture = self.weather.apply(picture)
         if self.around:
             turned = images.roll(picture, self.rotate)
         else:
@@ -93,9 +98,10 @@ class Change:
                 )
 
     def describe(self) -> str:
-        """Describe the transform in words, such as "turned 30°, scaled by 1.2"; empty for the identity."""
+        """Describe the transform in words, such as "in fog, turned 30°, scaled by 1.2"; empty for the identity."""
         how = " (columns moved around)" if self.around else " (nearest pixel)" if self.released else ""
-        words = [f"turned {self.rotate:g}°{how}"] if self.rotate else []
+        words = [self.weather.describe()] if self.weather else []
+        words += [f"turned {self.rotate:g}°{how}"] if self.rotate else []
         words += [f"scaled by {self.scale:g}"] if self.scale != 1 else []
         words += [f"shifted {abs(self.shift)} px to the {'right' if self.shift > 0 else 'left'}"] if self.shift else []
         words += [f"shifted {abs(self.down)} px {'down' if self.down > 0 else 'up'}"] if self.down else []

@@ -6,7 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.datasets.base import PositionProtocol
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import CLEAR
 from lpn.models.base import Model
 from lpn.retrieval import csls, field_metrics, metrics, transfer
 from lpn.retrieval.calibration import Calibration
@@ -148,6 +149,7 @@ class Result:
             "rotate": change.rotate,
             "shift": change.shift,
             "scale": change.scale,
+            "weather": asdict(change.weather),
             "parts": list(self.parts),
             "branch": self.protocol.branch,
             "averaged": self.protocol.average,
@@ -227,20 +229,22 @@ def evaluate(
     measured_by = None if protocol.average else dataset.measured_by
     where = None if measured_by is None else (dataset.coordinates(queries), dataset.coordinates(gallery))
     change = replace(protocol.change, released=protocol.released).for_picture(queries[0])
+    gallery_change = Change(released=protocol.released)
+    if _falls_on_gallery(pictures.views):
+        change, gallery_change = replace(change, weather=CLEAR), replace(gallery_change, weather=change.weather)
     if protocol.calibrate and (protocol.branch or protocol.centre or protocol.released):
         raise InputError(
             "A calibration centres each view, takes its own branch, and is ours; leave --branch, --centre, and --protocol out."
         )
     if protocol.released and truth is not None and task == "street-to-street":
         return _carried(model, pictures, truth, protocol, started)
-    sides = pictures.described(
-        model, read, change, Change(released=protocol.released), protocol.branch, protocol.calibrate
-    )
+    sides = pictures.described(model, read, change, gallery_change, protocol.branch, protocol.calibrate)
     query, tiles, calibration = sides.query, sides.gallery, sides.calibration
     if protocol.centre:
         query, tiles = centred(query), centred(tiles)
     cropped = any(picture.box for picture in queries)
     clauses = _clauses(model, protocol, cropped, change)
+    clauses += [f"gallery pictures {gallery_change.describe()}"] if gallery_change.weather else []
     clauses += [] if calibration is None else [calibration.describe()]
     labels = pictures.labels
     result, retrieval = _measure(query, labels[0], tiles, labels[1], truth, task, protocol, clauses)
@@ -274,6 +278,11 @@ def evaluate(
         measures=measures,
         calibration=calibration,
     )
+
+
+def _falls_on_gallery(views: tuple[View, View]) -> bool:
+    """Return whether weather falls on the gallery: where its pictures are taken below the clouds, and the queries are tiles."""
+    return views[0] == "satellite" != views[1]
 
 
 def _carried(
@@ -452,8 +461,8 @@ def evaluate_descriptors(
     protocol = protocol or Protocol()
     if protocol.change or protocol.branch or protocol.whole or protocol.calibrate or protocol.released:
         raise InputError(
-            "These are descriptors, not pictures: rotation, shift, scale, branch, whole queries, the released protocol, and "
-            "calibration need a model and a data set; leave them out."
+            "These are descriptors, not pictures: weather, rotation, shift, scale, branch, whole queries, the released protocol, "
+            "and calibration need a model and a data set; leave them out."
         )
     query, tiles = (centred(side) for side in sides) if protocol.centre else sides
     stated = [*clauses, *([CENTRED] if protocol.centre else [])]

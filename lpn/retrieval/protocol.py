@@ -20,7 +20,8 @@ class Protocol:
     """An evaluation protocol; the default is the published one of University-1652.
 
     Attributes:
-        change: applied to each query first.
+        change: applied to each query first; its weather falls on the gallery in its place where the queries are tiles and
+            the gallery is not, as University-WX has it.
         parts: 1-based parts to use, None for all (Table V).
         branch: the branch that describes both sides, None for each view's own (Table VI).
         average: average the queries of one place into one.

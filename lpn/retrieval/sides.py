@@ -71,8 +71,7 @@ class TaskPictures:
             read: returns descriptors.
             change, gallery_change: applied to each query, and to each gallery picture.
             branch: describes both sides; None for each view's own.
-            calibrated: calibrate the model on these pictures first, see `lpn.retrieval.calibration`; gallery pictures stay as
-                they are.
+            calibrated: calibrate the model on these pictures as they are first, see `lpn.retrieval.calibration`.
 
         Raises:
             InputError: when a calibration is not possible.
@@ -90,7 +89,7 @@ class TaskPictures:
         calibration = calibrate(model, lists, read)
         return Sides(
             calibration.read(model, self.queries, self.views[0], read, change),
-            calibration.read(model, self.gallery, self.views[1], read),
+            calibration.read(model, self.gallery, self.views[1], read, gallery_change),
             calibration,
         )
 

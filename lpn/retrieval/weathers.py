@@ -1,0 +1,109 @@
+"""A model's retrieval in the ten weathers of University-WX, as the leaderboard of MuseNet lists it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lpn.core.errors import InputError
+from lpn.core.notebook_html import percentages
+from lpn.core.views import views_of
+from lpn.datasets import Dataset
+from lpn.descriptors import descriptor_reader
+from lpn.descriptors.weather import WEATHERS, Weather, WeatherName
+from lpn.models.base import Model
+from lpn.retrieval.evaluate import Result, evaluate
+from lpn.retrieval.protocol import Protocol
+
+
+@dataclass(frozen=True, eq=False)
+class WeatherResult:
+    """The results of one or two tasks in each weather.
+
+    Attributes:
+        results: for each of `WEATHERS`, the result of each task.
+    """
+
+    MEAN: ClassVar[str] = "mean"
+
+    results: Mapping[WeatherName, Mapping[str, Result]]
+
+    @property
+    def tasks(self) -> list[str]:
+        """The tasks, such as "drone-to-satellite" and its reverse."""
+        return list(self.results["normal"])
+
+    def rows(self) -> Iterator[tuple[str, list[tuple[float, float]]]]:
+        """Yield each weather with Recall@1 and AP of each task in percent, and last their means over the weathers."""
+        table = []
+        for name, of_tasks in self.results.items():
+            figures = [(result.recall["1"], result.ap) for result in of_tasks.values()]
+            table.append(figures)
+            yield name, figures
+        yield self.MEAN, [(float(recall), float(ap)) for recall, ap in np.mean(table, axis=0)]
+
+    @property
+    def sentence(self) -> str:
+        """How the figures were measured, with the protocol in the first weather that is not normal."""
+        first = next(iter(self.results["fog"].values()))
+        sizes = " and ".join(f"{result.queries:,} queries {task}" for task, result in self.results["normal"].items())
+        return f"R@1 and AP in percent on {sizes}; weather in drone and street pictures only. In fog: {first.sentence}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The results as JSON values: `weathers`, by weather and task, and `mean`, by task."""
+        means = dict(self.rows())[self.MEAN]
+        return {
+            "weathers": {
+                name: {task: result.to_dict() for task, result in of_tasks.items()}
+                for name, of_tasks in self.results.items()
+            },
+            "mean": {
+                task: {"recall@1": recall, "ap": ap} for task, (recall, ap) in zip(self.tasks, means, strict=True)
+            },
+        }
+
+    def _repr_html_(self) -> str:
+        rows = {
+            name: {
+                f"{task} {metric}": value
+                for task, pair in zip(self.tasks, figures, strict=True)
+                for metric, value in zip(("R@1", "AP"), pair, strict=True)
+            }
+            for name, figures in self.rows()
+        }
+        return percentages(self.sentence, "weather", rows)
+
+
+def evaluate_weathers(
+    model: Model,
+    dataset: Dataset,
+    tasks: Sequence[str],
+    protocol: Protocol | None = None,
+    strength: float = 1.0,
+    seed: int = 0,
+) -> WeatherResult:
+    """Evaluate tasks in each of `WEATHERS`; descriptors come from the data set or the user's cache.
+
+    Args:
+        tasks: such as "drone-to-satellite" and its reverse; weather falls on the pictures that are no satellite tiles.
+        protocol: the published protocol by default; its weather is replaced.
+        strength, seed: of each weather, see `Weather`.
+
+    Raises:
+        InputError: if a task compares tiles with tiles, or `evaluate` refuses it.
+        DataError: if the test split is incomplete.
+    """
+    protocol, read = protocol or Protocol(), descriptor_reader(dataset.root)
+    if not strength:
+        raise InputError("The weather's strength is 0, at which all weathers are alike; expected above 0, up to 1.")
+    for task in tasks:
+        if set(views_of(task)) == {"satellite"}:
+            raise InputError(f"{task} has satellite tiles on both sides, which have no weather; leave --weather out.")
+    results: dict[WeatherName, dict[str, Result]] = {}
+    for name in WEATHERS:
+        change = replace(protocol.change, weather=Weather(name, strength, seed))
+        results[name] = {task: evaluate(model, dataset, task, replace(protocol, change=change), read) for task in tasks}
+    return WeatherResult(results)

@@ -1,0 +1,63 @@
+"""Retrieval in the ten weathers: weather falls on drone pictures, whichever side they are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+from lpn.cli import main
+from lpn.core.errors import InputError
+from lpn.datasets import labels_of, open_dataset
+from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import WEATHERS, Weather
+from lpn.retrieval import describe_picture, metrics
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
+from lpn.retrieval.weathers import evaluate_weathers
+
+
+def test_weather_falls_on_the_drone_pictures_of_the_gallery(data: Path, model_file: Path) -> None:
+    model, dataset = lpn.load(model_file), open_dataset(data)
+    change = Change(weather=Weather("dark"))
+    result = evaluate(model, dataset, "satellite-to-drone", Protocol(change))
+    tiles, photos = dataset.queries("satellite"), dataset.gallery("drone")
+    expected = metrics.evaluate(
+        np.stack([describe_picture(model, one.load(), "satellite").descriptor for one in tiles]),
+        labels_of(tiles),
+        np.stack([describe_picture(model, one.load(), "drone", change).descriptor for one in photos]),
+        labels_of(photos),
+    )
+    assert [result.recall["1"], result.ap] == pytest.approx([expected["recall@1"], expected["ap"]])
+    assert "gallery pictures in the dark" in result.sentence
+
+
+def test_all_weathers_print_the_leaderboards_table(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "weathers.json"
+    command = ["evaluate", "--data", str(data), "--model", str(model_file), "--weather"]
+    assert main.main([*command, "all", "--json", str(out)]) == 0
+    printed = capsys.readouterr().out
+    written = json.loads(out.read_text())
+    assert list(written["weathers"]) == list(WEATHERS)
+    for task in ("drone-to-satellite", "satellite-to-drone"):
+        of_task = [results[task]["ap"] for results in written["weathers"].values()]
+        assert written["mean"][task]["ap"] == pytest.approx(np.mean(of_task))
+        assert len(set(of_task)) > 3
+        assert task in printed
+    assert f"{written['mean']['satellite-to-drone']['ap']:.2f}" in printed.split("mean")[1]
+    assert main.main([*command, "rain", "--json", str(out)]) == 0
+    rain = json.loads(out.read_text())
+    assert rain["weather"] == {"name": "rain", "strength": 1.0, "seed": 0}
+    assert rain["ap"] == written["weathers"]["rain"]["drone-to-satellite"]["ap"]
+    assert main.main([*command, "all", "--weather-strength", "0"]) == 2
+    assert "all weathers are alike" in capsys.readouterr().err
+
+
+def test_tiles_have_no_weather(data: Path, model_file: Path) -> None:
+    with pytest.raises(InputError, match="satellite tiles on both sides"):
+        evaluate_weathers(lpn.load(model_file), open_dataset(data), ["satellite-to-satellite"])
