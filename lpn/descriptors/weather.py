@@ -108,6 +108,17 @@ def draw(picture: UInt8Array, name: WeatherName, rng: Generator) -> UInt8Array:
     return picture
 
 
+def draw_any(picture: UInt8Array, probability: float, rng: Generator) -> UInt8Array:
+    """With a probability, draw one of the nine weathers that change a picture, each as often, at full strength.
+
+    A picture of more than 512 pixels a side is shrunk, see `Weather.apply`. At a probability of 0 no random number is drawn.
+    """
+    if not probability or rng.random() >= probability:
+        return picture
+    name = WEATHERS[1:][int(rng.integers(len(WEATHERS) - 1))]
+    return draw(images.shrink(picture, MAX_SIDE), name, rng)
+
+
 def fog(picture: UInt8Array, rng: Generator) -> UInt8Array:
     """Blend a picture with a cloud: (1 - a) picture + a light, imgaug's CloudLayer.
 

@@ -1,4 +1,4 @@
-"""Random augmentation of training pictures: JPEG compression, mirroring, one geometric warp, a random crop, then colour."""
+"""Random augmentation of training pictures: weather, JPEG compression, mirroring, one warp, a random crop, then colour."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.views import View
+from lpn.descriptors.weather import draw_any
 from lpn.training.appearance import change_appearance, compress
 from lpn.training.recipes import Recipe
 
@@ -34,11 +35,13 @@ def augment(
     Args:
         angle: rotation of the whole place, in degrees counter-clockwise; see `draw_place_pose`.
         mirror: mirror the whole place.
-        view: pictures of the satellite view have a further rotation, and are unrolled if the recipe is polar.
+        view: pictures of the satellite view have a further rotation and no weather, and are unrolled if the recipe is polar.
         panorama: the picture covers the full circle with north in the middle, so a rotation rolls its columns.
     """
     height, width = recipe.input_size
     unrolled = recipe.polar and view == "satellite"
+    if view != "satellite":
+        picture = draw_any(picture, recipe.weather, rng)
     picture = compress(picture, recipe.compression, rng)
     if mirror or (recipe.flip == "picture" and rng.random() < 0.5):
         picture = cast(UInt8Array, np.ascontiguousarray(picture[:, ::-1]))

@@ -25,6 +25,7 @@ from lpn.core.homography import (
     translation,
 )
 from lpn.core.views import View
+from lpn.descriptors.weather import draw_any
 from lpn.flights import Frame, footprint
 from lpn.flights.cut import CUT, cut_square
 from lpn.maps import Map, Window
@@ -124,7 +125,8 @@ class MapWindows:
             tile, photo = (cast(UInt8Array, np.ascontiguousarray(view[:, ::-1])) for view in (tile, photo))
         if recipe.colour:
             tile = recolour(tile, recipe.colour, rng)
-        photo = compress(change_appearance(photo, recipe, rng), recipe.compression, rng)
+        photo = draw_any(change_appearance(photo, recipe, rng), recipe.weather, rng)
+        photo = compress(photo, recipe.compression, rng)
         return {"satellite": tile, "drone": photo}
 
     def _draw_windows(self, epoch: int) -> list[Window]:

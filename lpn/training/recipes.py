@@ -40,6 +40,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
             "shift",
             "colour",
             "compression",
+            "weather",
             "season",
             "bands",
             "shadows",
@@ -214,6 +215,9 @@ class Recipe:
     """Strength, from 0 to 1, of random brightness, contrast, colour cast, and grey."""
     compression: float = 0.0
     """Probability that a picture is first compressed as JPEG, with a quality from 40 to 95."""
+    weather: float = 0.0
+    """Probability that a picture from a drone or the street has one of the nine weathers of lpn evaluate --weather, each as
+    often; MuseNet's training has 0.9. Satellite tiles have none."""
     flip: Literal["none", "picture", "place"] = "picture"
     """Random mirroring: none, each picture on its own (published), or all views of a place together."""
 

@@ -89,7 +89,8 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
             f"The run in {path.parent} was started with {', '.join(removed)}, which this version of lpn does not train with; "
             "start anew in another --out."
         )
-    differs = [name for name, value in settings.items() if saved.get(name) != value]
+    # A run of before a setting came was trained without it, which is its default.
+    differs = [name for name, value in settings.items() if saved.get(name, getattr(Recipe, name)) != value]
     if differs:
         raise InputError(
             f"The run in {path.parent} was started with another {', '.join(differs)}; resume it with the same values."

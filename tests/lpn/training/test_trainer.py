@@ -20,7 +20,7 @@ import lpn
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
 from lpn.models.backbones import build_backbone
-from lpn.models.checkpoints import load_torch, save
+from lpn.models.checkpoints import load_torch, recipe_of, save
 from lpn.retrieval.evaluate import evaluate
 from lpn.training import optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
@@ -184,7 +184,9 @@ def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None
     with pytest.raises(InputError, match=r"no state\.pt"):
         trainer(places, tmp_path / "run", resume=True)
     quick = replace(QUICK, epochs=1)
-    trainer(places, tmp_path / "run", quick)[0].run()
+    quick = replace(quick, weather=1.0)
+    model = trainer(places, tmp_path / "run", quick)[0].run()
+    assert recipe_of(model)["weather"] == 1.0
     with pytest.raises(InputError, match="add --resume"):
         trainer(places, tmp_path / "run", quick)
     (tmp_path / "run" / "state.pt").rename(tmp_path / "state.pt")
@@ -193,8 +195,8 @@ def test_runs_are_not_overwritten_or_mixed(places: Path, tmp_path: Path) -> None
     (tmp_path / "state.pt").rename(tmp_path / "run" / "state.pt")
     with pytest.raises(InputError, match="0 or more"):
         trainer(places, tmp_path / "new", quick, evaluate_every=-1)
-    with pytest.raises(InputError, match="another epochs"):
-        trainer(places, tmp_path / "run", replace(quick, epochs=5), resume=True)
+    with pytest.raises(InputError, match="another epochs, weather"):
+        trainer(places, tmp_path / "run", replace(quick, epochs=5, weather=0.5), resume=True)
     others = small_worlds.make_dataset(tmp_path / "others", train=25, test=1)
     with pytest.raises(InputError, match="other training pictures"):
         trainer(others, tmp_path / "run", quick, resume=True)
@@ -293,6 +295,7 @@ def test_a_run_of_the_version_before_is_resumed_unless_it_used_what_was_removed(
     state = torch.load(file, weights_only=True)
     for memory, distillation in ((False, 0.0), (True, 0.0), (True, 2.0)):
         recipe = {**json.loads(state["recipe"]), "memory": memory, "part_dropout": 0.0, "distillation": distillation}
+        del recipe["weather"]  # a setting that came later
         torch.save({**state, "format": 3, "recipe": json.dumps(recipe), "memory": {}}, file)
         if not memory:
             assert len(trainer(places, tmp_path / "run", once, resume=True)[0].history) == 1
