@@ -15,6 +15,7 @@ from explorer.lab_choices import LabChoices
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import Weather, WeatherName
 from lpn.drawing.theme import DARK, LIGHT, Palette
 from lpn.tasks.task import Scoring, scored_key
 
@@ -24,7 +25,7 @@ MAX_ZOOM = 4.0
 POSITIVE: Final = "truth"
 HeatKind = Literal["activation", "evidence"]
 # The changes that alter the ranking of a query.
-Alteration = Literal["region", "weights", "rotation", "shift", "zoom"]
+Alteration = Literal["region", "weights", "weather", "rotation", "shift", "zoom"]
 # Tabs of the explain window. "best" becomes the one that answers why the top match is first, when the pair is analysed.
 WhyTab = Literal["best", "evidence", "heatmaps", "comparison", "sweep", "region", "models"]
 
@@ -45,6 +46,7 @@ class SessionState:
             match. The last two follow the ranking.
         shift, down: translation of the rotated query to the right and down, in pixels of the network's input.
         zoom: scale of the rotated query.
+        weather, weather_strength: drawn on the query before it is rotated, and its share in the picture, 0 .. 1.
         region: cells of the query's feature map to search by, row by row; empty for the whole query.
         why: True while the explain window is open.
         why_tab: its tab.
@@ -79,6 +81,8 @@ class SessionState:
     shift: int = 0
     down: int = 0
     zoom: float = 1.0
+    weather: WeatherName = "normal"
+    weather_strength: float = 1.0
     region: tuple[int, ...] = ()
     why: bool = False
     why_tab: WhyTab = "evidence"
@@ -144,7 +148,8 @@ class SessionState:
     @property
     def change(self) -> Change:
         """The transformation of the query before it is described."""
-        return Change(self.angle, self.shift, self.zoom, self.down)
+        weather = Weather(self.weather, self.weather_strength)
+        return Change(self.angle, self.shift, self.zoom, self.down, weather=weather)
 
     @property
     def palette(self) -> Palette:
@@ -221,12 +226,19 @@ def number(value: Any, low: float, high: float, default: float) -> float:
 
 
 def apply_point(
-    state: SessionState, angle: float, right: float, down: float, zoom: float, size: tuple[int, int]
+    state: SessionState,
+    angle: float,
+    right: float,
+    down: float,
+    zoom: float,
+    size: tuple[int, int],
+    weather: WeatherName = "normal",
 ) -> SessionState:
     """Transform the query as a point of a sweep says, within the limits of the sliders.
 
     Args:
         size: (height, width) of the network's input in pixels, which limits the shifts.
+        weather: of the point; its strength is that of the state.
     """
     height, width = size
     return replace(
@@ -235,6 +247,7 @@ def apply_point(
         shift=min(max(round(right), -(width // 2)), width // 2),
         down=min(max(round(down), -(height // 2)), height // 2),
         zoom=min(max(zoom, 1 / MAX_ZOOM), MAX_ZOOM),
+        weather=weather,
     )
 
 
@@ -265,8 +278,9 @@ def choose_task(state: SessionState, task: str, query: int = 0) -> SessionState:
 
 
 def upright(state: SessionState) -> SessionState:
-    """Undo rotation, shift, zoom, and region."""
-    return replace(state, angle=0.0, shift=0, down=0, zoom=1.0, region=())
+    """Undo weather, rotation, shift, zoom, and region."""
+    clear = replace(state, weather="normal", weather_strength=1.0)
+    return replace(clear, angle=0.0, shift=0, down=0, zoom=1.0, region=())
 
 
 def compare(state: SessionState, drawn_state: SessionState, index: int) -> SessionState:
@@ -377,6 +391,7 @@ def alterations(state: SessionState, cells: int) -> dict[Alteration, str]:
     labels: dict[Alteration, str] = {
         "region": f"search by {len(state.region)} of {cells} cells" if state.region else "",
         "weights": f"part weights {percents} %" if state.altered_weights else "",
+        "weather": state.change.weather.describe(),
         "rotation": Change(state.angle).describe(),
         "shift": Change(shift=state.shift, down=state.down).describe(),
         "zoom": Change(scale=state.zoom).describe(),
@@ -391,6 +406,8 @@ def undo(state: SessionState, kind: Alteration) -> SessionState:
             return replace(state, region=())
         case "weights":
             return equal_parts(state)
+        case "weather":
+            return replace(state, weather="normal")
         case "rotation":
             return replace(state, angle=0.0)
         case "shift":

@@ -25,6 +25,7 @@ from explorer.session_state import POSITIVE, SessionState, WhyTab, with_field
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
+from lpn.descriptors.weather import WEATHERS
 
 # Characters of a query string; the region of a large feature map fits.
 _MAX_LENGTH = 20_000
@@ -36,6 +37,7 @@ _SUMMARY = {
     "scoring": "ranked anew",
     "weights": "weighted parts",
     "angle": "turned",
+    "weather": "weather",
     "zoom": "zoomed",
     "region": "by a region",
     "apart": "parts taken apart",
@@ -46,7 +48,7 @@ _SUMMARY = {
     "flight": "flight",
 }
 # Parameters of the query that is shown.
-_OF_QUERY = ("with", "angle", "shift", "down", "zoom", "region")
+_OF_QUERY = ("with", "weather", "weather_strength", "angle", "shift", "down", "zoom", "region")
 # Characters of the queries that were chosen in the laboratory by hand.
 _LONGEST_CHOICE = 3000
 # Choices of such queries: each may name all queries in few characters, so that many would fill the server's memory.
@@ -73,6 +75,8 @@ class UrlState:
             Parameter("query", self._write_query, self._read_query),
             Parameter("with", self._write_tile, self._read_tile),
             Parameter("scoring", self._write_scoring, self._read_scoring),
+            parameters.choice("weather", {name.replace("+", "-"): name for name in WEATHERS}),
+            parameters.number("weather_strength", 0, 1),
             parameters.number("angle", -180, 180),
             parameters.number("shift", -reach[0], reach[0], whole=True),
             parameters.number("down", -reach[1], reach[1], whole=True),

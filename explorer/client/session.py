@@ -234,6 +234,7 @@ class ClientSession:
         state = analysis.state
         query = f"own picture {printable(analysis.name)}" if state.upload else f"query {printable(analysis.name)}"
         change = f"turn {state.angle:g}, shift {state.shift} {state.down}, zoom {state.zoom:g}"
+        change += f", {state.change.weather.describe()}" if state.change.weather else ""
         times = f"computed in {1000 * analysis.seconds:.0f} ms, shown in {1000 * drawing:.0f} ms"
         return (
             f"Browser {self.client.client_id}: answer {self.views.sequence}: {state.task}, {query}, {change}: {times}"

@@ -9,6 +9,7 @@ from msgspec import Meta
 from explorer.explain_window.whole_task import TurnChoice
 from explorer.session_state import HeatKind
 from explorer.web.messages import Message
+from lpn.descriptors.weather import WeatherName
 from lpn.explain.sweeps import SweptProperty
 
 _Index = Annotated[int, Meta(ge=0)]
@@ -96,12 +97,13 @@ class StopTurns(ExplainMessage, tag="turned-stop"): ...
 
 
 class TakePoint(ExplainMessage, tag="take"):
-    """Transform the query as a point of a sweep says: degrees, pixels to the right and down, and a factor."""
+    """Transform the query as a point of a sweep says: degrees, pixels to the right and down, a factor, and a weather."""
 
     angle: _Finite
     right: _Finite
     down: _Finite
     zoom: _Finite
+    weather: WeatherName = "normal"
 
 
 class SearchRegion(ExplainMessage, tag="region"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from markupsafe import Markup
 
 from explorer.explain_window.whole_task import TurnChoice, WholeTaskSection
@@ -11,13 +12,14 @@ from explorer.web.render import render, send
 from explorer.workspace import StateAnalysis
 from lpn.drawing import charts, verdicts
 from lpn.drawing.verdicts import ordinal
-from lpn.explain.sweeps import UNITS, SweepPoint, SweepResult, SweptProperty, signed_value
+from lpn.explain.sweeps import SweepPoint, SweepResult, SweptProperty, signed_value, swept_label
 
 CHOICES: dict[SweptProperty, str] = {
     "rotation": "Turn",
     "shift": "Shift right",
     "shift-down": "Shift down",
     "zoom": "Zoom",
+    "weather": "Weather",
 }
 # The turns of all queries, see `WholeTask.measure`.
 TURNS: dict[TurnChoice, str] = {"this": "As this query", "paper": "As in Table IV", "circle": "Every 30°"}
@@ -52,6 +54,7 @@ def page(
         return render("explain/sweep", choices=CHOICES, over=over, done=0, stopped=stopped, whole=whole, turns=turns)
     current = signed_value(over, analysis.state.change)
     recalls = whole.recalls if whole is not None and over == "rotation" else ()
+    ended = stopped or len(profile.points) >= total
     return render(
         "explain/sweep",
         choices=CHOICES,
@@ -64,7 +67,7 @@ def page(
         whole=whole,
         turns=turns,
         followed=_followed(profile),
-        sentences=_sentences(profile, analysis) if stopped or len(profile.points) >= total else [],
+        sentences=[*_sentences(profile, analysis), *_weathers(profile, names)] if ended else [],
         claim=analysis.task.contract.claim,
     )
 
@@ -72,7 +75,7 @@ def page(
 def _attributes(point: SweepPoint) -> Markup:
     """Make a point's circle apply its change to the query when it is clicked."""
     change = point.change
-    return send("take", [change.rotate, change.shift, change.down, change.scale])
+    return send("take", [change.rotate, change.shift, change.down, change.scale, change.weather.name])
 
 
 def _followed(profile: SweepResult) -> str:
@@ -91,7 +94,7 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
         )
     if ranked.rank < best.rank:
         sentences.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
-    if best.true is not None and over != "rotation":
+    if best.true is not None and over not in ("rotation", "weather"):
         place = _place(over, blind)
         sentences.append(f"The nearest of all tiles is at {place} ({_figures(blind.top_score)}).")
     if guess := verdicts.describe_heading(profile, analysis.task.views, _known_heading(analysis)):
@@ -103,8 +106,22 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
     return sentences
 
 
+def _weathers(profile: SweepResult, names: Sequence[str]) -> list[str]:
+    """Say which weather costs the followed tile most, and which part loses most in it; nothing of another sweep."""
+    clear = next((point for point in profile.points if not point.change.weather), None)
+    worst = min(profile.points, key=lambda point: point.score)
+    if profile.over != "weather" or clear is None or worst is clear:
+        return []
+    part = int(np.argmin(worst.cosines - clear.cosines))
+    return [
+        f"{_followed(profile).capitalize()} suffers most {worst.change.weather.describe()}: {_figures(worst.score)}, "
+        f"{ordinal(worst.rank)}. Part {names[part]} loses most there: its cosine falls from {clear.cosines[part]:.3f} to "
+        f"{worst.cosines[part]:.3f}."
+    ]
+
+
 def _place(over: SweptProperty, point: SweepPoint) -> str:
-    return f"{signed_value(over, point.change):.3g}{UNITS[over]}"
+    return swept_label(over, signed_value(over, point.change))
 
 
 def _before(profile: SweepResult, point: SweepPoint) -> str:

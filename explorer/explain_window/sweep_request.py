@@ -1,4 +1,4 @@
-"""A sweep over turns, shifts, or zooms that one browser requested."""
+"""A sweep over turns, shifts, zooms, or weathers that one browser requested."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ class SweepRequest:
         """
         analysis, task, state = self.analysis, self.analysis.task, self.analysis.state
         height, width = workspace.contract.input_size
-        changes = sweeps.changes_over(self.over, side=height if self.over == "shift-down" else width)
+        strength = (state.weather_strength or 1.0) if self.over == "weather" else None
+        changes = sweeps.changes_over(self.over, reach=strength, side=height if self.over == "shift-down" else width)
         changes = [self.for_query(change) for change in sweeps.apply_to_base(self.over, state.change, changes)]
         known = None if state.upload else state.query
         progress = SweepProgress(self, total=len(changes))
@@ -70,7 +71,8 @@ class SweepRequest:
         followed = None if analysis.positive else analysis.chosen.index
         weights = tuple(analysis.ranking.weights.tolist())
         unswept = replace(state.change, **{field: getattr(UNCHANGED, field)})
-        return state.ranking_key, state.query, state.upload, weights, followed, unswept
+        strength = state.weather_strength if self.over == "weather" else None
+        return state.ranking_key, state.query, state.upload, weights, followed, unswept, strength
 
 
 @dataclass(frozen=True, eq=False)

@@ -210,9 +210,9 @@ class ExplainWindow:
                 self._measure_turns(turns)
             case messages.StopTurns():
                 self._whole_task.stop()
-            case messages.TakePoint(angle, right, down, zoom):
+            case messages.TakePoint(angle, right, down, zoom, weather):
                 size = self._workspace.contract.input_size
-                self._change(lambda state: session_state.apply_point(state, angle, right, down, zoom, size))
+                self._change(lambda state: session_state.apply_point(state, angle, right, down, zoom, size, weather))
             case messages.SearchRegion(cells):
                 self._search_region(cells)
 

@@ -23,6 +23,7 @@ HEAT_NOTE = (
 SHIFT_NOTE = (
     "Shifts are in pixels of the network's input and follow the rotation. LPN assumes that the target is in the middle."
 )
+WEATHER_NOTE = "Weathers of University-WX, drawn on the query before it is rotated. Strength 1 is the benchmark's."
 SAVED_NOTE = (
     "These are descriptors without their network: queries cannot be rotated or uploaded, and there are no heatmaps."
 )

@@ -19,6 +19,7 @@ from explorer.panels.navigation import Navigation
 from explorer.session_state import MAX_ZOOM, SessionState, StateChange
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.descriptors.weather import WEATHERS
 
 _HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
 _MAX_FIND = 200
@@ -70,6 +71,11 @@ class QueryPanel:
         controls.slider("Rotate", "angle", -180, 180, 1, visible=has_model)
         if has_model:
             gui.add_html(render("panels/turn_note"))
+        with gui.add_folder("Weather", expand_by_default=False, visible=has_model):
+            controls.dropdown(
+                "Kind", "weather", {name.capitalize(): name for name in WEATHERS}, hint=pages.WEATHER_NOTE
+            )
+            controls.slider("Strength", "weather_strength", 0.0, 1.0, 0.05)
         with gui.add_folder("Shift and zoom", expand_by_default=False, visible=has_model):
             controls.slider("Shift right", "shift", -(width // 2), width // 2, 1, whole=True)
             controls.slider("Shift down", "down", -(height // 2), height // 2, 1, whole=True)

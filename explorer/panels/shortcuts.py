@@ -61,7 +61,7 @@ def _changes(
         ("Random failure", "F", navigation.failure),
         ("Turn left 5°", "J", lambda state: session_state.turn(state, 5)),
         ("Turn right 5°", "L", lambda state: session_state.turn(state, -5)),
-        ("Reset rotation, shift, and zoom", "K", session_state.upright),
+        ("Reset weather, rotation, shift, and zoom", "K", session_state.upright),
         (f"{workspace.parts_word.capitalize()} on or off", "G", lambda state: replace(state, rings=not state.rings)),
         ("Compare the true tile", "T", lambda state: replace(state, selected=POSITIVE)),
         (f"Take the {workspace.parts_word} apart", "X", lambda state: replace(state, exploded=not state.exploded)),

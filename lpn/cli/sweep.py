@@ -1,4 +1,4 @@
-"""The command sweep: retrieval of one query over rotation, shift, or zoom."""
+"""The command sweep: retrieval of one query over rotation, shift, zoom, or the ten weathers."""
 
 from __future__ import annotations
 
@@ -31,12 +31,13 @@ class SweepOptions:
 
     query: str
     """Name of the query, as the explorer's picker shows it, such as 0005/01."""
-    over: Literal["rotation", "shift", "shift-down", "zoom"] = "rotation"
-    """Varied parameter: degrees counter-clockwise, pixels of the network's input to the right or down, or a zoom factor."""
+    over: Literal["rotation", "shift", "shift-down", "zoom", "weather"] = "rotation"
+    """Varied parameter: degrees counter-clockwise, pixels of the network's input to the right or down, a zoom factor, or the
+    weather (the ten of lpn evaluate --weather all)."""
     step: float | None = None
-    """Step: degrees (15), pixels (a 32nd of the input), or the factor between zooms (1.1)."""
+    """Step: degrees (15), pixels (a 32nd of the input), or the factor between zooms (1.1); weathers have none."""
     reach: float | None = None
-    """Largest shift (a quarter of the input) or zoom (2); a rotation covers the full circle."""
+    """Largest shift (a quarter of the input) or zoom (2), or strength of the weathers (1); a rotation covers the full circle."""
     weights: str | None = None
     """Weight of each part, such as 1,1,1,0; equal by default."""
     csv: Path | None = None
@@ -47,7 +48,7 @@ class SweepOptions:
 
 @dataclass(kw_only=True)
 class SweepOfSource(ABC):
-    """Rotate, shift, or zoom one query step by step."""
+    """Rotate, shift, or zoom one query step by step, or draw ten weathers on it."""
 
     source: TaskSource
     sweep: SweepOptions
@@ -81,7 +82,7 @@ class SweepOfSource(ABC):
 
 @dataclass(kw_only=True)
 class SweepCommand(SweepOfSource):
-    """Rotate, shift, or zoom one query step by step: score and rank of its true match, and each part's cosine."""
+    """Rotate, shift, or zoom one query, or draw weathers on it: score and rank of its true match, and each part's cosine."""
 
     SOURCES: ClassVar[dict[str, type[SweepOfSource]]] = by_source.of_sources(SweepOfSource, *NAMED)
 
@@ -113,7 +114,7 @@ def _print(profile: SweepResult, title: str, views: tuple[View, View], console: 
     """Print a row for each transform with its score as a bar, and the gain of the best one."""
     from rich.table import Table
 
-    from lpn.explain.sweeps import UNITS, swept_value
+    from lpn.explain.sweeps import swept_label, swept_value
 
     blocks = str(console.encoding).lower().startswith("utf")
     scores = [point.score for point in profile.points]
@@ -126,7 +127,7 @@ def _print(profile: SweepResult, title: str, views: tuple[View, View], console: 
         table.add_column(f"cos {part}", justify="right")
     table.add_column("top score", justify="right")
     for point in profile.points:
-        number = f"{swept_value(profile.over, point.change):.4g}{UNITS[profile.over]}"
+        number = swept_label(profile.over, swept_value(profile.over, point.change), 4)
         bar = ("█" if blocks else "#") * (1 + round((point.score - low) / span * (_BAR - 1)))
         cosines = [f"{cosine:.3f}" for cosine in point.cosines]
         mark = "*" if point is profile.best else ""
@@ -166,7 +167,7 @@ def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
 def _draw(profile: SweepResult, title: str) -> bytes:
     """Draw scores, part cosines, and rank over the transform as a PNG file."""
     from lpn.drawing.plots import png, pyplot
-    from lpn.explain.sweeps import UNITS, swept_value
+    from lpn.explain.sweeps import UNITS, swept_label, swept_value
 
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
     along = [swept_value(profile.over, point.change) for point in profile.points]
@@ -177,7 +178,10 @@ def _draw(profile: SweepResult, title: str) -> bytes:
     above.set(title=title, ylabel=f"score of\n{_subject(profile)}")
     above.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1, 1))
     below.plot(along, [point.rank for point in profile.points], color="black", marker=".")
-    below.set(ylabel="its rank", xlabel=f"{profile.over} ({UNITS[profile.over].strip()})")
+    unit = UNITS[profile.over].strip()
+    below.set(ylabel="its rank", xlabel=f"{profile.over} ({unit})" if unit else profile.over)
+    if not unit:
+        below.set_xticks(along, [swept_label(profile.over, number) for number in along], rotation=30, ha="right")
     last = max(10, *(point.rank for point in profile.points))
     ticks = [tick * 10**power for power in range(7) for tick in (1, 2, 5) if tick * 10**power <= last]
     below.set_yscale("log")

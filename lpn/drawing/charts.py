@@ -22,7 +22,7 @@ from lpn.core.numbers import rounded_to_sum, signed
 from lpn.core.templates import environment
 from lpn.drawing import theme
 from lpn.explain import Evidence
-from lpn.explain.sweeps import UNITS, SweepPoint, SweepResult, signed_value
+from lpn.explain.sweeps import SweepPoint, SweepResult, signed_value, swept_label
 
 STYLE = (Path(__file__).parent / "css" / "charts.css").read_text("utf-8")
 EVIDENCE_COLOURS = {
@@ -193,12 +193,12 @@ def profile_charts(
     attributes: Callable[[SweepPoint], Markup] | None = None,
     recalls: Sequence[TaskRecall] = (),
 ) -> Markup:
-    """Draw rank, score, and part cosines of the followed tile over a turn, shift, or zoom.
+    """Draw rank, score, and part cosines of the followed tile over a turn, shift, or zoom, or over weathers.
 
     Args:
         names: of the parts.
         width: of the drawing in pixels. Shown at this width, its text is as large as the page's.
-        current: the angle, shift, or zoom to mark with a line.
+        current: the angle, shift, zoom, or weather to mark with a line.
         attributes: HTML attributes of a point's circle; without it, points have no circles.
         recalls: the whole task with turned queries, drawn in a panel of its own once the full circle is there.
     """
@@ -245,7 +245,7 @@ def profile_charts(
         panels.append(_recall_panel(recalls, top, x))
         top += panels[-1]["bottom"] - panels[-1]["top"]
     line = x(current) if current is not None and numbers[0] <= current <= numbers[-1] else None
-    labels = [(x(number), f"{number:.3g}{UNITS[over]}") for number in _spread(numbers)]
+    labels = [(x(number), swept_label(over, number)) for number in (numbers if over == "weather" else _spread(numbers))]
     return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, line, attributes)
 
 

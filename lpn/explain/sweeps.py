@@ -1,4 +1,4 @@
-"""Sweeps: score, rank, and part cosines of one query over a range of turns, shifts, or zooms.
+"""Sweeps: score, rank, and part cosines of one query over a range of turns, shifts, or zooms, or over the ten weathers.
 
 LPN divides a picture into square rings around its centre. A turn changes the rings little, but a shift moves the target
 from ring to ring.
@@ -23,15 +23,19 @@ from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
+from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.models.base import Model
 from lpn.retrieval import Ranking
 
 # The property that a sweep varies. Rotation is in degrees counter-clockwise. A shift to the right or down is in pixels
-# of the network's input. Zoom is a factor.
-SweptProperty = Literal["rotation", "shift", "shift-down", "zoom"]
-UNITS: dict[SweptProperty, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x"}
+# of the network's input. Zoom is a factor. A weather's number is its place among `WEATHERS`.
+SweptProperty = Literal["rotation", "shift", "shift-down", "zoom", "weather"]
+UNITS: dict[SweptProperty, str] = {"rotation": "°", "shift": " px", "shift-down": " px", "zoom": " x", "weather": ""}
 # The field of `Change` that each sweep varies.
-CHANGE_FIELD: dict[SweptProperty, str] = {"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"}
+CHANGE_FIELD: dict[SweptProperty, str] = {
+    **{"rotation": "rotate", "shift": "shift", "shift-down": "down", "zoom": "scale"},
+    "weather": "weather",
+}
 MAX_POINTS = 3600
 
 
@@ -158,7 +162,9 @@ class SweepResult:
         """Return the rows of the CSV file, one per point."""
         return [
             {
-                self.over: swept_value(self.over, point.change),
+                self.over: point.change.weather.name
+                if self.over == "weather"
+                else swept_value(self.over, point.change),
                 "score": point.score,
                 "rank": point.rank,
                 **{f"cosine {part}": float(cosine) for part, cosine in enumerate(point.cosines, 1)},
@@ -181,7 +187,9 @@ class SweepResult:
 
 
 def swept_value(over: SweptProperty, change: Change) -> float:
-    """Return the swept property of a change: degrees 0 .. 360, pixels, or a factor."""
+    """Return the swept property of a change: degrees 0 .. 360, pixels, a factor, or a weather's place among `WEATHERS`."""
+    if over == "weather":
+        return float(WEATHERS.index(change.weather.name))
     number = float(getattr(change, CHANGE_FIELD[over]))
     return number % 360 if over == "rotation" else number
 
@@ -190,6 +198,11 @@ def signed_value(over: SweptProperty, change: Change) -> float:
     """Return the swept property with rotations from -180 (exclusive) to 180 degrees."""
     number = swept_value(over, change)
     return number - 360 if over == "rotation" and number > 180 else number
+
+
+def swept_label(over: SweptProperty, number: float, digits: int = 3) -> str:
+    """Return a value of the swept property with its unit, such as "30°", or the name of a weather."""
+    return WEATHERS[round(number)] if over == "weather" else f"{number:.{digits}g}{UNITS[over]}"
 
 
 def changes_over(
@@ -201,9 +214,11 @@ def changes_over(
     90, 270, 45, ...
 
     Args:
-        over: a rotation covers the full circle, shifts go both ways, and zooms go in and out by equal factors.
+        over: a rotation covers the full circle, shifts go both ways, and zooms go in and out by equal factors. The weathers are
+            those of `WEATHERS`, in this order.
         step: degrees (default 15), pixels (default `side` / 32), or the factor between zooms (default 1.1).
-        reach: largest shift in pixels (default `side` / 4) or largest factor (default 2); not for a rotation.
+        reach: largest shift in pixels (default `side` / 4), largest factor (default 2), or the weathers' strength (default 1);
+            not for a rotation.
         side: size of the network's input along the shift, in pixels.
 
     Raises:
@@ -211,6 +226,13 @@ def changes_over(
     """
     if over not in get_args(SweptProperty):
         raise InputError(f"There is no sweep over {over!r}; expected one of {', '.join(get_args(SweptProperty))}.")
+    if over == "weather":
+        if step is not None:
+            raise InputError("Weathers have no step; leave it out, and give their strength as the reach.")
+        strength = 1.0 if reach is None else reach
+        if strength == 0:
+            raise InputError("The weathers' strength is 0, at which all are alike; expected above 0, up to 1.")
+        return [Change(weather=Weather(name, strength)) for name in WEATHERS]
     if over == "rotation":
         step = _checked("step", 15.0 if step is None else step, 0, 360, "degrees")
         if reach is not None:

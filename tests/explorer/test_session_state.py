@@ -42,6 +42,14 @@ def test_another_query_starts_upright_with_its_top_match(state: SessionState) ->
     assert own.upload is None
 
 
+def test_weather_alters_a_ranking_and_is_undone(state: SessionState) -> None:
+    foggy = replace(state, angle=0.0, weather="fog", weather_strength=0.5)
+    assert session_state.alterations(foggy, 64) == {"weather": "in fog (strength 0.5)"}
+    assert not session_state.undo(foggy, "weather").change
+    assert not session_state.choose_query(foggy, 4, 9).change
+    assert not replace(foggy, weather_strength=0.0).change
+
+
 def test_another_task_starts_upright_with_its_top_match(state: SessionState) -> None:
     moved = replace(state, shift=8, down=-8, zoom=2.0, region=(1, 2), heat_part=2)
     chosen = session_state.choose_task(moved, "satellite-to-drone", 14)

@@ -16,6 +16,7 @@ from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
 from lpn.analysis.analyser import OwnPicture
+from lpn.descriptors.weather import WEATHERS
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +40,8 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         4,
         query=rng.randrange(len(task.queries)),
         angle=rng.choice([0.0, float(rng.randint(-180, 180))]),
+        weather=rng.choice(WEATHERS),
+        weather_strength=rng.choice([1.0, 0.35]),
         weights=tuple(rng.choice([1.0, round(0.05 * rng.randrange(41), 2)]) for _ in range(4)),
         enabled=tuple(rng.choice(chance) for _ in range(4)),
         selected=rng.choice([None, "truth", rng.randrange(len(task.gallery))]),  # type: ignore[arg-type]
@@ -127,6 +130,8 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(wor
         ("angle=nan", "-180 to 180"),
         ("angle=1e9", "-180 to 180"),
         ("angle=", "-180 to 180"),
+        ("weather=hail", "expected normal or fog or"),
+        ("weather_strength=2", "0 to 1"),
         ("shift=-33", "-32 to 32"),
         ("zoom=0", "0.25 to 4"),
         ("weights=1,1,1", "expected 4 weights"),

@@ -35,6 +35,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
 from lpn.core.numbers import signed
 from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.drawing import verdicts
 from lpn.explain import counterfactual, sweeps
 from lpn.explain.counterfactual import Effect
@@ -252,6 +253,30 @@ def test_a_point_of_a_profile_stays_within_bounds(angle: float, right: float, do
 def test_a_point_of_a_profile_is_shown() -> None:
     start = SessionState("drone-to-satellite", 4, angle=10.0)
     assert session_state.apply_point(start, 270, 5, -6, 2.0, (64, 128)).change == Change(-90, 5, 2.0, -6)
+
+
+def test_a_point_of_a_sweep_over_weather_keeps_the_strength() -> None:
+    start = SessionState("drone-to-satellite", 4, weather_strength=0.5)
+    taken = decode(ExplainMessage, "take", [0, 0, 0, 1, "fog+rain"])
+    assert isinstance(taken, messages.TakePoint)
+    change = session_state.apply_point(start, 0, 0, 0, 1, (64, 64), taken.weather).change
+    assert change == Change(weather=Weather("fog+rain", 0.5))
+    assert decode(ExplainMessage, "take", [0, 0, 0, 1, "hail"]) is None
+
+
+def test_a_sweep_over_weather_says_which_part_loses_most(workspace: Workspace) -> None:
+    analysis = analysed(workspace)
+    assert workspace.model is not None
+    progress = list(SweepRequest("weather", analysis).run(workspace, workspace.model))[-1]
+    profile = progress.profile(analysis)
+    assert profile is not None
+    assert [point.change.weather.name for point in profile.points] == list(WEATHERS)
+    page = sweep_page.page(analysis, "weather", profile, 10, workspace.part_names)
+    worst = min(profile.points, key=lambda point: point.score)
+    lost = int(np.argmin(worst.cosines - profile.points[0].cosines))
+    assert f"suffers most {worst.change.weather.describe()}" in page
+    assert f"Part {workspace.part_names[lost]} loses most there" in page
+    assert all(f">{name}</text>" in page for name in WEATHERS)
 
 
 def test_a_profile_without_a_point_says_whether_it_is_still_being_computed(workspace: Workspace) -> None:

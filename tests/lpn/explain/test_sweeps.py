@@ -21,6 +21,7 @@ from lpn.core.views import View
 from lpn.datasets import Truth, open_dataset
 from lpn.datasets.geo import Positions
 from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.explain import sweeps
 from lpn.explain.sweeps import SweepPoint, SweepResult, changes_over, sweep_points
 from lpn.models.base import Model
@@ -70,6 +71,9 @@ def test_shifts_and_zooms_go_both_ways_from_the_query_as_it_is() -> None:
         (("shift", 8, 64, 64), "reach is 64"),
         (("zoom", 1.0), "step is 1"),
         (("zoom", 1.1, 99), "reach is 99"),
+        (("weather", 1.0), "Weathers have no step"),
+        (("weather", None, 0.0), "at which all are alike"),
+        (("weather", None, 1.5), "strength is 1.5"),
     ],
 )
 def test_sweeps_that_mean_nothing_are_refused(given: tuple[object, ...], said: str) -> None:
@@ -213,6 +217,11 @@ def test_the_command_prints_a_table_and_writes_csv_and_png(
     assert all(row["rank"] in said for row in rows)
     assert main.main([*common, "--step", "90"]) == 0
     assert "clockwise from north" in capsys.readouterr().out
+    assert main.main([*common, "--over", "weather", "--reach", "0.5", *files]) == 0
+    rows = list(csv.DictReader(io.StringIO(table.read_text())))
+    assert [row["weather"] for row in rows] == list(WEATHERS)
+    said = capsys.readouterr().out
+    assert all(f" {row['weather']} " in said and f"{float(row['score']):.3f}" in said for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -230,6 +239,14 @@ def test_the_command_refuses_in_one_sentence(
 ) -> None:
     assert main.main(["sweep", "--data", str(data), "--model", str(model_file), *more]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_sweep_over_weather_keeps_the_turn_and_begins_in_the_weather_there_is() -> None:
+    base = Change(rotate=30, weather=Weather("rain", 0.5))
+    changes = sweeps.apply_to_base("weather", base, sweeps.changes_over("weather", reach=0.5))
+    assert changes[0] == base
+    others = [name for name in WEATHERS if name != "rain"]
+    assert changes[1:] == [Change(rotate=30, weather=Weather(name, 0.5)) for name in others]
 
 
 def test_a_sweep_goes_away_from_what_is_done_to_the_query_already() -> None:
