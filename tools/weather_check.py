@@ -134,7 +134,7 @@ def same_numbers(pictures: Sequence[UInt8Array]) -> dict[str, tuple[int, float]]
 
 @dataclass(frozen=True, eq=False)
 class Distribution:
-    """Means over pictures and draws of one implementation: mean, standard deviation, SSIM of greys with the clear picture, histogram."""
+    """Means over pictures and draws of one implementation: mean, deviation, SSIM of greys with the clear picture, histogram."""
 
     figures: Float64Array
     errors: Float64Array

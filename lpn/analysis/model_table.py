@@ -194,15 +194,20 @@ class ModelTable:
     def to_markdown(self) -> str:
         """Return a table of figures, a table of paired tests, and the sentence."""
         names = list(self.figures[0])
-        lines = [_row("model", *names), _row("---", *["---:"] * len(names))]
+        lines = [markdown_row("model", *names), markdown_row("---", *["---:"] * len(names))]
         lines += [
-            _row(_cell(one.name), *map(str, of.values())) for one, of in zip(self.models, self.figures, strict=True)
+            markdown_row(markdown_cell(one.name), *map(str, of.values()))
+            for one, of in zip(self.models, self.figures, strict=True)
         ]
-        lines += ["", _row("A", "B", "only A", "only B", "both", "neither", "p"), _row("---", "---", *["---:"] * 5)]
+        lines += [
+            "",
+            markdown_row("A", "B", "only A", "only B", "both", "neither", "p"),
+            markdown_row("---", "---", *["---:"] * 5),
+        ]
         for test in self.tests:
             counts = (test.only_first, test.only_second, test.both, test.neither)
             p = f"{test.p:.3g}{'' if test.exact else ' (chi-square)'}"
-            lines.append(_row(_cell(test.first), _cell(test.second), *map(str, counts), p))
+            lines.append(markdown_row(markdown_cell(test.first), markdown_cell(test.second), *map(str, counts), p))
         return "\n".join([*lines, "", self.sentence, ""])
 
     def to_csv(self) -> bytes:
@@ -254,6 +259,14 @@ def rank_model(
     sides = pictures.described(model.for_task(*pictures.views), read, calibrated=calibrated)
     compared = csls.scaled(sides.query, sides.gallery, neighbours) if neighbours else (sides.query, sides.gallery)
     return _ranked(name, dataset.root, pictures, gallery, compared, pictures.labels)
+
+
+def has_distractors(pictures: TaskPictures) -> bool:
+    """Return True if the gallery of a task has places that no query shows, and lists name no true matches."""
+    if pictures.truth is not None:
+        return False
+    queries, gallery = pictures.labels
+    return bool((metrics.without_distractors(gallery, queries) == metrics.JUNK).any())
 
 
 def rank_published(saved: PublishedResult, name: str, dataset: Dataset, gallery: GalleryChoice = "full") -> RankedModel:
@@ -428,10 +441,11 @@ def mcnemar(only_first: int, only_second: int) -> tuple[float, bool]:
     return math.erfc(math.sqrt(statistic / 2)), False
 
 
-def _row(*cells: str) -> str:
+def markdown_row(*cells: str) -> str:
+    """Return a row of a Markdown table."""
     return f"| {' | '.join(cells)} |"
 
 
-def _cell(text: str) -> str:
+def markdown_cell(text: str) -> str:
     """Return a cell of a Markdown table, which is HTML, too."""
     return html.escape(text, quote=False).replace("|", "\\|")

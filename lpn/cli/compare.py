@@ -221,6 +221,60 @@ class CompareCommand(ComparisonOfSources):
     csls: int = 0
     """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
     (docs/evaluation.md); a row of its own. 0 for none."""
+    page: Path | None = None
+    """Markdown page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model."""
+    turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
+    """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
+    weathers: bool = False
+    """Measure the ten weathers of University-WX on the page as well (docs/weather.md)."""
+
+    def run(self) -> None:
+        if self.page is None:
+            if self.turns or self.weathers:
+                raise InputError("--turns and --weathers belong to a page; give its file with --page.")
+            super().run()
+        else:
+            self._write_page(self.page)
+
+    def _write_page(self, page: Path) -> None:
+        from rich.console import Console
+
+        from lpn.analysis.leaderboard import leaderboard
+        from lpn.core.consoles import stage_bars
+        from lpn.core.files import check_writable, write_atomic, write_json
+        from lpn.datasets import open_dataset
+
+        if self.calibrate or self.csls or self.task or self.gallery != "full":
+            raise InputError(
+                "A page has all tasks and galleries, ranked plainly; leave --task, --gallery, --calibrate, and --csls out."
+            )
+        if self.comparison.markdown is not None or self.comparison.csv is not None:
+            raise InputError("A page is written by --page, and its figures by --json; leave --markdown and --csv out.")
+        options, json = self.models.options(), self.comparison.json
+        saved = [name for name, model in options.items() if model.model.suffix.lower() == ".mat"]
+        if saved or not options:
+            raise InputError(
+                f"{saved[0]} holds descriptors, and a page needs networks; leave it out." if saved else "Name a model."
+            )
+        for file in filter(None, (page, json)):
+            check_writable(file)
+        models = {name: model.load() for name, model in options.items()}
+        sizes = {name: model.model.stat().st_size for name, model in options.items() if model.model.is_file()}
+        with stage_bars(Console(stderr=True), "Taking {}") as on_progress:
+            written = leaderboard(
+                models,
+                sizes,
+                open_dataset(self.data),
+                self.turns,
+                self.weathers,
+                self.comparison.seed,
+                self.comparison.resamples,
+                on_progress,
+            )
+        write_atomic(page, written.to_markdown().encode())
+        if json is not None:
+            write_json(json, written.to_dict())
+        print(f"{page}: {len(models)} models, {len(written.tables)} tables of tasks and galleries")
 
     def _ranked(self) -> Iterator[RankedModel]:
         from lpn.analysis.model_table import rank_model, rank_published

@@ -1,0 +1,257 @@
+"""One page about several models on one data set: every task and gallery, parts, turned queries, weathers, speed, and size."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lpn.analysis.model_table import (
+    RESAMPLES,
+    GalleryChoice,
+    ModelTable,
+    compare,
+    has_distractors,
+    markdown_cell,
+    markdown_row,
+    rank_model,
+)
+from lpn.core.errors import InputError
+from lpn.core.progress import Progress
+from lpn.core.views import views_of
+from lpn.datasets import Dataset
+from lpn.descriptors import descriptor_reader
+from lpn.descriptors.transforms import Change
+from lpn.models.base import Model
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
+from lpn.retrieval.sides import TaskPictures
+from lpn.retrieval.weathers import WeatherResult, evaluate_weathers
+
+# Passes of one picture that are timed, after others that are not.
+_TIMED, _WARM = 15, 3
+
+
+@dataclass(frozen=True)
+class ModelFacts:
+    """A model without its figures.
+
+    Attributes:
+        method, level: see `Contract`.
+        input_size: height and width in pixels.
+        numbers: of a descriptor.
+        megabytes: of its file, 10^6 bytes; None if it was not read from one.
+        milliseconds: median of a forward pass of one picture on this machine.
+    """
+
+    method: str
+    level: str
+    input_size: tuple[int, int]
+    numbers: int
+    megabytes: float | None
+    milliseconds: float
+
+    @classmethod
+    def of(cls, model: Model, size: int | None) -> ModelFacts:
+        """Collect them, and time some forward passes.
+
+        Args:
+            size: bytes of the model's file; None if it was not read from one.
+        """
+        contract, times = model.contract, []
+        noise = np.random.default_rng(0).standard_normal((1, 3, *contract.input_size)).astype(np.float32)
+        for number in range(_WARM + _TIMED):
+            started = time.perf_counter()
+            model.run(noise, model.views[0])
+            if number >= _WARM:
+                times.append(1000 * (time.perf_counter() - started))
+        return cls(
+            contract.method,
+            contract.level,
+            contract.input_size,
+            contract.n_parts * contract.embedding,
+            None if size is None else size / 1e6,
+            statistics.median(times),
+        )
+
+
+# Recall@1 and AP in percent.
+Figures = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Leaderboard:
+    """The page.
+
+    Attributes:
+        data_name: of the data set.
+        facts: of each model, by its name.
+        tables: for each task and gallery.
+        parts: by task and model, the figures of each part alone; of models with several parts.
+        turns: by task and model, the figures of queries turned by so many degrees counter-clockwise.
+        weathers: by model; empty without them.
+    """
+
+    data_name: str
+    facts: Mapping[str, ModelFacts]
+    tables: Sequence[ModelTable]
+    parts: Mapping[str, Mapping[str, Mapping[str, Figures]]]
+    turns: Mapping[str, Mapping[str, Mapping[float, Figures]]]
+    weathers: Mapping[str, WeatherResult]
+
+    def to_markdown(self) -> str:
+        """Return the page."""
+        return "\n".join([f"# Models on {markdown_cell(self.data_name)}", "", *self._lines()])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The page as JSON values."""
+        return {
+            "data": self.data_name,
+            "models": {name: vars(facts) for name, facts in self.facts.items()},
+            "tables": [table.to_dict() for table in self.tables],
+            "parts": self.parts,
+            "turns": self.turns,
+            "weathers": {name: result.to_dict() for name, result in self.weathers.items()},
+        }
+
+    def _lines(self) -> Iterator[str]:
+        yield from _table(
+            ("model", "method", "account", "input", "numbers", "MB", "ms a picture"),
+            [
+                (
+                    markdown_cell(name),
+                    markdown_cell(facts.method),
+                    facts.level,
+                    "{} x {}".format(*facts.input_size),
+                    f"{facts.numbers:,}",
+                    "" if facts.megabytes is None else f"{facts.megabytes:.1f}",
+                    f"{facts.milliseconds:.1f}",
+                )
+                for name, facts in self.facts.items()
+            ],
+            left=3,
+        )
+        yield f"The time is the median of {_TIMED} forward passes of one picture on the machine that made this page."
+        yield ""
+        for table in self.tables:
+            yield from (f"## {table.task}, {table.gallery_name}", "", table.to_markdown())
+        for title, of_tasks in (("Each part alone", self.parts), ("Turned queries, degrees", self.turns)):
+            for task, of_models in of_tasks.items():
+                yield from _changed(f"## {title}: {task}", of_models)
+        if self.weathers:
+            first = next(iter(self.weathers.values()))
+            for position, task in enumerate(first.tasks):
+                yield from _changed(
+                    f"## Weathers: {task}",
+                    {
+                        name: {weather: figures[position] for weather, figures in result.rows()}
+                        for name, result in self.weathers.items()
+                    },
+                )
+            yield from (first.sentence, "")
+
+
+def leaderboard(
+    models: Mapping[str, Model],
+    sizes: Mapping[str, int],
+    dataset: Dataset,
+    turns: Sequence[float] = (),
+    weathers: bool = False,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+    on_progress: Progress | None = None,
+) -> Leaderboard:
+    """Measure models on all tasks of a data set that all of them know, on the full gallery and without distractors.
+
+    Args:
+        models: by their names.
+        sizes: bytes of the files of those that were read from one.
+        turns: degrees counter-clockwise by which all queries are turned as well (Table IV).
+        weathers: measure the ten weathers of University-WX as well.
+        seed, resamples: of the bootstrap, see `model_table`.
+
+    Raises:
+        InputError: when no task is known to all models, or a measure is not possible on one of them.
+        DataError: when the test split is incomplete.
+    """
+    tasks = [
+        task for task in dataset.tasks() if all(set(views_of(task)) <= set(model.views) for model in models.values())
+    ]
+    if not tasks:
+        raise InputError(
+            f"No task of {dataset.root.name} is known to all of {', '.join(models)}; compare fewer models."
+        )
+    read, done = descriptor_reader(dataset.root), 0
+    stages = len(models) * (1 + len(tasks) * (1 + len(turns)) + (1 if weathers else 0))
+
+    def report() -> None:
+        nonlocal done
+        done += 1
+        if on_progress is not None:
+            on_progress("measures", done, stages)
+
+    def figures(model: Model, task: str, protocol: Protocol) -> Figures:
+        result = evaluate(model, dataset, task, protocol, read)
+        return result.recall["1"], result.ap
+
+    facts = {}
+    for name, model in models.items():
+        facts[name] = ModelFacts.of(model, sizes.get(name))
+        report()
+    tables: list[ModelTable] = []
+    parts: dict[str, dict[str, dict[str, Figures]]] = {}
+    turned: dict[str, dict[str, dict[float, Figures]]] = {}
+    for task in tasks:
+        galleries: list[GalleryChoice] = ["full"]
+        if has_distractors(TaskPictures.of(dataset, task)):
+            galleries.append("without-distractors")
+        for gallery in galleries:
+            ranked = [rank_model(model, name, dataset, task, gallery, read) for name, model in models.items()]
+            tables.append(compare(ranked, seed, resamples))
+        for name, model in models.items():
+            report()
+            if model.n_parts > 1:
+                alone = {
+                    str(part): figures(model, task, Protocol(parts=(part,))) for part in range(1, model.n_parts + 1)
+                }
+                parts.setdefault(task, {})[name] = {**alone, "all": figures(model, task, Protocol())}
+            for degrees in turns:
+                change = Change(rotate=float(degrees))
+                turned.setdefault(task, {}).setdefault(name, {})[degrees] = figures(model, task, Protocol(change))
+                report()
+    of_weathers = {}
+    for name, model in models.items() if weathers else ():
+        of_weathers[name] = evaluate_weathers(model, dataset, [task for task in tasks if not _of_tiles(task)])
+        report()
+    return Leaderboard(dataset.root.resolve().name, facts, tables, parts, turned, of_weathers)
+
+
+def _of_tiles(task: str) -> bool:
+    return set(views_of(task)) == {"satellite"}
+
+
+def _changed(title: str, of_models: Mapping[str, Mapping[Any, Figures]]) -> Iterator[str]:
+    """Yield a table of Recall@1 and AP, a row for each model and a column for each change."""
+    names = list(dict.fromkeys(change for of in of_models.values() for change in of))
+    yield from (title, "", "R@1 / AP in percent.", "")
+    yield from _table(
+        ("model", *(f"{name:g}" if isinstance(name, float) else str(name) for name in names)),
+        [
+            (
+                markdown_cell(model),
+                *("{:.2f} / {:.2f}".format(*figures[name]) if name in figures else "" for name in names),
+            )
+            for model, figures in of_models.items()
+        ],
+    )
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
+    yield markdown_row(*head)
+    yield markdown_row(*["---"] * left, *["---:"] * (len(head) - left))
+    yield from (markdown_row(*row) for row in rows)
+    yield ""

@@ -1,0 +1,79 @@
+"""The page about several models, against the figures of each one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import lpn
+from lpn.cli.main import main
+from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import WEATHERS
+from lpn.retrieval.protocol import Protocol
+
+TASK = "drone-to-satellite"
+
+
+@pytest.fixture(scope="module")
+def page(
+    model_file: Path, one_part_model_file: Path, data: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, dict]:  # type: ignore[type-arg]
+    folder = tmp_path_factory.mktemp("leaderboard")
+    files = [str(folder / name) for name in ("page.md", "page.json")]
+    models = [str(model_file), str(one_part_model_file)]
+    options = ["--turns", "90", "--weathers", "--resamples", "20", "--page", files[0], "--json", files[1]]
+    assert main(["compare", *models, "--data", str(data), *options]) == 0
+    return Path(files[0]).read_text("utf-8"), json.loads(Path(files[1]).read_text("utf-8"))
+
+
+def test_each_measure_is_that_of_the_model_alone(page: tuple[str, dict], model_file: Path, data: Path) -> None:  # type: ignore[type-arg]
+    values = page[1]
+    name, model, dataset = model_file.name, lpn.load(model_file), lpn.open_dataset(data)
+    name = next(one for one in values["models"] if name.removesuffix(".onnx") in one)
+    alone = {
+        key: lpn.evaluate(model, dataset, TASK, protocol)
+        for key, protocol in (
+            ("all", Protocol()),
+            ("2", Protocol(parts=(2,))),
+            ("90.0", Protocol(Change(rotate=90.0))),
+        )
+    }
+    figures = {key: [result.recall["1"], result.ap] for key, result in alone.items()}
+    assert values["parts"][TASK][name]["all"] == figures["all"]
+    assert values["parts"][TASK][name]["2"] == figures["2"]
+    assert values["turns"][TASK][name]["90.0"] == figures["90.0"]
+    assert values["weathers"][name]["weathers"]["normal"][TASK]["ap"] == figures["all"][1]
+    table = next(one for one in values["tables"] if one["task"] == TASK)
+    row = next(one for one in table["models"] if one["name"] == name)
+    assert row["R@1"]["value"] == pytest.approx(figures["all"][0])
+    assert values["models"][name]["megabytes"] == model_file.stat().st_size / 1e6
+    assert values["models"][name]["milliseconds"] > 0
+
+
+def test_the_page_has_a_table_for_each_measure_and_no_parts_of_a_model_with_one(page: tuple[str, dict]) -> None:  # type: ignore[type-arg]
+    text, values = page
+    parts = text.split(f"## Each part alone: {TASK}")[1].split("## ")[0]
+    assert parts.count("\n| ") == 3  # head, rule, and one model
+    assert len(values["parts"][TASK]) == 1
+    assert f"## Turned queries, degrees: {TASK}" in text
+    weathers = text.split(f"## Weathers: {TASK}")[1].split("## ")[0]
+    assert [name for name in (*WEATHERS, "mean") if f"| {name} " not in weathers] == []
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--turns", "90"], "belong to a page"),
+        (["--page", "{}/page.md", "--calibrate"], "ranked plainly"),
+        (["--page", "{}/page.md", "--csv", "{}/page.csv"], "leave --markdown and --csv out"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(
+    options: list[str], message: str, model_file: Path, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [option.format(tmp_path) for option in options]
+    assert main(["compare", str(model_file), "--data", str(data), *given]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.iterdir())
