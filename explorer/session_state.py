@@ -65,6 +65,7 @@ class SessionState:
         city: True to show the 3-D city on the map, where there is one, in place of tiles.
         find: filter of the list of queries.
         dark: True for the dark theme.
+        plain: True for plain words, see `lpn.drawing.words`.
         first_screen: True while the page shows one query and its answer only; `why` explains it there.
         from_first_screen: True while something is open that was opened there, so that its end leads back; no address has it.
     """
@@ -101,6 +102,7 @@ class SessionState:
     city: bool = True
     find: str = ""
     dark: bool = True
+    plain: bool = False
     first_screen: bool = False
     from_first_screen: bool = False
 
@@ -419,6 +421,16 @@ def undo(state: SessionState, kind: Alteration) -> SessionState:
 def flip_dark(state: SessionState) -> SessionState:
     """Switch between the dark and the light theme."""
     return replace(state, dark=not state.dark)
+
+
+def show_everything(state: SessionState) -> SessionState:
+    """Leave the first screen for the workbench, and speak its terms."""
+    return replace(state, first_screen=False, why=False, plain=False)
+
+
+def flip_words(state: SessionState) -> SessionState:
+    """Switch between plain words and the field's terms."""
+    return replace(state, plain=not state.plain)
 
 
 def matching_names(names: Sequence[str], text: str) -> list[int]:

@@ -101,6 +101,7 @@ class UrlState:
             parameters.choice("same_scale", {"own": False, "same": True}, "scale"),
             parameters.number("opacity", 0, 1),
             parameters.choice("dark", {"light": False, "dark": True}, "theme"),
+            parameters.choice("plain", {"expert": False, "plain": True}, "words"),
             parameters.choice("first_screen", {"all": False, "first": True}, "screen"),
         )
         self.keys = tuple(parameter.key for parameter in self._parameters)
@@ -138,7 +139,7 @@ class UrlState:
         return state, problems
 
     def names_a_state(self, text: str) -> bool:
-        """Return True if a query string names anything to show besides a theme.
+        """Return True if a query string names anything to show besides a theme and words.
 
         Args:
             text: untrusted.
@@ -146,7 +147,7 @@ class UrlState:
         return bool(self._named(text))
 
     def names_only_a_workspace(self, text: str) -> bool:
-        """Return True if a query string names a workspace, and nothing to show in it besides a theme and a screen.
+        """Return True if a query string names a workspace, and nothing to show in it besides a theme, words, and a screen.
 
         Args:
             text: untrusted.
@@ -172,9 +173,9 @@ class UrlState:
         return ", ".join(filter(None, words)) or "the page as it is"
 
     def _named(self, text: str) -> set[str]:
-        """Return the keys of what a query string names besides a theme; none if it has too many parameters."""
+        """Return the keys of what a query string names besides a theme and words; none if it has too many parameters."""
         try:
-            return _parameters_of(text).keys() & (set(self.keys) - {"theme"})
+            return _parameters_of(text).keys() & (set(self.keys) - {"theme", "words"})
         except ValueError:
             return set()
 

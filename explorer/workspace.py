@@ -34,6 +34,7 @@ from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
+from lpn.drawing.words import Vocabulary
 from lpn.locate.located import LocatedFlight
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -326,6 +327,10 @@ class Workspace:
                     drawn = mosaic.draw(task.geometry, task.gallery)
                 self._mosaics[task.name] = drawn
             return self._mosaics[task.name]
+
+    def vocabulary(self, plain: bool) -> Vocabulary:
+        """Return the words to speak, plain or not; a plain ring is called one."""
+        return Vocabulary(plain, self.parts_word.removesuffix("s"))
 
     @property
     def parts_word(self) -> str:

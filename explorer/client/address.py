@@ -71,7 +71,8 @@ class PageAddress:
             before = self._state()
         named = self._url_state.names_a_state(search) and not self._url_state.names_only_a_workspace(search)
         start = self._plain if named else before
-        state, problems = self._url_state.read(search, replace(start, dark=not greeting.light))
+        # A browser that comes back to the workbench has asked for everything before, and knows its terms.
+        state, problems = self._url_state.read(search, replace(start, dark=not greeting.light, plain=greeting.first))
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = plain_state(state, greeting.first, self._url_state.names_a_state(search))
@@ -94,13 +95,13 @@ class PageAddress:
             self.show(search)
 
     def show(self, search: str) -> list[str]:
-        """Show what an address of this workspace shows, with the page's theme and filter; see `UrlState.read`."""
+        """Show what an address of this workspace shows, with the page's theme, words, and filter; see `UrlState.read`."""
         before = self._state()
         kept = {name: getattr(before, name) for name in ("dark", "find", "laboratory")}
         state, problems = self._url_state.read(search, replace(self._plain, **kept))
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
-        self._views.show_state(replace(state, dark=before.dark))
+        self._views.show_state(replace(state, dark=before.dark, plain=before.plain))
         return problems
 
     def show_other(self, key: str) -> None:
@@ -108,6 +109,7 @@ class PageAddress:
         state = self._state()
         if key in self._workspace.choices and key != self._workspace.key:
             screen = "&screen=first" if state.first_screen else ""
+            screen += "&words=plain" if state.plain else ""
             self._show_other(key, f"?show={key}&theme={'dark' if state.dark else 'light'}{screen}")
 
     def write(self, state: SessionState) -> None:

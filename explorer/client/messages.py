@@ -83,6 +83,9 @@ class ActOnFirstScreen(PageMessage, tag="screen"):
 class FlipTheme(PageMessage, tag="dark"): ...
 
 
+class FlipWords(PageMessage, tag="words"): ...
+
+
 class ShowGlossary(PageMessage, tag="glossary"): ...
 
 

@@ -170,6 +170,8 @@ class ClientSession:
                 self.views.first_screen.act(action)
             case messages.FlipTheme():
                 self.change(session_state.flip_dark)
+            case messages.FlipWords():
+                self.change(session_state.flip_words)
             case messages.ShowGlossary():
                 self.views.glossary.show()
             case messages.StraightenStage():

@@ -37,6 +37,7 @@ from explorer.workspace import StateAnalysis
 from lpn.core.errors import LPNError
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import theme
+from lpn.drawing.words import speaking
 
 
 class ClientViews:
@@ -172,6 +173,10 @@ class ClientViews:
         Args:
             drawn: called when all but the panels is drawn.
         """
+        with speaking(self._workspace.vocabulary(analysis.state.plain)):
+            self._show(analysis, drawn)
+
+    def _show(self, analysis: StateAnalysis, drawn: Callable[[], None]) -> None:
         self.sequence += 1
         self.first_screen.show(analysis, self.stories.names)  # before the stage, which takes longer
         with self._client.atomic():  # the page draws one frame

@@ -10,7 +10,8 @@ from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, Repo
 from explorer.compute.ranking_job import RankingJob
 from lpn.tasks.task import SCORINGS, Scoring, scored_key
 
-NAMES: Mapping[Scoring, str] = {"plain": "plain", "calibrated": "calibrated", "csls": "CSLS"}
+# The glossary's terms, whose words `lpn.drawing.words` has.
+TERMS: Mapping[Scoring, str] = {"plain": "plain", "calibrated": "calibration", "csls": "CSLS"}
 
 
 @dataclass(frozen=True)
@@ -18,12 +19,13 @@ class Choice:
     """One scoring of a task, as the page offers it.
 
     Attributes:
+        term: of the glossary.
         recall: Recall@1 of the whole task in percent; None while it is not known.
         ready: its ranking can be shown; otherwise choosing it prepares it, if `Scorings.why_not` is empty.
     """
 
     scoring: Scoring
-    name: str
+    term: str
     recall: float | None
     ready: bool
 
@@ -56,7 +58,7 @@ def choices(rankings: Mapping[str, RankingJob], name: str) -> list[Choice]:
         ranking = rankings.get(scored_key(name, scoring))
         graded = ranking is not None and ranking.result is not None and ranking.results["queries"]
         recall = ranking.results["recall@1"] if ranking is not None and graded else None
-        offered.append(Choice(scoring, NAMES[scoring], recall, ranking is not None))
+        offered.append(Choice(scoring, TERMS[scoring], recall, ranking is not None))
     return offered
 
 

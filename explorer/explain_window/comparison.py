@@ -10,6 +10,7 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.drawing import charts, overlays, theme, verdicts
 from lpn.drawing.theme import Colour
 from lpn.drawing.verdicts import ordinal
+from lpn.drawing.words import say
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 
@@ -33,7 +34,7 @@ def page(
         return render("explain/comparison", comparison=None)
     ranking, followed, change = analysis.ranking, comparison.followed, comparison.change
     margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
-    names, name = workspace.part_names, "the true tile" if followed.true else "this tile"
+    names, name = workspace.part_names, f"the {say('positive')}" if followed.true else f"this {say('tile')}"
     without = comparison.without
     cells = lead_cells(analysis, followed.index, comparison.other.index)
     colours = lead_colours(followed.true is True)

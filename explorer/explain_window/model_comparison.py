@@ -58,6 +58,7 @@ class _Column:
     """One model's answer.
 
     Attributes:
+        lead: d² of the nearest negative, less that of the nearest positive; None where one of them is not known.
         chosen: gallery position of the compared tile.
         comparable: its matches may be compared, as they are in the gallery of the workspace's own model.
     """
@@ -68,6 +69,7 @@ class _Column:
     recall: float | None
     verdict: bool | None
     rank: int | None
+    lead: float | None
     matches: list[tuple[Match, str, str]]
     chosen: int
     comparable: bool
@@ -418,6 +420,7 @@ def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own
         _recall(workspace, task),
         analysis.matches[0].true,
         None if truth is None else truth.rank,
+        _lead(analysis),
         [
             (match, task.gallery[match.index].name, workspace.thumbnail(task.gallery[match.index]))
             for match in analysis.matches[:_MATCHES]
@@ -426,6 +429,11 @@ def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own
         all(_same_tile(task, own.task, match.index) for match in analysis.matches[:_MATCHES]),
         maps,
     )
+
+
+def _lead(analysis: StateAnalysis) -> float | None:
+    truth, wrong = analysis.positive, next((match for match in analysis.matches if match.true is False), None)
+    return None if truth is None or wrong is None or truth.beyond else wrong.distance2 - truth.distance2
 
 
 def changes(first: RankingJob, second: RankingJob) -> Changes | None:

@@ -27,6 +27,7 @@ from explorer.web.html import Html
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison, effect_on
+from lpn.drawing.words import speaking
 from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweptProperty
 from lpn.retrieval import Ranking
@@ -348,7 +349,10 @@ class ExplainWindow:
 
         def render_newest() -> str | None:
             content = self._content
-            return None if content is None else render(content)
+            if content is None:
+                return None
+            with speaking(self._workspace.vocabulary(content.analysis.state.plain)):
+                return render(content)
 
         return render_newest
 

@@ -18,7 +18,7 @@ from lpn.analysis.named_views import LONGEST_NAME, NamedView
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.numbers import signed
 from lpn.core.tables import Column
-from lpn.drawing import theme
+from lpn.drawing import theme, words
 from lpn.report.page import MOST
 from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import RANK_A, RANK_B
@@ -32,6 +32,8 @@ _HINTS = {
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
 }
+# The terms of columns, whose names stay as they are in filters and files.
+_TERMS = {"rank": "rank", "margin": "margin", "part": "part", "answer": "tile"}
 # Examples of filters, without and with a second model.
 _EXAMPLE, _EXAMPLE_OF_TWO = "rank > 5", f"{RANK_A} > 1 and {RANK_B} = 1"
 
@@ -154,8 +156,16 @@ def table(findings: Findings, lab: LabState, selected: int, shell: int, height: 
         of_both = zip((RANK_A, RANK_B), findings.second.names, strict=True)
         hints = hints | {rank: f"{_HINTS['rank']} by {name}" for rank, name in of_both}
     columns = visible_columns(findings, lab)
+    headings = {name: words.say(term) for name, term in _TERMS.items()} if words.plain() else {}
     return render(
-        "failure_lab/table", lab=lab, columns=columns, hints=hints, selected=selected, shell=shell, height=height
+        "failure_lab/table",
+        lab=lab,
+        columns=columns,
+        hints=hints,
+        headings=headings,
+        selected=selected,
+        shell=shell,
+        height=height,
     )
 
 

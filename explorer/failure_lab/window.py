@@ -29,6 +29,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.named_views import NamedView
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
+from lpn.drawing.words import speaking
 
 # Share of the stage, from its top, that the compared pair takes, unless that leaves less than so many pixels to the window.
 _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
@@ -47,6 +48,7 @@ class _View:
         reasons: the explain window is open.
         order: a script that raises the explain window, where both windows were opened at once, as a link does; else empty.
         beside: which of the models beside the workspace's own is compared.
+        plain: plain words are spoken.
     """
 
     task: str
@@ -55,6 +57,7 @@ class _View:
     reasons: bool = False
     order: str = ""
     beside: int = 0
+    plain: bool = False
 
 
 class FailureLabWindow:
@@ -117,7 +120,7 @@ class FailureLabWindow:
             order = before.order if session.lab else ""
             if session.lab and not before.open and reasons and not before.reasons:
                 order = run_once(call("raiseReasons"))
-            self._view = _View(session.ranking_key, query, session.lab, reasons, order, session.beside)
+            self._view = _View(session.ranking_key, query, session.lab, reasons, order, session.beside, session.plain)
         self._worker.wake()
 
     def restore(self, session: SessionState, whole: bool = False) -> None:
@@ -173,7 +176,8 @@ class FailureLabWindow:
                         self._open(int(rows[0]))
                 else:
                     self._tips += 1
-                    self._tip.show("" if rows is None else table.tip(findings, self._workspace, rows, self._tips))
+                    with speaking(self._workspace.vocabulary(self._view.plain)):
+                        self._tip.show("" if rows is None else table.tip(findings, self._workspace, rows, self._tips))
             case messages.SaveNote():
                 if self._notes.save(message):
                     self._worker.wake()
@@ -284,7 +288,8 @@ class FailureLabWindow:
             return self._sorted[1]
 
     def _work(self) -> None:
-        self._draw()
+        with speaking(self._workspace.vocabulary(self._view.plain)):
+            self._draw()
         if self._left:  # drawing may have started a computation
             self._service.leave(self)
 

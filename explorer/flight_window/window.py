@@ -25,6 +25,7 @@ from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import LPNError
+from lpn.drawing.words import speaking
 from lpn.locate.coverage import seen_by
 
 # Share of the stage, from its top, that the compared pair takes where the window leaves it in sight.
@@ -100,7 +101,7 @@ class FlightWindow:
             self._shell = Html(gui)
             # The script of each element runs again when the page shows the window again.
             self._data, self._chosen, self._painting, self._spot, self._progress = (Html(gui) for _ in range(5))
-        self._worker = Worker(self._work, on_error)
+        self._worker = Worker(self._spoken, on_error)
         viewport.watch(self._resize)
         service.watch(self._worker.wake)
 
@@ -181,6 +182,11 @@ class FlightWindow:
 
     def _choose_query(self, state: SessionState, frame: int) -> SessionState:
         return session_state.choose_query(state, frame, len(self._workspace.tasks[state.task].queries))
+
+    def _spoken(self) -> float | None:
+        plain = self._analysis is not None and self._analysis.state.plain
+        with speaking(self._workspace.vocabulary(plain)):
+            return self._work()
 
     def _work(self) -> float | None:
         with self._lock:

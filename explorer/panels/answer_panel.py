@@ -16,6 +16,7 @@ from explorer.session_state import POSITIVE, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.drawing.words import speaking
 
 
 class AnswerPanel:
@@ -62,16 +63,18 @@ class AnswerPanel:
     def show(self, analysis: StateAnalysis, sequence: int) -> None:
         """Show an analysis."""
         workspace = self._workspace
+        self._last = pages.ShownAnalysis(analysis, sequence)
         self.show_results(self._workspace.rankings[analysis.task.key])
         self._verdict.show(pages.verdict(analysis, workspace))
         self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
         self._table.show(pages.parts_table(analysis, workspace))
-        self._last = pages.ShownAnalysis(analysis, sequence)
         self.show_idle()
 
     def show_results(self, ranking: RankingJob) -> None:
         """Show the model's results on a task, or the progress of their ranking."""
-        self._header.show(pages.header(self._workspace, ranking.task))
+        plain = self._last is not None and self._last.analysis.state.plain
+        with speaking(self._workspace.vocabulary(plain)):
+            self._header.show(pages.header(self._workspace, ranking.task))
 
     def show_idle(self) -> None:
         """Show the status of the last analysis."""

@@ -10,7 +10,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance
-from lpn.drawing import verdicts
+from lpn.drawing import verdicts, words
 from lpn.retrieval import Match
 
 # A GPS tag at least this far from the nearest tile is in another region.
@@ -65,17 +65,15 @@ def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None
     """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
     first, depth = analysis.matches[0], analysis.ranking.depth
     if analysis.ranking.relevant is None:
-        gap = "there is no other tile"
-        if first.gap is not None:
-            gap = f"the next tile is {first.gap:.3f} further away (d²)"
+        gap = verdicts.next_tile(first)
         if analysis.state.upload is None:
-            return None, "Nearest tile", f"Its true place is not known here; {gap}."
+            return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
         place = "Its true place is not known here"
         if analysis.errors_m is not None and math.isfinite(error := float(analysis.errors_m[first.index])):
             place = _elsewhere(analysis) or f"Its GPS tag lies {distance(error)} from the middle of this tile"
-        return None, "Your picture: nearest tile", f"{place}; {gap}."
+        return None, f"Your picture: {'best match' if words.plain() else 'nearest tile'}", f"{place}; {gap}."
     if analysis.positive is None and depth is not None:
-        return False, f"No true tile among the {depth} found", "The search returned no tiles after them."
+        return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)
     return verdicts.verdict(first, analysis.positive, hardest_negative, part_names, _error_m(analysis))
 

@@ -81,7 +81,7 @@ class FirstScreen:
             "why": session_state.flip_why,
             "start": session_state.to_first_screen,
             "data": session_state.leave_upload,
-            "all": lambda state: replace(state, first_screen=False, why=False),
+            "all": session_state.show_everything,
             "cells": lambda state: replace(state, first_screen=False, why=True, why_tab="comparison"),
             "lab": lambda state: self._to_lab(state, "table"),
             "fails": lambda state: self._to_lab(state, "breakdown"),

@@ -25,6 +25,7 @@ from lpn.analysis.part_weights import (
     weights_of,
     why_not,
 )
+from lpn.drawing.words import speaking
 from lpn.tasks.task import Task, scored_key
 
 # Seconds between two looks at a computation.
@@ -62,7 +63,7 @@ class PartsPanel:
         self._job: BackgroundJob[WeightEffect] | None = None
         self._combinations: BackgroundJob[None] | None = None
         self._combined: tuple[str, ...] = ()
-        self._worker = Worker(self._follow, lambda _: None)
+        self._worker = Worker(self._spoken, lambda _: None)
 
     def show(self, state: SessionState) -> None:
         """Show the figures under the weights of a state, or compute them."""
@@ -105,6 +106,11 @@ class PartsPanel:
         other = self._workspace.rankings.get(scored_key(f"{gallery}-to-{query}", task.scoring))
         reverse = other is not None and other.task.key != task.key and not why_not(other.task)
         return (task.key, other.task.key) if other is not None and reverse else (task.key,)
+
+    def _spoken(self) -> float | None:
+        plain = self._state is not None and self._state.plain
+        with speaking(self._workspace.vocabulary(plain)):
+            return self._follow()
 
     def _follow(self) -> float | None:
         """Draw what is known; return the seconds until the next look while something is computed."""

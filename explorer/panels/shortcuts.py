@@ -76,6 +76,7 @@ def _changes(
         *([("Flight over its map", "W", session_state.flip_flight)] if workspace.has_flight else []),
         ("3-D city on the map on or off", "C", lambda state: _flip_city(workspace, state)),
         ("Light or dark theme", "O", session_state.flip_dark),
+        ("Plain words or the field's terms", None, session_state.flip_words),
     ]
     if len(workspace.tasks) > 1:
         changes += [(f"Task: {name}", None, navigation.choose_task(name)) for name in workspace.tasks]

@@ -12,7 +12,7 @@ from explorer.web.style import part_ink, verdict_ink
 from explorer.web.terms import term
 from lpn.core.numbers import distance
 from lpn.core.templates import environment
-from lpn.drawing import charts, theme
+from lpn.drawing import charts, theme, words
 
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
 # A keyboard reaches an element with these attributes; `viewport.js` makes Enter and Space click it.
@@ -51,12 +51,15 @@ def render(template: str, **context: object) -> str:
 
 _ENVIRONMENT = environment("explorer.web")
 _ENVIRONMENT.filters["format"] = format
+_ENVIRONMENT.filters["capitalised"] = words.capitalised
 # A figure and its unit stay on one line.
 _ENVIRONMENT.filters["tied"] = lambda text: re.sub(r"(?<=\d) (?=%|k?m\b)", "\N{NO-BREAK SPACE}", text)
 _ENVIRONMENT.globals.update(
     send=send,
     press=press,
     term=term,
+    say=words.say,
+    plain=words.plain,
     part_ink=part_ink,
     verdict_ink=verdict_ink,
     part_colour=charts.part_colour,

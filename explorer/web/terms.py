@@ -8,6 +8,8 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from lpn.drawing import words
+
 GLOSSARY = Path(__file__).with_name("glossary.md")
 _ROW = re.compile(r"^\| \*\*(?P<term>[^*]+)\*\* \| (?P<meaning>.+) \|$", re.MULTILINE)
 _TERM = Markup('<span class="term" tabindex="0" data-tip="{}">{}</span>')
@@ -24,11 +26,13 @@ def term(name: str, text: str | None = None) -> Markup:
 
     Args:
         name: the term, as the glossary has it.
-        text: the words shown in its place.
+        text: the words shown in its place; by default those of the vocabulary that is spoken.
 
     Raises:
         KeyError: when the glossary lacks it.
     """
+    if text is None and words.plain() and name in words.WORDS:
+        text = words.say(name)
     return _TERM.format(f"{name}: {meanings()[name]}", text or name)
 
 

@@ -21,6 +21,7 @@ from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import rounded_to_sum, signed
 from lpn.core.templates import environment
 from lpn.drawing import theme
+from lpn.drawing.words import say
 from lpn.explain import Evidence
 from lpn.explain.sweeps import SweepPoint, SweepResult, signed_value, swept_label
 
@@ -115,7 +116,9 @@ def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -
     for part, (name, share) in enumerate(zip(names, contributions.tolist(), strict=True)):
         width = 100 * max(share, 0.0) / max(full, 1e-9)
         label = f"{share:.2f}" if width > _LABELLED else ""
-        bars.append(_Bar(round(start, 2), round(width, 2), part_colour(part), f"part {name}: {share:.4f}", label))
+        bars.append(
+            _Bar(round(start, 2), round(width, 2), part_colour(part), f"{say('part')} {name}: {share:.4f}", label)
+        )
         start += width
     return _draw("bars", "shares of the squared distance", "shares", bars)
 

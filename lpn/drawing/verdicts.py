@@ -9,6 +9,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.numbers import distance, rounded_to_sum, signed, wrap_degrees
 from lpn.core.views import View
+from lpn.drawing.words import capitalised, plain, say, unit
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
 from lpn.explain.sweeps import SweepResult, signed_value
@@ -64,9 +65,10 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     if float(evidence.query.constants[best]) > evidence.cosines[best] / 2:
         places = "most of it by a constant that comes from no cell"
     else:
-        places = f"where {_place('query', query_place)} agrees with {_place('tile', tile_place)}"
-    similarity, what = float(weighted.sum()), "score" if evidence.csls is None else "cosine"
-    text = f"Part {names[best]} adds most to the {what} ({signed(weighted[best])} of {similarity:.3f}), {places}."
+        places = f"where {_place(say('query'), query_place)} agrees with {_place(say('tile'), tile_place)}"
+    similarity, what = float(weighted.sum()), say("score" if evidence.csls is None else "part cosine")
+    share = f"{signed(weighted[best])} of {similarity:.3f}"
+    text = f"{capitalised(say('part'))} {names[best]} adds most to the {what} ({share}), {places}."
     constants = float(evidence.query.constants @ evidence.weights)
     if constants > similarity / 2 > 0:
         text += (
@@ -74,9 +76,10 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
             "what they show."
         )
     if weighted[worst] < 0:
-        text += f" Part {names[worst]} speaks against the pair ({signed(weighted[worst])})."
+        text += f" {capitalised(say('part'))} {names[worst]} speaks against the pair ({signed(weighted[worst])})."
     if evidence.csls is not None:
-        text += f" CSLS takes {-sum(evidence.csls_shares):.3f} from it, because both pictures have near neighbours elsewhere."
+        taken = f"{-sum(evidence.csls_shares):.3f} from it, because both pictures have near neighbours elsewhere."
+        text += f" Holding favourites back takes {taken}" if plain() else f" CSLS takes {taken}"
     return text
 
 
@@ -85,7 +88,7 @@ def describe_lumps(lumps: Sequence[str]) -> str:
     if not lumps:
         return ""
     several = len(lumps) > 1
-    whose = f"{'parts' if several else 'part'} {', '.join(lumps)}"
+    whose = f"{say('part', len(lumps))} {', '.join(lumps)}"
     return f"No cell belongs to {whose}; {'they are constants' if several else 'it is a constant'} of each picture."
 
 
@@ -120,79 +123,91 @@ def verdict(
         the reason.
     """
     if positive is None:
-        return False, "No true tile", "The gallery has no tile of this place, so no answer can be right."
+        reason = "The gallery has no tile of this place, so no answer can be right."
+        if plain():
+            reason = "None of the pictures that were searched shows this place, so no answer can be right."
+        return False, f"No {say('positive')}", reason
     if positive.rank == 1:
+        found = "Found: the answer is right" if plain() else "Found: the top match is true"
         if negative is None:
-            gap = (
-                "there is no other tile" if first.gap is None else f"the next tile is {first.gap:.3f} further away (d²)"
-            )
-            return True, "Found: the top match is true", f"No wrong tile is near; {gap}."
+            return True, found, f"No wrong tile is near; {next_tile(first)}."
         margin = negative.contributions - positive.contributions
         return (
             True,
-            "Found: the top match is true",
-            f"It leads the best wrong tile by {float(margin.sum()):.3f} (d²); {_decisive(margin, part_names)}.",
+            found,
+            f"It leads the {say('hardest negative')} by {float(margin.sum()):.3f}{unit()}; {_decisive(margin, part_names)}.",
         )
+    top = "answer" if plain() else "top match"
     if positive.beyond and positive.distance2 < first.distance2:
         lead = first.distance2 - positive.distance2
         return (
             False,
-            "Missed: the search did not return the true tile",
-            f"It would lead the top match by {lead:.3f} (d²): the index searches approximately.",
+            f"Missed: the search did not return the {say('positive')}",
+            f"It would lead the {top} by {lead:.3f}{unit()}: the index searches approximately.",
         )
     margin = first.contributions - positive.contributions
     off = "" if error_m is None else f" The answer is {distance(error_m)} off."
     return (
         False,
-        f"Wrong: the true tile is {describe_rank(positive)}",
-        f"It is {-float(margin.sum()):.3f} (d²) behind the top match; {_decisive(margin, part_names, costs=True)}.{off}",
+        f"Wrong: the {say('positive')} is {describe_rank(positive)}",
+        f"It is {-float(margin.sum()):.3f}{unit()} behind the {top}; {_decisive(margin, part_names, costs=True)}.{off}",
     )
 
 
-def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str = "the true tile") -> str:
+def next_tile(first: Match) -> str:
+    """Say how far behind the top match the next tile is, as a clause."""
+    if first.gap is None:
+        return "there is no other tile"
+    if plain():
+        return f"the next best is {first.gap:.3f} behind it"
+    return f"the next tile is {first.gap:.3f} further away (d²)"
+
+
+def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str | None = None) -> str:
     """Say by how much a tile leads or trails another one, and which parts decide it.
 
     Args:
         margin: each part's share of the margin in squared distance, (n,).
-        name: of the tile.
+        name: of the tile; by default, it is the true one.
     """
-    total, name = float(margin.sum()), f"{name[0].upper()}{name[1:]}"
+    total, name = float(margin.sum()), capitalised(name or f"the {say('positive')}")
     if total >= 0:
-        return f"{name} leads by {total:.3f} (d²); {_decisive(margin, part_names)}."
-    return f"{name} is {-total:.3f} (d²) behind; {_decisive(margin, part_names, costs=True)}."
+        return f"{name} leads by {total:.3f}{unit()}; {_decisive(margin, part_names)}."
+    return f"{name} is {-total:.3f}{unit()} behind; {_decisive(margin, part_names, costs=True)}."
 
 
-def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str = "the true tile") -> str:
+def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str | None = None) -> str:
     """Say which part, left out, would change the rank of a tile most, or all parts without any one of which it would be first."""
+    name, a_part = name or f"the {say('positive')}", say("part")
     ranks = {part: standing.rank for part, standing in enumerate(without.without) if standing is not None}
     if without.now.rank == 1:
         needed = [part for part, rank in ranks.items() if rank > 1]
         if not needed:
-            return f"No single part is needed: without any one of them {name} stays first."
+            return f"No single {a_part} is needed: without any one of them {name} stays first."
         worst = max(needed, key=ranks.__getitem__)
-        more = f" ({len(needed)} of {len(without.without)} parts are needed)" if len(needed) > 1 else ""
-        return f"Without part {part_names[worst]} {name} would fall to {ordinal(ranks[worst])}{more}."
+        more = f" ({len(needed)} of {len(without.without)} {say('part', 2)} are needed)" if len(needed) > 1 else ""
+        return f"Without {a_part} {part_names[worst]} {name} would fall to {ordinal(ranks[worst])}{more}."
     if without.parts_to_remove:
         parts = [part_names[part] for part in without.parts_to_remove]
-        which = f"part {parts[0]}" if len(parts) == 1 else f"any one of the parts {listed(parts)}"
+        which = f"{a_part} {parts[0]}" if len(parts) == 1 else f"any one of the {say('part', 2)} {listed(parts)}"
         return f"Without {which} {name} would be first."
-    text = "No single part is to blame alone"
+    text = f"No single {a_part} is to blame alone"
     best = min(ranks, key=ranks.__getitem__, default=0)
     if ranks and ranks[best] < without.now.rank:
-        text += f": at best, without part {part_names[best]}, {name} would be {ordinal(ranks[best])}"
+        text += f": at best, without {a_part} {part_names[best]}, {name} would be {ordinal(ranks[best])}"
     elif ranks:
         text += f": {name} ranks no better without any one of them"
     if without.best_alone is not None:
-        text += f"; part {part_names[without.best_alone]} alone puts it first"
+        text += f"; {a_part} {part_names[without.best_alone]} alone puts it first"
     return f"{text}."
 
 
 def describe_reweighting(change: Reweighting | None, effect: Effect | None) -> str:
     """State the smallest change of part weights that puts the positive first, and its effect on all queries."""
     if change is None:
-        return "No choice of part weights would put the true tile first."
+        return f"No choice of {say('part')} weights would put the {say('positive')} first."
     percents = " : ".join(f"{100 * weight:.0f}" for weight in change.weights)
-    text = f"The smallest change of part weights that puts the true tile first is {percents} %"
+    text = f"The smallest change of {say('part')} weights that puts the {say('positive')} first is {percents} %"
     return f"{text}." if effect is None else f"{text}; {describe_effect(effect)}."
 
 
@@ -200,8 +215,8 @@ def describe_effect(effect: Effect) -> str:
     """Say what other part weights do to all queries, as a clause."""
     verb = "helps" if effect.helps else "harms" if len(effect.lost) > len(effect.gained) else "neither helps nor harms"
     return (
-        f"over all {effect.queries:,} queries it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, R@1 "
-        f"{effect.before:.1f} to {effect.after:.1f} %"
+        f"over all {effect.queries:,} {say('query', 2)} it {verb}: {len(effect.gained)} gained, {len(effect.lost)} lost, "
+        f"{say('R@1')} {effect.before:.1f} to {effect.after:.1f} %"
     )
 
 
@@ -212,13 +227,15 @@ def describe_rotation(profile: SweepResult, views: tuple[View, View]) -> str:
         views: of the query and of the tiles.
     """
     best, now = profile.best_rank, profile.unchanged
-    name = "The true tile" if best.true else "The tile"
+    name = f"The {say('positive')}" if best.true else f"The {say('tile')}"
     if not best.change.rotate or (now is not None and now.rank == best.rank):
-        text = f"{name} ranks best with the query as it is ({ordinal(best.rank if now is None else now.rank)})."
+        text = (
+            f"{name} ranks best with the {say('query')} as it is ({ordinal(best.rank if now is None else now.rank)})."
+        )
     else:
         before = "" if now is None else f" instead of {ordinal(now.rank)}"
         angle = signed_value("rotation", best.change)
-        text = f"{name} ranks best when the query is turned {angle:g}°: {ordinal(best.rank)}{before}."
+        text = f"{name} ranks best when the {say('query')} is turned {angle:g}°: {ordinal(best.rank)}{before}."
     return f"{text} {describe_heading(profile, views)}".strip()
 
 
@@ -236,13 +253,13 @@ def describe_heading(profile: SweepResult, views: tuple[View, View], known: floa
     best = profile.best_top_match
     text = (
         f"Without knowing the truth, any tile is nearest at {signed_value('rotation', best.change):g}° "
-        f"(d² {distance2(best.top_score):.3f}): by that, the picture's top points {heading:.0f}° clockwise from north"
+        f"({say('d²')} {distance2(best.top_score):.3f}): by that, the picture's top points {heading:.0f}° clockwise from north"
     )
     if known is None:
         return f"{text}, a guess that may be wrong."
     off = abs(wrap_degrees(heading - known))
     judgement = "right" if off <= _RIGHT_HEADING else "roughly right" if off <= _ROUGH_HEADING else "wrong"
-    return f"{text}. That is {judgement}: it points {known % 360:.0f}°, {off:.0f}° from the guess."
+    return f"{text}. That guess is {judgement}, {off:.0f}° off: the top really points {known % 360:.0f}° clockwise from north."
 
 
 def distance2(score: float) -> float:
@@ -271,8 +288,8 @@ def _decisive(margin: FloatingArray, part_names: Sequence[str], costs: bool = Fa
     rounded = rounded_to_sum(margin.tolist())
     names, figures = listed([part_names[part] for part in parts]), ", ".join(signed(rounded[part]) for part in parts)
     if len(parts) == 1:
-        return f"part {names} {verbs[0]} ({figures})"
-    return f"parts {names} {verbs[1]}, alike ({figures})"
+        return f"{say('part')} {names} {verbs[0]} ({figures})"
+    return f"{say('part', 2)} {names} {verbs[1]}, alike ({figures})"
 
 
 def _place(picture: str, position: str) -> str:

@@ -27,6 +27,7 @@ from lpn.core.numbers import rounded_to_sum
 from lpn.datasets import rendered
 from lpn.datasets.geo import Position
 from lpn.drawing import theme
+from lpn.drawing.words import speaking
 from lpn.sources import Published
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from tools.fixtures import small_worlds
@@ -343,7 +344,7 @@ def test_what_was_opened_from_the_first_screen_leads_back_to_it() -> None:
 
 def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:
     address, plain = UrlState(workspace), SessionState(TASK, 4)
-    for bare in ("", "?", "?theme=light", "?unknown=1"):
+    for bare in ("", "?", "?theme=light", "?words=plain", "?unknown=1"):
         assert not address.names_a_state(bare)
         assert first_screen.plain_state(plain, True, False).first_screen
     for named in ("?query=0003", "?lab=1", "?screen=all"):
@@ -353,6 +354,32 @@ def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:
     first = replace(plain, first_screen=True, why=True)
     assert address.read(address.write(first), plain) == (first, [])
     assert "screen" not in address.write(plain)
+
+
+def test_the_workbench_speaks_plain_words_until_everything_is_shown(workspace: Workspace) -> None:
+    analysis = query(workspace, True)
+    buttons = [""] * 11
+
+    def said() -> str:
+        pieces = pages.header(workspace, analysis.task), pages.verdict(analysis, workspace)
+        return text(
+            "".join((*pieces, pages.matches(analysis, workspace, buttons), pages.parts_table(analysis, workspace)))
+        )
+
+    with speaking(workspace.vocabulary(True)):
+        plain = said()
+    expert = said()
+    for word in ("part ", "d²", "R@1", "AP ", "cosine", "top match", "level", "gap"):
+        assert word in expert
+        assert word not in plain
+    for word in ("ring ", "right at once", "Found: the answer is right", "ahead by", "likeness"):
+        assert word in plain
+    state = SessionState(TASK, 4, first_screen=True, plain=True)
+    everything = session_state.show_everything(state)
+    assert (everything.plain, everything.first_screen) == (False, False)
+    address = UrlState(workspace)
+    assert "words=plain" in address.write(state)
+    assert address.read("?words=plain", SessionState(TASK, 4)) == (SessionState(TASK, 4, plain=True), [])
 
 
 def test_terms_have_the_glossary_s_meaning() -> None:

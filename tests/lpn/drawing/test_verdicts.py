@@ -68,9 +68,9 @@ def test_rotation_names_the_best_angle_and_the_heading() -> None:
 @pytest.mark.parametrize(
     ("known", "judged"),
     [
-        (350.0, "That is right: it points 350°, 10° from the guess."),
-        (30.0, "That is roughly right: it points 30°, 30° from the guess."),
-        (200.0, "That is wrong: it points 200°, 160° from the guess."),
+        (350.0, "That guess is right, 10° off: the top really points 350° clockwise from north."),
+        (30.0, "That guess is roughly right, 30° off: the top really points 30° clockwise from north."),
+        (200.0, "That guess is wrong, 160° off: the top really points 200° clockwise from north."),
     ],
 )
 def test_a_guessed_heading_is_judged_by_the_known_one(known: float, judged: str) -> None:
