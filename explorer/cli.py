@@ -17,6 +17,7 @@ from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_M
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
+from lpn.descriptors.weather import WeatherName
 from lpn.models.adapters import Kind
 from lpn.sources import Arrays, Flown, Indexed, Published, TaskSource
 
@@ -151,6 +152,8 @@ class Explore(ExploreSource):
     """Other trained models to compare on every query (key Y, tab Two models), such as those with other parts or input sizes."""
     beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
     """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
+    beside_weather: tuple[WeatherName, ...] = ()
+    """Weathers in which to compare the model with itself, such as fog rain, where models of --beside are compared."""
 
     @staticmethod
     def in_background(
@@ -216,6 +219,7 @@ class Explore(ExploreSource):
             self.kind,
             kinds,
             self.calibrate,
+            self.beside_weather,
         ), others
 
 

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -24,6 +25,8 @@ from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName, yield_cores
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.datasets.city_model import CityModel, city_model
+from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import Weather, WeatherName
 from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
@@ -33,6 +36,7 @@ from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, open_data
 from lpn.sources.opened import progress_bars
 from lpn.tasks.opening import calibrated, choose_task, no_calibration, scored_tasks, shipped_calibration
 from lpn.tasks.task import Task
+from lpn.tasks.turned import changed
 
 log = logging.getLogger(__name__)
 
@@ -52,6 +56,7 @@ def open_model(
     kind: Kind | None = None,
     beside_kinds: Sequence[Kind | None] = (),
     calibrate: bool = False,
+    beside_weathers: Sequence[WeatherName] = (),
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
@@ -66,13 +71,17 @@ def open_model(
         beside_kinds: those of `beside`; None for models that tell theirs.
         calibrate: calibrate all of these models on the pictures of all tasks before the page opens, see
             `lpn.retrieval.calibration`; otherwise a browser asks for it, unless a calibration ships with the data.
+        beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
 
     Raises:
-        LPNError: when a model or the data set cannot be used, a model is given twice, or there is no such query.
+        LPNError: when a model or the data set cannot be used, a model or a weather is given twice, or there is no such query.
     """
     kinds = beside_kinds or [None] * len(beside)
     _check_different(model, kind, beside, kinds)
     name, names = _names(model, beside)
+    _check_weathers(beside_weathers)
+    if beside_weathers and not isinstance(model, Model):
+        model = lpn.load(model, provider, kind=kind)
     workspace, dataset = _open_one(data, model, provider, name, kind, calibrate)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
@@ -82,6 +91,10 @@ def open_model(
         choose_task(other, dataset)
         opens.append(_opens(data, other, provider, other_name, calibrate))
     _put_beside(workspace, names, opens)
+    for weather in map(Weather, beside_weathers):
+        assert isinstance(model, Model)
+        label = f"{workspace.model_name} {weather.describe()}"
+        workspace.beside.append(LazyWorkspace(label, partial(_in_weather, workspace, model, weather, label)))
     if baseline is not None and not beside:
         opens_it = _naming_files([baseline], _opens(data, baseline, provider, baseline.name, calibrate))
         workspace.beside.append(LazyWorkspace("the baseline (n = 1)", opens_it))
@@ -93,6 +106,25 @@ def _opens(
 ) -> Callable[[ReportProgress | None], Workspace]:
     """Return what opens a model on a data set, see `_open_one`."""
     return lambda report: _open_one(data, model, provider, name, None, calibrate, report)[0]
+
+
+def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str, report: ReportProgress) -> Workspace:
+    """Open the tasks of a workspace whose queries are no tiles again, with all queries in a weather."""
+    yield_cores()  # it describes all queries, and answers must not wait for it
+    tasks = [task for task in workspace.tasks.values() if task.query_view != "satellite"]
+    if not tasks:
+        raise InputError("All queries are satellite tiles, which have no weather; leave --beside-weather out.")
+    changed_tasks = [replace(changed(task, Change(weather=weather), report), model_name=label) for task in tasks]
+    opened = _workspace(OpenedSource(changed_tasks, model), with_city=False)
+    opened.weather = weather
+    return opened
+
+
+def _check_weathers(weathers: Sequence[WeatherName]) -> None:
+    if "normal" in weathers or len(set(weathers)) < len(weathers):
+        raise InputError(
+            f"--beside-weather has {', '.join(weathers)}; expected weathers other than normal, each of them once."
+        )
 
 
 def _put_beside(

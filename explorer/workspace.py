@@ -32,6 +32,7 @@ from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
+from lpn.descriptors.weather import CLEAR
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary
@@ -105,6 +106,8 @@ class Workspace:
         self.first_query = 0
         # Other models on the same data to compare with; a state says which one is compared.
         self.beside: list[LazyWorkspace] = []
+        # The weather of all queries; a state's own weather is drawn in its place.
+        self.weather = CLEAR
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
@@ -301,7 +304,7 @@ class Workspace:
         pictures, view = (
             (opened.queries, opened.query_view) if side == "query" else (opened.gallery, opened.gallery_view)
         )
-        return CentreMean(model.for_task(*opened.views), pictures, view)
+        return CentreMean(model.for_task(*opened.views), pictures, view, other.weather if side == "query" else CLEAR)
 
     def _make_fixed_areas(self, view: View) -> PartAreas | None:
         return PartAreas.of(self.contract, view, self.map_sizes[view], None)
@@ -451,9 +454,10 @@ class StateAnalyser:
             SupersededError: when a newer state superseded this one, see `RequestContext.retry_superseded`.
             LPNError: when the query cannot be analysed.
         """
+        change = state.change
         request = QueryRequest(
             query=state.upload or state.query,
-            change=state.change,
+            change=change if change.weather else replace(change, weather=self._workspace.weather),
             weights=state.part_values(),
             region=state.region,
             compare="positive" if state.selected == POSITIVE else state.selected,

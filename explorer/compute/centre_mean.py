@@ -9,6 +9,7 @@ from random import Random
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.core.views import View
 from lpn.datasets import Picture
+from lpn.descriptors.weather import CLEAR, Weather
 from lpn.explain.centre import centre_shares
 from lpn.models.base import Model
 
@@ -24,14 +25,15 @@ class CentreMean:
     Args:
         model: computes in the background.
         pictures: of one view; they are described in random order, so that the mean of the first ones is a fair guess.
+        weather: drawn on each picture.
 
     Attributes:
         total: number of pictures that are described.
         pictures: number of pictures of the test set.
     """
 
-    def __init__(self, model: Model, pictures: Sequence[Picture], view: View) -> None:
-        self._model, self._view, self.pictures = model, view, len(pictures)
+    def __init__(self, model: Model, pictures: Sequence[Picture], view: View, weather: Weather = CLEAR) -> None:
+        self._model, self._view, self._weather, self.pictures = model, view, weather, len(pictures)
         self._sample = [pictures[i] for i in Random(0).sample(range(len(pictures)), min(MOST, len(pictures)))]
         self.total = len(self._sample)
         self._shares: list[float] = []
@@ -70,6 +72,6 @@ class CentreMean:
 
     def _compute(self, report: ReportProgress) -> None:
         with self._compute_lock:  # a cancelled job may still be describing its last batch
-            for share in centre_shares(self._model, self._sample[self.done :], self._view):
+            for share in centre_shares(self._model, self._sample[self.done :], self._view, self._weather):
                 self._shares.append(share)
                 report(self.done, self.total)

@@ -1,7 +1,8 @@
-"""Recall@1 and AP of a whole task whose queries are all turned by one angle (Table IV)."""
+"""A whole task with changed queries: all turned by one angle, with Recall@1 and AP (Table IV), or all in one weather."""
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +34,7 @@ class TurnedFigures:
 
 
 def why_not(task: Task) -> str:
-    """Say why a task is not measured with turned queries, as a sentence; empty if it can be."""
+    """Say why queries of a task are not changed, as a sentence about turned ones; empty if they can be."""
     if task.model is None:
         return "These are descriptors without their network, so queries cannot be turned."
     if not task.lists_gallery:
@@ -60,25 +61,39 @@ def turned(task: Task, degrees: float, progress: CountProgress | None = None) ->
         InputError: when the task cannot be measured so, see `why_not`.
         LPNError: when a picture cannot be read or the cache cannot be written.
     """
+    angle = float(degrees % 360)
+    figures = replace(changed(task, Change(rotate=angle), progress), weights=None).metrics
+    return TurnedFigures(angle, figures["recall@1"], figures["ap"], int(figures["queries"]))
+
+
+def changed(task: Task, change: Change, progress: CountProgress | None = None) -> Task:
+    """Change all queries of a task, and describe them by its model; the task with their descriptors, cached as `turned` says.
+
+    Args:
+        progress: as for `turned`.
+
+    Raises:
+        InputError, LPNError: as `turned`.
+    """
     if reason := why_not(task):
         raise InputError(reason)
     assert task.model is not None
+    if not change:
+        return task
     query, _ = task.sides()
-    angle = float(degrees % 360)
-    if angle:
-        query = np.empty_like(query)
-        zooms = np.array([picture.zoom for picture in task.queries])
-        done = 0
-        for zoom in np.unique(zooms).tolist():
-            rows = np.flatnonzero(zooms == zoom)
-            some = [task.queries[row] for row in rows.tolist()]
-            change = Change(rotate=angle, scale=float(zoom), around=some[0].panorama)
+    query = np.empty_like(query)
+    zooms = np.array([picture.zoom for picture in task.queries])
+    done = 0
+    for zoom in np.unique(zooms).tolist():
+        rows = np.flatnonzero(zooms == zoom)
+        some = [task.queries[row] for row in rows.tolist()]
+        zoomed = replace(change, scale=change.scale * float(zoom), around=some[0].panorama)
 
-            def on_progress(count: int, _: int, before: int = done) -> None:
-                if progress is not None:
-                    progress(before + count, len(zooms))
+        def on_progress(count: int, _: int, before: int = done) -> None:
+            if progress is not None:
+                progress(before + count, len(zooms))
 
-            query[rows] = cached_descriptors(task.model, some, task.query_view, change, on_progress)
-            done += len(rows)
-    figures = replace(task, query_descriptors=query, weights=None).metrics
-    return TurnedFigures(angle, figures["recall@1"], figures["ap"], int(figures["queries"]))
+        query[rows] = cached_descriptors(task.model, some, task.query_view, zoomed, on_progress)
+        done += len(rows)
+    identity = hashlib.sha256(f"{task.identity} {change}".encode()).hexdigest() if task.identity else ""
+    return replace(task, query_descriptors=query, identity=identity)

@@ -12,13 +12,20 @@ import torch
 import explorer.app
 import explorer.cli
 import explorer.opening
+import lpn
 from explorer.cli import Explore
 from explorer.explain_window.window import ExplainWindow
+from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.cli.failures import FailuresCommand
 from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
+from lpn.datasets import open_dataset
+from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import Weather
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 from lpn.sources import Data, ModelOptions
 from lpn.tasks.task import Task
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
@@ -219,3 +226,38 @@ def test_a_model_that_is_given_twice_or_cannot_be_compared_ends_the_start(
     street = replace(RegionModel().contract, views=("satellite", "street"), groups=(), part_names={})
     with pytest.raises(DataError, match="knows only satellite and street pictures"):
         open_model(data, RegionModel(street))
+
+
+def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Path) -> None:
+    workspace = open_model(data, model_file, beside_weathers=["dark"])
+    (second,) = workspace.beside
+    assert second.label == "model.onnx in the dark"
+    assert second.open().wait(PATIENCE)
+    dark = second.workspace
+    assert dark is not None
+    assert list(dark.tasks) == [name for name in workspace.tasks if not name.startswith("satellite")]
+    task = dark.tasks["drone-to-satellite"]
+    state = SessionState(task.name, 4, query=1)
+    change = Change(weather=Weather("dark"))
+    analysis = StateAnalyser(dark).analyse(state, 3)
+    assert analysis.query.descriptor == pytest.approx(task.query_descriptors[1], abs=1e-5)
+    plain = StateAnalyser(workspace).analyse(replace(state, weather="dark"), 3)
+    assert [match.index for match in analysis.matches] == [match.index for match in plain.matches]
+    result = evaluate(lpn.load(model_file), open_dataset(data), task.name, Protocol(change))
+    assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
+    with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
+        open_model(data, model_file, beside_weathers=["fog", "fog"])
+
+
+def test_the_laboratory_ranks_all_queries_in_the_weather(data: Path, model_file: Path) -> None:
+    workspace = open_model(data, model_file, beside_weathers=["dark"])
+    name = "drone-to-satellite"
+    laboratory, browser = FailureLab(workspace), object()
+    assert laboratory.build(name, browser).wait(PATIENCE)
+    laboratory.open_second()
+    wait_until(lambda: laboratory.join_second(name, browser).text == "")
+    findings = laboratory.findings(name)
+    assert findings is not None
+    assert findings.second is not None
+    assert findings.second.names == ("model.onnx", "model.onnx in the dark")
+    assert "rank B" in findings.table.columns
