@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
 
 import tyro
 
@@ -19,7 +19,7 @@ from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Flown, Indexed, Published, TaskSource
+from lpn.sources import Arrays, Flown, Indexed, Published, TaskSource, of_each
 
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
@@ -106,11 +106,13 @@ class ExploreFlight(ExploreSource):
     """Other trained models to compare on every frame (key Y, tab Two models)."""
     beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
     """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
+    beside_pooling: tuple[str, ...] = ()
+    """Pooling of each model of --beside, in their order, as --pooling is that of --model; auto for models with parts."""
 
     def workspaces(self) -> Workspaces:
         from explorer.opening import open_flight_over
 
-        kinds = _beside_kinds(self.beside, self.beside_kind)
+        kinds, poolings = _of_beside(self.beside, self.beside_kind, self.beside_pooling)
         source, model = self.source, self.source.model
         return partial(
             open_flight_over,
@@ -123,6 +125,8 @@ class ExploreFlight(ExploreSource):
             model.provider,
             kind=model.kind,
             beside_kinds=kinds,
+            pooling=model.pooling,
+            beside_poolings=poolings,
         ), {}
 
 
@@ -141,6 +145,9 @@ class Explore(ExploreSource):
     """Trained LPN: .onnx (needs no torch), .safetensors, a published .pth, or a name of lpn models; by default the demo's."""
     kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     calibrate: bool = False
@@ -154,6 +161,8 @@ class Explore(ExploreSource):
     """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
     beside_weather: tuple[WeatherName, ...] = ()
     """Weathers in which to compare the model with itself, such as fog rain, where models of --beside are compared."""
+    beside_pooling: tuple[str, ...] = ()
+    """Pooling of each model of --beside, in their order, as --pooling is that of --model; auto for models with parts."""
 
     @staticmethod
     def in_background(
@@ -179,9 +188,10 @@ class Explore(ExploreSource):
     def workspaces(self) -> Workspaces:
         from explorer.opening import offered_flight, open_model
 
-        if self.kind is not None and self.model is None:
-            raise InputError("--kind needs --model.")
-        kinds = _beside_kinds(self.beside, self.beside_kind)
+        for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):
+            if given is not None and self.model is None:
+                raise InputError(f"{option} needs --model.")
+        kinds, poolings = _of_beside(self.beside, self.beside_kind, self.beside_pooling)
         if self.data is not None and self.model is None:
             raise InputError(f"There is no model for {self.data}; give a trained LPN with --model.")
         if self.data is None and not DEMO.is_dir():
@@ -219,6 +229,8 @@ class Explore(ExploreSource):
             self.kind,
             kinds,
             self.calibrate,
+            self.pooling,
+            poolings,
             self.beside_weather,
         ), others
 
@@ -226,15 +238,18 @@ class Explore(ExploreSource):
 _REAL = "real photos of a place that the model was not trained on; the map is made of the flight's other photos"
 
 
-def _beside_kinds(beside: Sequence[Path], kinds: Sequence[Kind | Literal["auto"]]) -> list[Kind | None]:
-    """Return the kind of each model beside; InputError unless there is one for each, or none at all."""
-    if kinds and not beside:
-        raise InputError("--beside-kind needs --beside.")
-    if kinds and len(kinds) != len(beside):
-        raise InputError(
-            f"There are {len(kinds)} kinds for {len(beside)} models of --beside; give one for each in their order, or auto."
-        )
-    return [None if kind == "auto" else kind for kind in kinds] or [None] * len(beside)
+def _of_beside(
+    beside: Sequence[Path], kinds: Sequence[Kind | Literal["auto"]], poolings: Sequence[str]
+) -> tuple[list[Kind | None], list[str | None]]:
+    """Return kind and pooling of each model beside; InputError unless there is one for each, or none at all."""
+    for option, given in (("--beside-kind", kinds), ("--beside-pooling", poolings)):
+        if given and not beside:
+            raise InputError(f"{option} needs --beside.")
+    count, models = len(beside), "models of --beside"
+    return (
+        cast("list[Kind | None]", of_each("--beside-kind", kinds, count, models)),
+        of_each("--beside-pooling", poolings, count, models),
+    )
 
 
 @dataclass(kw_only=True)

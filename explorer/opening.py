@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -19,7 +19,7 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError, InputError, LPNError
-from lpn.core.files import distinct_names, printable
+from lpn.core.files import printable
 from lpn.core.progress import Progress
 from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName, yield_cores
@@ -32,7 +32,7 @@ from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
-from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, open_data
+from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
 from lpn.sources.opened import progress_bars
 from lpn.tasks.opening import calibrated, choose_task, no_calibration, scored_tasks, shipped_calibration
 from lpn.tasks.task import Task
@@ -56,6 +56,8 @@ def open_model(
     kind: Kind | None = None,
     beside_kinds: Sequence[Kind | None] = (),
     calibrate: bool = False,
+    pooling: str | None = None,
+    beside_poolings: Sequence[str | None] = (),
     beside_weathers: Sequence[WeatherName] = (),
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
@@ -71,23 +73,27 @@ def open_model(
         beside_kinds: those of `beside`; None for models that tell theirs.
         calibrate: calibrate all of these models on the pictures of all tasks before the page opens, see
             `lpn.retrieval.calibration`; otherwise a browser asks for it, unless a calibration ships with the data.
+        pooling: of the tokens of `model`, see `lpn.load`.
+        beside_poolings: those of `beside`; None for models that have parts of their own.
         beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
 
     Raises:
         LPNError: when a model or the data set cannot be used, a model or a weather is given twice, or there is no such query.
     """
-    kinds = beside_kinds or [None] * len(beside)
-    _check_different(model, kind, beside, kinds)
-    name, names = _names(model, beside)
+    kinds, poolings = beside_kinds or [None] * len(beside), beside_poolings or [None] * len(beside)
+    _check_different(
+        [] if isinstance(model, Model) else [(model, kind, pooling)], zip(beside, kinds, poolings, strict=True)
+    )
+    name, names = _names(model, pooling, beside, poolings)
     _check_weathers(beside_weathers)
     if beside_weathers and not isinstance(model, Model):
-        model = lpn.load(model, provider, kind=kind)
-    workspace, dataset = _open_one(data, model, provider, name, kind, calibrate)
+        model = lpn.load(model, provider, kind=kind, pooling=pooling)
+    workspace, dataset = _open_one(data, model, provider, name, kind, calibrate, pooling=pooling)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
     opens = []
-    for file, other_name, other_kind in zip(beside, names, kinds, strict=True):
-        other = lpn.load(file, provider, kind=other_kind)
+    for file, other_name, other_kind, other_pooling in zip(beside, names, kinds, poolings, strict=True):
+        other = lpn.load(file, provider, kind=other_kind, pooling=other_pooling)
         choose_task(other, dataset)
         opens.append(_opens(data, other, provider, other_name, calibrate))
     _put_beside(workspace, names, opens)
@@ -140,18 +146,18 @@ def _put_beside(
 
 
 def _check_different(
-    model: Path | Model, kind: Kind | None, beside: Sequence[Path], kinds: Sequence[Kind | None]
+    own: Sequence[tuple[Path, Kind | None, str | None]], beside: Iterable[tuple[Path, Kind | None, str | None]]
 ) -> None:
-    """Refuse a model that is given twice: a copy of itself has nothing to compare.
+    """Refuse a model that is given twice, as a file with its kind and pooling: a copy of itself has nothing to compare.
 
     Raises:
         InputError: with the name of the file.
     """
-    given = [] if isinstance(model, Model) else [(model.absolute(), kind)]
-    for file, of_kind in zip(beside, kinds, strict=True):
-        if (file.absolute(), of_kind) in given:
+    given = [(file.absolute(), *options) for file, *options in own]
+    for file, *options in beside:
+        if (file.absolute(), *options) in given:
             raise InputError(f"{printable(file.name)} is given twice; --model and --beside need different models.")
-        given.append((file.absolute(), of_kind))
+        given.append((file.absolute(), *options))
 
 
 def _open_one(
@@ -162,11 +168,12 @@ def _open_one(
     kind: Kind | None = None,
     calibrate: bool = False,
     report: ReportProgress | None = None,
+    pooling: str | None = None,
 ) -> tuple[Workspace, Dataset]:
     """Open one model on a data set, see `open_model`."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
-        opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind)
+        opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind, pooling=pooling)
         dataset = open_dataset(data)
     workspace = _workspace(open_data(opened, model_name, dataset, every=True, on_progress=report))
     _offer_scorings(workspace, opened, model_name, dataset, calibrate)
@@ -205,11 +212,13 @@ def _offer_scorings(workspace: Workspace, model: Model, model_name: str, dataset
         workspace.asked_scoring = "calibrated"
 
 
-def _names(model: Path | Model, beside: Sequence[Path]) -> tuple[str, list[str]]:
+def _names(
+    model: Path | Model, pooling: str | None, beside: Sequence[Path], poolings: Sequence[str | None]
+) -> tuple[str, list[str]]:
     """Return the display names of a model and of those beside it."""
     if isinstance(model, Model):
-        return printable(model.contract.method), distinct_names(beside)
-    own, *others = distinct_names([model, *beside])
+        return printable(model.contract.method), model_names(beside, poolings)
+    own, *others = model_names([model, *beside], [pooling, *poolings])
     return own, others
 
 
@@ -276,6 +285,8 @@ def open_flight_over(
     kind: Kind | None = None,
     beside_kinds: Sequence[Kind | None] = (),
     shipped: Path | None = None,
+    pooling: str | None = None,
+    beside_poolings: Sequence[str | None] = (),
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
 
@@ -294,14 +305,17 @@ def open_flight_over(
         kind: the method of `model`, see `lpn.load`.
         beside_kinds: those of `beside`; None for models that tell theirs.
         shipped: a folder of answers of `model` that ship with the flight, see `lpn.locate.shipped`.
+        pooling: of the tokens of `model`, see `lpn.load`.
+        beside_poolings: those of `beside`; None for models that have parts of their own.
 
     Raises:
         LPNError: when map, flight, or a model cannot be used, a model is given twice, or there is no such frame.
     """
-    kinds = beside_kinds or [None] * len(beside)
-    _check_different(model, kind, beside, kinds)
-    name, names = _names(model, beside)
-    source = Flown(map=map_path, flight=flight_path, model=ModelOptions(model=model, kind=kind, provider=provider))
+    kinds, poolings = beside_kinds or [None] * len(beside), beside_poolings or [None] * len(beside)
+    _check_different([(model, kind, pooling)], zip(beside, kinds, poolings, strict=True))
+    name, names = _names(model, pooling, beside, poolings)
+    options = ModelOptions(model=model, kind=kind, pooling=pooling, provider=provider)
+    source = Flown(map=map_path, flight=flight_path, model=options)
     opened = _open_flown(source, name, overlap, report, shipped)
     workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
@@ -311,9 +325,10 @@ def open_flight_over(
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
     opens = []
-    for file, other_name, other_kind in zip(beside, names, kinds, strict=True):
-        lpn.load(file, provider, kind=other_kind)  # one that cannot be loaded ends the start
-        other = replace(source, model=ModelOptions(model=file, kind=other_kind, provider=provider))
+    for file, other_name, other_kind, other_pooling in zip(beside, names, kinds, poolings, strict=True):
+        options = ModelOptions(model=file, kind=other_kind, pooling=other_pooling, provider=provider)
+        options.load()  # one that cannot be loaded ends the start
+        other = replace(source, model=options)
         opens.append(_opens_flown(other, other_name, overlap))
     _put_beside(workspace, names, opens)
     if register:

@@ -94,19 +94,28 @@ if not TYPE_CHECKING:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = False, kind: Kind | None = None) -> Model:
+def load(
+    path: str | Path,
+    provider: ProviderName = "auto",
+    compiled: bool = False,
+    kind: Kind | None = None,
+    pooling: str | None = None,
+) -> Model:
     """Open a trained model: a shipped one by its name, an `.onnx`, our `.safetensors`, a published state dict, or a package's.
 
     `lpn models` lists the names of shipped models; a file of that name in the working folder comes first. An `.onnx` is an
     exported model, or any graph with a contract in its metadata, and needs no torch. Other files need the extra `train`, and
     other methods than LPN and SDPL the extra `models`. "NAME" or "NAME:FILE" also opens what a package registers in the entry
-    points `lpn.models` (docs/contract.md), which comes before a shipped model.
+    points `lpn.models` (docs/contract.md), which comes before a shipped model. "timm:NAME:FILE" is a network of timm and a file
+    of its weights; nothing is downloaded.
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
             `.onnx`, "tensorrt".
         compiled: run a `.safetensors` or `.pth` of an LPN by torch.compile.
         kind: the method of a published state dict, such as "dac"; by default recognised by the names of its entries.
+        pooling: how the tokens of a vision transformer, of a network of timm, or of an `.onnx` that returns tokens become a
+            descriptor: "mean", "gem", "cls", "cls+mean", or "rings:N", see `lpn.models.token_pooling`. By default the mean.
 
     Raises:
         ModelFileError: if there is no such file or name, or the file is not a model, is truncated, or lacks entries.
@@ -114,12 +123,21 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
         OutputError: if the cache of TensorRT's engines cannot be written.
         MissingPackageError: if torch is needed and not installed.
     """
+    from lpn.models.timm_files import timm_file
+    from lpn.models.token_pooling import TokenPooling
+
+    pooled = None if pooling is None else TokenPooling.parse(pooling)
+    network = None
+    if (timm := timm_file(path)) is not None:
+        network, path = timm
     if not Path(path).is_file():
         from lpn.models.registered import open_registered
         from lpn.models.shipped import model_file
 
         registered = open_registered(str(path))
         if registered is not None:
+            if pooled is not None:
+                raise InputError(f"{path} is a package's model, which has its own parts; leave --pooling out.")
             return registered
         path = model_file(path, trained=compiled)
     if Path(path).suffix == ".onnx":
@@ -131,6 +149,12 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
             )
         if kind is not None:
             raise InputError(f"{Path(path).name} contains its kind; leave --kind out.")
+        if network is not None:
+            raise InputError(f"{Path(path).name} contains its network; leave timm:{network}: out.")
+        if pooled is not None:
+            from lpn.models.onnx_tokens import pooled_file
+
+            path = pooled_file(Path(path), pooled)
         return Engine(path, provider=provider)
     try:
         from lpn.models.adapters.load import load_file
@@ -144,7 +168,7 @@ def load(path: str | Path, provider: ProviderName = "auto", compiled: bool = Fal
             "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
         ) from error
     device = device_of(provider, Path(path).name)
-    return load_file(path, device, compiled, kind)
+    return load_file(path, device, compiled, kind, pooled, network)
 
 
 def open_task(data: str | Path, task: TaskName | None = None, model: Model | str | Path = "city-lpn") -> Task:

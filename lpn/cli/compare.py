@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
 
 import tyro
 
@@ -15,7 +15,7 @@ from lpn.core.files import distinct_names
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Flown, Indexed, ModelOptions, Published, TaskSource
+from lpn.sources import Arrays, Flown, Indexed, ModelOptions, Published, TaskSource, model_names, of_each
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -85,6 +85,9 @@ class ComparedModels:
     kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
     """Method of each model in their order: auto, or, for a published .pth that its entries do not identify, such as dac;
     by default auto for all (docs/models.md)."""
+    pooling: tuple[str, ...] = ()
+    """Pooling of the tokens of each model in their order, such as rings:4, or auto for a model that has parts of its own; by
+    default auto for all (docs/models.md)."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
 
@@ -92,16 +95,16 @@ class ComparedModels:
         """The options of each model by a name that tells it from the others.
 
         Raises:
-            InputError: if there are more or fewer kinds than models.
+            InputError: if there are more or fewer kinds or poolings than models.
         """
-        if self.kind and len(self.kind) != len(self.models):
-            raise InputError(
-                f"There are {len(self.kind)} kinds for {len(self.models)} models; give one for each in their order, or auto."
-            )
-        kinds: list[Kind | None] = [None if kind == "auto" else kind for kind in self.kind] or [None] * len(self.models)
+        count = len(self.models)
+        kinds = cast("list[Kind | None]", of_each("--kind", self.kind, count, "models"))
+        poolings = of_each("--pooling", self.pooling, count, "models")
         return {
-            name: ModelOptions(model=file, kind=kind, provider=self.provider)
-            for name, file, kind in zip(distinct_names(self.models), self.models, kinds, strict=True)
+            name: ModelOptions(model=file, kind=kind, pooling=pooling, provider=self.provider)
+            for name, file, kind, pooling in zip(
+                model_names(self.models, poolings), self.models, kinds, poolings, strict=True
+            )
         }
 
 

@@ -31,6 +31,9 @@ class DescribeCommand:
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
     kind: Kind | None = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     images: str | None = None
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
     map: Path | None = None
@@ -110,7 +113,7 @@ class DescribeCommand:
         return 0
 
     def _model(self, view: View) -> Model:
-        return lpn.load(self.model, self.provider, self.compile, self.kind).in_role(view, self.role)
+        return lpn.load(self.model, self.provider, self.compile, self.kind, self.pooling).in_role(view, self.role)
 
     def _report(self, store: Store, model: Model, rows: str = "pictures") -> None:
         shape = " x ".join(map(str, store.descriptors.shape))
@@ -135,8 +138,9 @@ class DescribeCommand:
         images, view = self._pictures()
         if self.compile or self.provider not in ("auto", "cpu"):
             raise InputError("Ray's workers compute on the CPU; leave --provider and --compile out, or --engine ray.")
-        if self.kind is not None:
-            raise InputError("Ray's workers take an .onnx, which contains its kind; leave --kind out.")
+        if self.kind is not None or self.pooling is not None:
+            option = "kind" if self.kind is not None else "pooling"
+            raise InputError(f"Ray's workers take an .onnx, which contains its {option}; leave --{option} out.")
         if self.precision == "int8":
             raise InputError("Shards hold float32 or float16; give one of these as --precision.")
         summary = describe_shards(

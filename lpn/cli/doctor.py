@@ -25,6 +25,9 @@ class DoctorCommand:
     """Model to check: how far its evidence is exact, proved on pictures of --data, or on coloured squares without it."""
     kind: Kind | None = None
     """With --model: method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """With --model: pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean,
+    or rings:N; see docs/models.md."""
     quick: bool = False
     """Read only the header and end of each picture, without decoding it."""
     reproduce: tuple[Path, ...] = ()
@@ -37,7 +40,7 @@ class DoctorCommand:
         from lpn.core.files import check_writable, write_json
 
         if self.reproduce:
-            if self.data or self.model or self.kind or self.quick or self.json:
+            if self.data or self.model or self.kind or self.pooling or self.quick or self.json:
                 raise InputError("--reproduce takes folders of data sets alone; leave out the other options.")
             from lpn.cli.reproduce import print_plan
 
@@ -47,8 +50,9 @@ class DoctorCommand:
             check_writable(self.json)
         if self.model is not None:
             return self._check_model(self.model)
-        if self.kind is not None:
-            raise InputError("--kind needs --model; give both, or leave it out.")
+        for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):
+            if given is not None:
+                raise InputError(f"{option} needs --model; give both, or leave it out.")
         if self.data is None:
             return self._check_environment()  # works without any package
 
@@ -72,7 +76,7 @@ class DoctorCommand:
 
         if self.quick:
             raise InputError("--quick is about the pictures of a data set; leave --model out.")
-        model = lpn.load(file, kind=self.kind)
+        model = lpn.load(file, kind=self.kind, pooling=self.pooling)
         pictures = dict.fromkeys(model.views, model_check.noise())
         if self.data is not None:
             pictures = model_check.pictures_of(open_dataset(self.data))

@@ -258,6 +258,9 @@ class EvaluationOfFlight:
     """Trained model for retrieval and sequence, as for lpn evaluate; without one, registration alone."""
     kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     prior: float | None = None
@@ -282,7 +285,16 @@ class EvaluationOfFlight:
         console = wide_console()
         options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error)
         located = locate_files(
-            self.map, self.flight, self.model, self.kind, self.provider, options, None, self.corrections, console
+            self.map,
+            self.flight,
+            self.model,
+            self.kind,
+            self.provider,
+            options,
+            None,
+            self.corrections,
+            console,
+            pooling=self.pooling,
         )
         print_summary(located, console)
         if self.json is not None:

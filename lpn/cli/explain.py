@@ -35,6 +35,9 @@ class ExplainCommand:
     """Picture file of the tile to compare with."""
     kind: Kind | None = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     view_query: View = "drone"
     """View of the query: the branch that describes it."""
     view_match: View = "satellite"
@@ -64,7 +67,7 @@ class ExplainCommand:
         for file in (self.json, self.png):
             if file is not None:
                 check_writable(file)
-        model, views = lpn.load(self.model, kind=self.kind), (self.view_query, self.view_match)
+        model, views = lpn.load(self.model, kind=self.kind, pooling=self.pooling), (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
         model = model.for_task(*views)

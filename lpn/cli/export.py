@@ -16,16 +16,19 @@ class ExportCommand:
     """Write a .pth or .safetensors model as .onnx, which needs no torch."""
 
     model: Path
-    """Trained LPN: .safetensors or .pth."""
+    """Trained LPN: .safetensors or .pth; with --pooling also an .onnx that returns tokens."""
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
     kind: Kind | None = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     storage: Literal["float32", "float16", "int8"] = "float32"
     """Precision of the weights in the file: float16 halves it, int8 reduces it to about a third; all compute in float32."""
 
     def run(self) -> None:
-        files = import_module("lpn.models.export").export(self.model, self.out, self.storage, self.kind)
+        files = import_module("lpn.models.export").export(self.model, self.out, self.storage, self.kind, self.pooling)
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
 
 

@@ -95,15 +95,18 @@ class FailuresCommand(FailuresOfSource):
     """Second trained model on the same queries; adds the columns rank A (of --model) and rank B, also for --where and --sort."""
     beside_kind: Kind | None = None
     """Method of --beside, as --kind is that of --model."""
+    beside_pooling: str | None = None
+    """Pooling of --beside, as --pooling is that of --model."""
 
     def _compared(self, task: Task, table: Table) -> Table:
         from lpn.tasks.query_outcomes import compared_ranks
 
         if self.beside is None:
-            if self.beside_kind is not None:
-                raise InputError("--beside-kind needs --beside.")
+            for option, given in (("--beside-kind", self.beside_kind), ("--beside-pooling", self.beside_pooling)):
+                if given is not None:
+                    raise InputError(f"{option} needs --beside.")
             return table
-        model = replace(self.source.model, model=self.beside, kind=self.beside_kind)
+        model = replace(self.source.model, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
         second = open_task(replace(self.source, model=model, task=cast(TaskName, task.name)))
         return table.with_columns(compared_ranks(table, second.outcomes.rank))
 

@@ -89,6 +89,9 @@ class SearchCommand:
     """Picture file to find."""
     kind: Kind | None = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     view: View = "drone"
     """View of the picture: the branch that describes it."""
     rotate: float = 0.0
@@ -121,7 +124,7 @@ class SearchCommand:
         check_effort(self.effort, self.depth)
         if self.json is not None:
             check_writable(self.json)
-        model = lpn.load(self.model, self.provider, kind=self.kind)
+        model = lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
         # An index holds a gallery (`lpn.index.tiles`).
         model = model.in_role(self.view, "query" if model.contract.roles == "role" else None)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))

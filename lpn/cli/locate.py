@@ -34,6 +34,9 @@ class LocateCommand:
     """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
     kind: Kind | None = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     index: str | None = None
     """Index of the map's windows by this model, which are not described again then: a folder, or milvus://host:port/collection."""
     provider: ProviderName = "auto"
@@ -78,6 +81,7 @@ class LocateCommand:
             self.corrections,
             console,
             self.index,
+            self.pooling,
         )
         write_track(self.out, located.flight.name, located.track())
         for frame in located.frames:
@@ -117,14 +121,17 @@ def locate_files(
     corrected: bool,
     console: Console,
     index: str | None = None,
+    pooling: str | None = None,
 ) -> LocatedFlight:
     """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
 
     Args:
         index: of the map's windows, see `indexed_windows`.
+        kind, pooling: of the model, see `lpn.load`.
 
     Raises:
-        InputError: if the limit is below 1, a kind or an index is given without a model, or sizes are given beside an index.
+        InputError: if the limit is below 1, a kind, a pooling, or an index is given without a model, or sizes are given beside
+            an index.
     """
     from lpn.core.consoles import stage_bars
     from lpn.flights import open_flight
@@ -135,8 +142,9 @@ def locate_files(
 
     if limit is not None and limit < 1:
         raise InputError(f"The limit is {limit} frames; expected 1 or more.")
-    if kind is not None and model is None:
-        raise InputError("--kind needs --model; give both, or leave it out.")
+    for option, given in (("--kind", kind), ("--pooling", pooling)):
+        if given is not None and model is None:
+            raise InputError(f"{option} needs --model; give both, or leave it out.")
     if index is not None and (model is None or options.sizes is not None):
         raise InputError(
             "An index has the windows that the retrieval ranks, and their sizes; give --index with --model and without --size."
@@ -144,7 +152,7 @@ def locate_files(
     basemap, flight = open_map(map_path), open_flight(flight_path)
     flight = replace(flight, frames=flight.frames[:limit])
     kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
-    network = None if model is None else lpn.load(model, provider, kind=kind)
+    network = None if model is None else lpn.load(model, provider, kind=kind, pooling=pooling)
     indexed = None if index is None or network is None else indexed_windows(index, network, basemap)
     with stage_bars(console) as report:
         return locate(basemap, flight, network, options, report, kept, indexed)

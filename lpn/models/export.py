@@ -29,8 +29,11 @@ from lpn.models.checkpoints import TorchModel
 from lpn.models.contract_metadata import to_metadata
 from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
+from lpn.models.onnx_tokens import pooled_graph
 from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
+from lpn.models.timm_files import timm_file
+from lpn.models.token_pooling import TokenPooling
 from lpn.models.weight_storage import WeightType, to_eight_bits
 
 
@@ -86,8 +89,14 @@ class _Graph(nn.Module):
         return parts, features, self.weight, self.bias, self.partition
 
 
-def export(model: str | Path, out: str | Path, storage: WeightType = "float32", kind: Kind | None = None) -> list[Path]:
-    """Export a `.pth` or `.safetensors` model for ONNX Runtime.
+def export(
+    model: str | Path,
+    out: str | Path,
+    storage: WeightType = "float32",
+    kind: Kind | None = None,
+    pooling: str | None = None,
+) -> list[Path]:
+    """Export a `.pth` or `.safetensors` model for ONNX Runtime, or an `.onnx` that returns tokens with a pooling behind them.
 
     The first group of views is written to `out`; further groups, such as the street view, to files beside it (`out` with the
     views' names before the suffix). Outputs: `parts` (B, n, D), `features` (B, C, h, w), and the constants `head_weight`
@@ -97,23 +106,31 @@ def export(model: str | Path, out: str | Path, storage: WeightType = "float32", 
     Args:
         storage: of the weights in the file. float16 halves the file; int8 stores convolutions in a quarter, with one scale
             per output channel, and the rest in half. Either is converted to float32 on opening, so neither is faster.
-        kind: the method of a published `.pth`, see `lpn.load`.
+        kind, pooling: see `lpn.load`.
 
     Returns:
         The files written.
 
     Raises:
-        InputError: if `out` does not end in .onnx, or `model` does.
+        InputError: if `out` does not end in .onnx, or `model` does and no pooling is given.
         ModelFileError: if the model cannot be loaded.
         OutputError: if `out` cannot be written.
     """
+    network, model = timm_file(model) or (None, Path(model))
     model, out = model_file(model, trained=True), Path(out)
+    pooled = None if pooling is None else TokenPooling.parse(pooling)
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
     if model.suffix == ".onnx":
-        raise InputError(f"{model.name} is exported already; give the .safetensors or .pth it was made from.")
+        if pooled is None or network is not None or storage != "float32":
+            raise InputError(f"{model.name} is exported already; give the .safetensors or .pth it was made from.")
+        if out.resolve() == model.resolve():
+            raise InputError(f"{out.name} is the model itself; give another name for the exported one.")
+        check_writable(out)
+        write_atomic(out, pooled_graph(model, pooled))
+        return [out]
     check_writable(out)
-    loaded = load_file(model, kind=kind)
+    loaded = load_file(model, kind=kind, pooling=pooled, network=network)
     groups = list(loaded.contract.groups)
     if loaded.spec is None:
         metadata = {**to_metadata(loaded.contract), "source": loaded.fingerprint}

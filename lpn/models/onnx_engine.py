@@ -226,10 +226,19 @@ def check_opens(path: Path) -> None:
     Raises:
         ModelFileError: if the check fails.
     """
+    open_session(path)
+
+
+def open_session(path: Path) -> ort.InferenceSession:
+    """Open any ONNX file for one thread on the CPU.
+
+    Raises:
+        ModelFileError: as for `check_opens`.
+    """
     options = ort.SessionOptions()
     options.log_severity_level = 4
     options.intra_op_num_threads = 1
-    _open(path, options)
+    return _open(path, options)
 
 
 def _open(path: Path, options: ort.SessionOptions) -> ort.InferenceSession:
@@ -270,7 +279,7 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
             f"{path.name} is an ONNX model, but not one written by `lpn export`, and has no contract in its metadata; export "
-            "your LPN, or see docs/contract.md."
+            "your LPN, name the pooling of the tokens that it returns with --pooling, or see docs/contract.md."
         )
     return metadata
 

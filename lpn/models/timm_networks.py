@@ -10,12 +10,13 @@ from __future__ import annotations
 import copy
 import difflib
 import enum
+import functools
 import importlib
 import sys
 import types
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor, nn
@@ -145,6 +146,10 @@ def vision_transformer(
     cells_only: bool = False,
     layer_scale: bool = False,
     last_norm: bool = True,
+    norm_before: bool = False,
+    epsilon: float = 1e-6,
+    activation: str = "gelu",
+    attention_pool: bool = False,
 ) -> nn.Module:
     """Build a ViT without a classifier, on the meta device.
 
@@ -156,10 +161,20 @@ def vision_transformer(
         cells_only: the class token and registers have no position.
         layer_scale: each half of a block has a scale by channel.
         last_norm: tokens are normalised at the end.
+        norm_before: tokens are normalised before the first block, too (CLIP).
+        epsilon: of the LayerNorms.
+        activation: of the hidden layers by timm's name; "swiglu" for a gated hidden layer of packed weights.
+        attention_pool: the network has a pooling by attention (SigLIP).
     """
     import_timm()
+    from timm.layers.mlp import SwiGLUPacked
+    from timm.layers.norm import LayerNorm
     from timm.models.vision_transformer import VisionTransformer
 
+    hidden_layer: dict[str, Any] = {"act_layer": activation}
+    if activation == "swiglu":
+        hidden_layer = {"act_layer": nn.SiLU, "mlp_layer": SwiGLUPacked}
+    pool: Literal["token", "avg", "map"] = "token" if class_token else "avg"
     with torch.device("meta"):
         return cast(
             nn.Module,
@@ -169,17 +184,73 @@ def vision_transformer(
                 embed_dim=width,
                 depth=depth,
                 num_heads=heads,
-                mlp_ratio=hidden / width,
+                # timm rounds the product of width and ratio down.
+                mlp_ratio=(hidden + 0.5) / width,
                 qkv_bias=qkv_bias,
                 class_token=class_token,
                 reg_tokens=registers,
                 no_embed_class=cells_only,
                 init_values=1.0 if layer_scale else None,
                 fc_norm=not last_norm,
+                pre_norm=norm_before,
+                norm_layer=functools.partial(LayerNorm, eps=epsilon),
                 num_classes=0,
-                global_pool="token" if class_token else "avg",
+                global_pool="map" if attention_pool else pool,
+                **hidden_layer,
             ),
         )
+
+
+def dinov3_transformer(
+    width: int,
+    depth: int,
+    hidden: int,
+    size: tuple[int, int],
+    patch: int,
+    heads: int,
+    *,
+    gated: bool = False,
+    qkv_bias: bool = True,
+    registers: int = 4,
+    epsilon: float = 1e-5,
+    base: float = 100.0,
+) -> nn.Module:
+    """Build a DINOv3 without a classifier; `forward_features` gives all tokens after the last norm, as `vision_transformer` does.
+
+    Args:
+        hidden: width of the hidden layer of each block.
+        gated: whether the hidden layer has a gate (SwiGLU) with weights of its own.
+        base: of the periods of its rotary positions.
+    """
+    import_timm()
+    from timm.layers.norm import LayerNorm
+    from timm.models.eva import Eva
+
+    # Its periods and its biases of keys are in no file, so it is not built on the meta device.
+    return cast(
+        nn.Module,
+        Eva(
+            img_size=size,
+            patch_size=patch,
+            embed_dim=width,
+            depth=depth,
+            num_heads=heads,
+            mlp_ratio=(hidden + 0.5) / width,
+            qkv_bias=qkv_bias,
+            swiglu_mlp=gated,
+            swiglu_align_to=1 if gated else 0,
+            init_values=1.0,
+            rope_type="dinov3",
+            rope_temperature=base,
+            rope_rotate_half=True,
+            use_rot_pos_emb=True,
+            use_abs_pos_emb=False,
+            num_reg_tokens=registers,
+            use_fc_norm=False,
+            norm_layer=functools.partial(LayerNorm, eps=epsilon),
+            num_classes=0,
+        ),
+    )
 
 
 def rotary_transformer(width: int, depth: int, size: tuple[int, int]) -> tuple[nn.Module, Any]:
@@ -230,14 +301,20 @@ class TimmMap(nn.Module):
     Args:
         name: one of timm's, such as "convnext_tiny".
         size: (height, width) of the pictures. Networks with positions take no other size, unless timm resamples them.
+        resampling: see `named_network`.
+
+    Attributes:
+        norm_behind: the LayerNorm that the whole network has behind its mean over the cells, as the name of its entries and its
+            epsilon; None without one.
 
     Raises:
         InputError: if timm is missing, has no network of that name, or that network gives no map of such pictures.
     """
 
-    def __init__(self, name: str, size: tuple[int, int]) -> None:
+    def __init__(self, name: str, size: tuple[int, int], resampling: bool = True) -> None:
         super().__init__()
-        self.network = named_network(name, size)
+        self.network = named_network(name, size, resampling)
+        self.norm_behind = _norm_behind(self.network)
         for behind in _BEHIND:
             if hasattr(self.network, behind):
                 setattr(self.network, behind, nn.Identity())
@@ -275,6 +352,15 @@ class TimmMap(nn.Module):
         except Exception:  # a filter of timm raises anything on names that it does not expect
             renamed = state
         return {f"network.{key}": value for key, value in renamed.items()}
+
+
+def _norm_behind(network: Any) -> tuple[str, float] | None:
+    named = {
+        "fc_norm": getattr(network, "fc_norm", None),
+        "head.norm": getattr(getattr(network, "head", None), "norm", None),
+    }
+    norms = ((name, norm) for name, norm in named.items() if isinstance(norm, nn.LayerNorm) and norm.weight is not None)
+    return next(((name, norm.eps) for name, norm in norms), None)
 
 
 def _features_shape(network: nn.Module, name: str, size: tuple[int, int]) -> tuple[int, ...]:
@@ -325,8 +411,11 @@ def trained_size(name: str) -> tuple[int, int]:
     return (224, 224) if configuration is None else tuple(configuration.input_size[1:])
 
 
-def named_network(name: str, size: tuple[int, int]) -> nn.Module:
+def named_network(name: str, size: tuple[int, int], resampling: bool = True) -> nn.Module:
     """Build a network of timm with its pooling and without a classifier; (B, 3, H, W) -> (B, C).
+
+    Args:
+        resampling: whether a vision transformer resamples its positions for a picture of another size.
 
     Raises:
         InputError: if timm has no such network, or it takes no pictures of that size.
@@ -340,7 +429,8 @@ def named_network(name: str, size: tuple[int, int]) -> nn.Module:
         options["img_size"] = size
     try:
         try:
-            return cast(nn.Module, timm.create_model(name, pretrained=False, **options, dynamic_img_size=True))
+            sizes = {"dynamic_img_size": resampling}
+            return cast(nn.Module, timm.create_model(name, pretrained=False, **options, **sizes))
         except TypeError:
             return cast(nn.Module, timm.create_model(name, pretrained=False, **options))
     except Exception as error:  # networks refuse sizes in many ways

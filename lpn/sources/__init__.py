@@ -8,7 +8,18 @@ everything below it.
 from __future__ import annotations
 
 from lpn.sources.opened import OpenedSource
-from lpn.sources.sources import Arrays, Data, Flown, Indexed, ModelOptions, Published, TaskSource, open_data
+from lpn.sources.sources import (
+    Arrays,
+    Data,
+    Flown,
+    Indexed,
+    ModelOptions,
+    Published,
+    TaskSource,
+    model_names,
+    of_each,
+    open_data,
+)
 
 # The sources that a word behind a command names; without a word, it is a data set.
 NAMED = (Published, Arrays, Indexed, Flown)
@@ -23,5 +34,7 @@ __all__ = [
     "OpenedSource",
     "Published",
     "TaskSource",
+    "model_names",
+    "of_each",
     "open_data",
 ]

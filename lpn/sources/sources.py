@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from lpn.core.errors import InputError
-from lpn.core.files import printable
+from lpn.core.files import distinct_names, printable
 from lpn.core.progress import CountProgress, Progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
@@ -29,6 +29,33 @@ def no_progress(stage: str, done: int, total: int) -> None:
     """Report nothing."""
 
 
+def model_names(files: Sequence[Path], poolings: Sequence[str | None]) -> list[str]:
+    """Return printable names of models that tell them apart: those of their files, and how their tokens are pooled."""
+    distinct = list(dict.fromkeys(files))
+    names = dict(
+        zip(distinct, [file.name for file in distinct] if len(distinct) == 1 else distinct_names(distinct), strict=True)
+    )
+    return [names[file] + (f", {pooling}" if pooling else "") for file, pooling in zip(files, poolings, strict=True)]
+
+
+def of_each(option: str, values: Sequence[str], count: int, models: str) -> list[str | None]:
+    """Return an option's value for each of several models in their order, None for "auto"; None for all without values.
+
+    Args:
+        option: its name, such as "--beside-kind".
+        models: what takes the option, for the message: "models of --beside".
+
+    Raises:
+        InputError: if there are more or fewer values than models.
+    """
+    if values and len(values) != count:
+        noun = option.rpartition("-")[2]
+        raise InputError(
+            f"There are {len(values)} {noun}s for {count} {models}; give one for each in their order, or auto."
+        )
+    return [None if value == "auto" else value for value in values] or [None] * count
+
+
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
     """A trained model."""
@@ -37,19 +64,22 @@ class ModelOptions:
     """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models."""
     kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
+    see docs/models.md."""
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
 
     @property
     def name(self) -> str:
-        """The file's name, to display."""
-        return self.model.name
+        """The file's name and the pooling of its tokens, to display."""
+        return model_names([self.model], [self.pooling])[0]
 
     def load(self, compiled: bool = False) -> Model:
         """Open the model, see `lpn.load` for the errors."""
         import lpn
 
-        return lpn.load(self.model, self.provider, compiled, kind=self.kind)
+        return lpn.load(self.model, self.provider, compiled, self.kind, self.pooling)
 
 
 def _file_names(*files: Path) -> str:

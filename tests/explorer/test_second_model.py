@@ -32,6 +32,7 @@ from tests.explorer.explain_window.test_window import WindowGui, make_window, wa
 from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector
 from tools.fixtures.small_contracts import RegionModel
+from tools.fixtures.small_vits import SMALL_VITS
 
 PATIENCE = 120.0
 
@@ -194,6 +195,37 @@ def test_the_kinds_of_both_models_may_be_named(
         Explore(data=tmp_path, model=model_file, beside=(weights, model_file), beside_kind=("dac",)).run()
     for command in (Explore(data=tmp_path, beside_kind=("dac",)), FailuresCommand(source=source, beside_kind="dac")):
         with pytest.raises(InputError, match="--beside-kind needs --beside"):
+            command.run()
+
+
+def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
+    data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Workspace] = []
+    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
+    weights = SMALL_VITS["DINOv2 of torch.hub"].write(tmp_path, (24, 24))
+    both = ("rings:3", "mean")
+    Explore(data=data, model=model_file, beside=(weights, weights), beside_pooling=both).run()
+    Explore(data=data, model=weights, pooling="gem").run()
+    first, last = opened[0].beside
+    assert [first.label, last.label] == ["weights.pth, rings:3", "weights.pth, mean"]
+    wait_until(lambda: first.workspace is not None)
+    assert first.workspace is not None
+    assert (first.workspace.contract.n_parts, first.workspace.contract.level) == (3, "exact")
+    assert opened[1].contract.method == "DINOv2 ViT/4, gem"
+    source = Data(data=data, model=ModelOptions(model=model_file))
+    refused: dict[str, Explore | FailuresCommand] = {
+        "There are 1 poolings for 2 models of --beside": Explore(
+            data=tmp_path, model=model_file, beside=(weights, weights), beside_pooling=("mean",)
+        ),
+        "--pooling needs --model": Explore(data=tmp_path, pooling="mean"),
+        "--beside-pooling needs --beside": FailuresCommand(source=source, beside_pooling="mean"),
+        "is given twice": Explore(
+            data=data, model=weights, pooling="mean", beside=(weights,), beside_pooling=("mean",)
+        ),
+    }
+    for message, command in refused.items():
+        with pytest.raises(InputError, match=message):
             command.run()
 
 

@@ -2,64 +2,91 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import torch
 
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import fingerprint
+from lpn.core.files import fingerprint, printable
 from lpn.models.adapters.build import build
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.model import PublishedModel
-from lpn.models.adapters.recognise import Kind, check_kind, title_of_other, unwrapped, unwrapped_as
+from lpn.models.adapters.recognise import Kind, Recognised, check_kind, title_of_other, unwrapped, unwrapped_as
+from lpn.models.adapters.vit import build_pooled
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
 from lpn.models.published_checkpoints import StateDict, read_options
+from lpn.models.token_pooling import TokenPooling
+
+log = logging.getLogger(__name__)
+
+# Methods whose checkpoint is a network of timm and no parts, so that its tokens may be pooled otherwise.
+_PLAIN = ("Sample4Geo", "Game4Loc")
 
 
 def load_file(
-    path: str | Path, device: torch.device | str = "cpu", compiled: bool = False, kind: Kind | None = None
+    path: str | Path,
+    device: torch.device | str = "cpu",
+    compiled: bool = False,
+    kind: Kind | None = None,
+    pooling: TokenPooling | None = None,
+    network: str | None = None,
 ) -> Model:
     """Open one of our `.safetensors`, or a published state dict in a PyTorch or `.safetensors` file.
 
     Args:
         compiled: run an LPN by torch.compile, see `TorchModel`.
-        kind: see `load_published`.
+        kind, pooling, network: see `load_published`.
 
     Raises:
         ModelFileError: as for `load_published`.
-        InputError: as for `load_published`, and if a kind is given for a file of ours.
+        InputError: as for `load_published`, and if a kind, a pooling, or a network is given for a file of ours.
     """
     path = Path(path)
     if not holds_safetensors(path) or not is_own(path):
-        return load_published(path, device, compiled, kind)
-    if kind is not None:
-        raise InputError(f"{path.name} contains its kind; leave --kind out.")
+        return load_published(path, device, compiled, kind, pooling, network)
+    for option, given in (("--kind", kind), ("--pooling", pooling), ("timm:", network)):
+        if given is not None:
+            raise InputError(f"{path.name} contains its network and its parts; leave {option} out.")
     return load_torch(path, device, compiled)
 
 
 def load_published(
-    path: str | Path, device: torch.device | str = "cpu", compiled: bool = False, kind: Kind | None = None
+    path: str | Path,
+    device: torch.device | str = "cpu",
+    compiled: bool = False,
+    kind: Kind | None = None,
+    pooling: TokenPooling | None = None,
+    network: str | None = None,
 ) -> Model:
     """Open a published state dict, with the `opts.yaml` beside it. Only tensors are unpickled.
 
     Args:
         compiled: run an LPN by torch.compile, see `TorchModel`.
         kind: whose checkpoint it is; by default recognised by the names of its entries.
+        pooling: of the tokens of a vision transformer, or of any network of timm that is named; the mean by default.
+        network: the name of the network in timm; None to recognise it.
 
     Raises:
         ModelFileError: if the file is missing, truncated, of no known model, incomplete, or has entries of wrong shapes.
-        InputError: if there is no such kind, a package is missing, or `compiled` with another model than an LPN.
+        InputError: if there is no such kind, a package is missing, `compiled` with another model than an LPN, or the pooling
+            does not fit the model.
     """
     path = Path(path)
     named = None if kind is None else check_kind(kind)
     state = read_state(path)
+    if pooling is not None or network is not None:
+        if named is not None:
+            raise InputError(f"A pooling is for tokens, and --kind {named} has its own parts; leave one of both out.")
+        return _pooled(state, path, device, compiled, pooling, network)
+    found: Recognised
     if named is None:
-        kind, state = unwrapped(state, path.name)
+        found, state = unwrapped(state, path.name)
     else:
-        kind, state = named, unwrapped_as(named, state)
+        found, state = named, unwrapped_as(named, state)
     try:
-        return _built(kind, state, path, device, compiled, named is None)
+        return _built(found, state, path, device, compiled, named is None)
     except ModelFileError as error:
         own = None if named is None else title_of_other(named, state)
         if own is None:
@@ -69,8 +96,39 @@ def load_published(
         ) from error
 
 
+def _pooled(
+    state: StateDict,
+    path: Path,
+    device: torch.device | str,
+    compiled: bool,
+    pooling: TokenPooling | None,
+    network: str | None,
+) -> Model:
+    """Open a network whose tokens are pooled by name."""
+    options = read_options(path.with_name("opts.yaml"))
+    if network is None and isinstance(options.get("model"), str):
+        network = str(options["model"])
+    if compiled:
+        raise InputError(
+            f"torch.compile is for LPN and SAFA, and {path.name} is a network of tokens; leave --compile out."
+        )
+    entries = Entries(path.name, state, options)
+    own = title_of_other("vit", state)
+    if own is not None and own not in _PLAIN:
+        raise InputError(
+            f"By its entries {path.name} is a checkpoint of {own}, which has its own parts; leave --pooling out."
+        )
+    if pooling is None:
+        pooling = TokenPooling()
+        log.warning(
+            "%s has no parts of its own; its tokens are pooled by their mean (--pooling).", printable(path.name)
+        )
+    published = build_pooled(entries, path.parent, pooling, network)
+    return PublishedModel(published, fingerprint(path, also=repr(published.contract)), device)
+
+
 def _built(
-    kind: Kind, state: StateDict, path: Path, device: torch.device | str, compiled: bool, recognised: bool
+    kind: Recognised, state: StateDict, path: Path, device: torch.device | str, compiled: bool, recognised: bool
 ) -> Model:
     options = read_options(path.with_name("opts.yaml"))
     if kind == "lpn" and recognised and "dense_LPN" in options:
@@ -78,6 +136,8 @@ def _built(
         kind = "sdpl"
     if kind == "lpn":
         return from_state(state, options, path, device, compiled)
+    if kind == "vit":
+        return _pooled(state, path, device, compiled, None, None)
     if compiled:
         raise InputError(
             f"torch.compile is for LPN and SAFA, and {path.name} is of another kind ({kind}); leave --compile out."

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 Kind = Literal["lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "game4loc", "denseuav", "sues200"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+# A vision transformer has no parts of its own: a pooling by name makes them, see `lpn.models.token_pooling`.
+Recognised = Kind | Literal["vit"]
 _SHOWN = 4
 
 
@@ -34,8 +36,9 @@ class Signature:
 
 
 _HEAD = r"add_block\."
+_HUB = (r"(.*\.)?patch_embed\.proj\.weight$", r"(.*\.)?blocks\.0\.ls1\.gamma$")
 # In this order: the first that fits is the model.
-SIGNATURES: tuple[tuple[Kind, Signature], ...] = (
+SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ("fsra", Signature("FSRA", (r"model_1\.transformer\.blocks\.", rf"model_1\.classifier1\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.gem\d\.p$", rf"classifier\d\.{_HEAD}"))),
@@ -70,12 +73,20 @@ SIGNATURES: tuple[tuple[Kind, Signature], ...] = (
         ),
     ),
     ("lpn", Signature("LPN", (r"model_1\.model\.", rf"classifier\d*\.{_HEAD}1\."), (r"model_\d\.shift_blocks\.",))),
+    (
+        "vit",
+        Signature(
+            "a vision transformer of transformers", (r"(.*\.)?embeddings\.patch_embeddings?\.(projection\.)?weight$",)
+        ),
+    ),
+    ("vit", Signature("a vision transformer of torch.hub", (*_HUB, r"(.*\.)?mask_token$"))),
+    ("vit", Signature("CLIP", (r"(.*\.)?class_embedding$", r"(.*\.)?conv1\.weight$"))),
 )
 # Prefixes of all names after training with DataParallel, torch.compile, or a class that holds the network as `model` or `net`.
 _WRAPPERS = ("module.", "_orig_mod.", "model.", "net.", "network.")
 
 
-def unwrapped(state: Mapping[str, Tensor], name: str) -> tuple[Kind, dict[str, Tensor]]:
+def unwrapped(state: Mapping[str, Tensor], name: str) -> tuple[Recognised, dict[str, Tensor]]:
     """Return the kind of a state dict, and its entries without a prefix that training put before all names.
 
     Raises:
@@ -106,7 +117,7 @@ def unwrapped_as(kind: Kind, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return inner
 
 
-def recognise(keys: Collection[str], name: str) -> Kind:
+def recognise(keys: Collection[str], name: str) -> Recognised:
     """Return the kind of a state dict with these names.
 
     Raises:
@@ -139,12 +150,12 @@ def _wrapper(keys: Collection[str]) -> str | None:
     return next((prefix for prefix in _WRAPPERS if keys and all(key.startswith(prefix) for key in keys)), None)
 
 
-def _kind(keys: Collection[str]) -> Kind | None:
+def _kind(keys: Collection[str]) -> Recognised | None:
     """Return the first kind of which a signature fits; None if none does."""
     return next((kind for kind, signature in SIGNATURES if _share(signature, keys) == 1), None)
 
 
-def title_of_other(kind: Kind, keys: Collection[str]) -> str | None:
+def title_of_other(kind: Recognised, keys: Collection[str]) -> str | None:
     """Return the title of the method by whose signature names fit; None if it is `kind`, or if there is none."""
     own = next(((other, signature) for other, signature in SIGNATURES if _share(signature, keys) == 1), None)
     return None if own is None or own[0] == kind else own[1].title
@@ -173,5 +184,12 @@ def _matched(pattern: str, keys: Collection[str]) -> bool:
 
 def _plain(pattern: str) -> str:
     """Return a pattern as a person writes it: `model_1.shift_blocks.*`."""
-    plain = pattern.replace(r"\d*", "0").replace(r"\d", "1").replace("[12]?", "").replace("\\", "")
+    plain = pattern.replace(r"(.*\.)?", "").replace(r"(projection\.)?", "")
+    plain = (
+        plain.replace(r"embeddings?", "embeddings")
+        .replace(r"\d*", "0")
+        .replace(r"\d", "1")
+        .replace("[12]?", "")
+        .replace("\\", "")
+    )
     return plain[:-1] if plain.endswith("$") else plain + "*"

@@ -1,0 +1,108 @@
+"""Poolings of a network's tokens into a descriptor, by their names on the command line; no torch here.
+
+With the tokens F(x) of the cells x of a map (C channels, N cells), and the vector f of the class token:
+
+    mean        e = (1/N) sum_x F(x)
+    gem, gem:P  e_c = ((1/N) sum_x max(F_c(x), EPSILON)^P)^(1/P), with P = 3 by default
+    cls         e = f
+    cls+mean    e = (f, (1/N) sum_x F(x)), one vector of 2C numbers
+    rings:N     LPN's N square rings, each the mean of its cells; see `Partition`
+
+GeM is homogeneous of degree 1, so by Euler's theorem e_c is the sum over the cells of F_c(x) de_c/dF_c(x). That is a mean of
+F_c(x)^P m_c^(1/P - 1) over the cells, with the power mean m_c = (1/N) sum_x F_c(x)^P held at its value for the picture.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal, cast
+
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.models.contract import AccountLevel
+from lpn.models.partition import Partition
+
+PoolingName = Literal["mean", "gem", "cls", "cls+mean", "rings"]
+FORMS = "mean, gem, gem:POWER, cls, cls+mean, or rings:N"
+# Below it a token's number counts as this in GeM, whose power needs positive numbers.
+EPSILON = 1e-6
+_MOST_RINGS, _POWERS = 64, (0.5, 100.0)
+_WRITTEN = re.compile(r"(mean|cls|cls\+mean)|(gem)(?::([0-9]+(?:\.[0-9]+)?))?|(rings):([0-9]{1,4})")
+
+
+@dataclass(frozen=True)
+class TokenPooling:
+    """A pooling of tokens.
+
+    Attributes:
+        name: of the pooling.
+        rings: the number of rings; 1 for the others.
+        power: P of GeM.
+    """
+
+    name: PoolingName = "mean"
+    rings: int = 1
+    power: float = 3.0
+
+    @classmethod
+    def parse(cls, text: str) -> TokenPooling:
+        """Read a pooling as a person writes it, such as "rings:4".
+
+        Raises:
+            InputError: if it is none of `FORMS`.
+        """
+        match = _WRITTEN.fullmatch(text)
+        if match is None:
+            raise InputError(f"The pooling is {printable(text)[:40]!r}; expected {FORMS}, such as rings:4.")
+        plain, gem, power, _, rings = match.groups()
+        if plain:
+            return cls(cast(PoolingName, plain))
+        if gem:
+            value = float(power or cls.power)
+            if not _POWERS[0] <= value <= _POWERS[1]:
+                raise InputError(f"GeM's power is {power}; expected a number from {_POWERS[0]:g} to {_POWERS[1]:g}.")
+            return cls("gem", power=value)
+        if not 1 <= int(rings) <= _MOST_RINGS:
+            raise InputError(f"The pooling has {int(rings)} rings; expected 1 to {_MOST_RINGS}, such as rings:4.")
+        return cls("rings", rings=int(rings))
+
+    def __str__(self) -> str:
+        if self.name == "rings":
+            return f"rings:{self.rings}"
+        return f"gem:{self.power:g}" if self.name == "gem" and self.power != TokenPooling.power else self.name
+
+    @property
+    def partition(self) -> Partition | None:
+        """How parts divide the map; None without cells."""
+        if self.name == "cls":
+            return None
+        return Partition("rings", self.rings) if self.rings > 1 else Partition("whole", 1)
+
+    @property
+    def needs_class_token(self) -> bool:
+        """Whether the descriptor has the class token in it."""
+        return self.name.startswith("cls")
+
+    @property
+    def part_names(self) -> list[str]:
+        """A short name for each part."""
+        return ["1 class token"] if self.partition is None else self.partition.names()
+
+    @property
+    def level(self) -> AccountLevel:
+        """How far evidence is exact, see `Contract`."""
+        if self.name == "cls":
+            return "one vector"
+        return "exact" if self.name in ("mean", "rings") else "exact, with held"
+
+    @property
+    def held(self) -> str:
+        """What is held at its value for each picture."""
+        if self.name == "gem":
+            return "the power means of GeM (Euler's split of its power)"
+        return "the class token" if self.name == "cls+mean" else ""
+
+    def embedding(self, channels: int) -> int:
+        """Return the numbers of a part of tokens with this many channels."""
+        return 2 * channels if self.name == "cls+mean" else channels
