@@ -48,7 +48,7 @@ _GRIDS = ((9, 9), (12, 6))
 
 
 @dataclass
-class Options:
+class PeerOptions:
     """What is compared."""
 
     hub: tuple[Path, ...] = field(default=())
@@ -56,7 +56,7 @@ class Options:
 
 
 def main() -> None:
-    options = tyro.cli(Options)
+    options = tyro.cli(PeerOptions)
     import_timm()
     worst = 0.0
     for library, networks in (("transformers", _of_transformers()), ("torch.hub", _of_hub(*options.hub))):

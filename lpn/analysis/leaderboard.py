@@ -80,7 +80,7 @@ class ModelFacts:
 
 
 # Recall@1 and AP in percent.
-Figures = tuple[float, float]
+RecallAndAP = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +99,8 @@ class Leaderboard:
     data_name: str
     facts: Mapping[str, ModelFacts]
     tables: Sequence[ModelTable]
-    parts: Mapping[str, Mapping[str, Mapping[str, Figures]]]
-    turns: Mapping[str, Mapping[str, Mapping[float, Figures]]]
+    parts: Mapping[str, Mapping[str, Mapping[str, RecallAndAP]]]
+    turns: Mapping[str, Mapping[str, Mapping[float, RecallAndAP]]]
     weathers: Mapping[str, WeatherResult]
 
     def to_markdown(self) -> str:
@@ -194,7 +194,7 @@ def leaderboard(
         if on_progress is not None:
             on_progress("measures", done, stages)
 
-    def figures(model: Model, task: str, protocol: Protocol) -> Figures:
+    def figures(model: Model, task: str, protocol: Protocol) -> RecallAndAP:
         result = evaluate(model, dataset, task, protocol, read)
         return result.recall["1"], result.ap
 
@@ -203,8 +203,8 @@ def leaderboard(
         facts[name] = ModelFacts.of(model, sizes.get(name))
         report()
     tables: list[ModelTable] = []
-    parts: dict[str, dict[str, dict[str, Figures]]] = {}
-    turned: dict[str, dict[str, dict[float, Figures]]] = {}
+    parts: dict[str, dict[str, dict[str, RecallAndAP]]] = {}
+    turned: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
     for task in tasks:
         galleries: list[GalleryChoice] = ["full"]
         if has_distractors(TaskPictures.of(dataset, task)):
@@ -234,7 +234,7 @@ def _of_tiles(task: str) -> bool:
     return set(views_of(task)) == {"satellite"}
 
 
-def _changed(title: str, of_models: Mapping[str, Mapping[Any, Figures]]) -> Iterator[str]:
+def _changed(title: str, of_models: Mapping[str, Mapping[Any, RecallAndAP]]) -> Iterator[str]:
     """Yield a table of Recall@1 and AP, a row for each model and a column for each change."""
     names = list(dict.fromkeys(change for of in of_models.values() for change in of))
     yield from (title, "", "R@1 / AP in percent.", "")

@@ -93,10 +93,11 @@ def test_turned_queries_pass_through_the_queue_and_are_kept(workspace: Workspace
 def test_one_job_turns_queries_at_a_time_and_equal_ones_are_shared(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    go_on, running = threading.Event(), []
+    started, go_on, running = threading.Event(), threading.Event(), []
 
     def slow(_: Any, degrees: float, progress: Any) -> TurnedFigures:
         running.append(degrees)
+        started.set()
         while not go_on.wait(0.01):
             progress(0, 13)
         return TurnedFigures(degrees, 1, 1, 13)
@@ -104,6 +105,7 @@ def test_one_job_turns_queries_at_a_time_and_equal_ones_are_shared(
     monkeypatch.setattr(turned_jobs, "turned", slow)
     jobs, first, second, third = turned_of(workspace), object(), object(), object()
     job = jobs.join(first, TASK, (30,))
+    assert started.wait(TIMEOUT)
     assert jobs.join(second, TASK, (390,)) is job
     waiting = jobs.join(third, TASK, (60,))
     assert not waiting.wait(0.3)
