@@ -372,6 +372,11 @@ def flip_heat_kind(state: SessionState) -> SessionState:
     return replace(state, heat=True, heat_kind="evidence" if state.heat_kind == "activation" else "activation")
 
 
+def flip_part(state: SessionState, part: int) -> SessionState:
+    """Switch a part, from 0, on or off."""
+    return replace(state, enabled=tuple(on != (i == part) for i, on in enumerate(state.enabled)))
+
+
 def equal_parts(state: SessionState) -> SessionState:
     """Switch all parts on with equal weights."""
     return replace(state, weights=(), enabled=())

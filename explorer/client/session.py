@@ -61,6 +61,7 @@ class ClientSession:
         workspace = services.workspace
         self.client, self._workspace = client, workspace
         self._lock = threading.RLock()
+        self._shown: StateAnalysis | None = None
         task = next(iter(workspace.tasks))
         scoring = workspace.default_scoring(task)
         state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query, scoring=scoring)
@@ -79,7 +80,7 @@ class ClientSession:
                 {PageMessage: self._receive},
             )
             self._worker = Worker(self._work, self.views.fail)
-            self.views.viewport.watch(lambda: self._worker.wake() if self.views.stage.outgrown else None)
+            self.views.viewport.watch(self._refit)
             self._ranking_progress = RankingProgress(self.views.panels.answer.show_results, self._worker.wake)
             self._address = PageAddress(
                 workspace,
@@ -117,6 +118,11 @@ class ClientSession:
     def fit_camera(self) -> None:
         """Fit the stage to the page's window, whose camera has changed."""
         self.views.stage.fit()
+
+    def _refit(self) -> None:
+        """Draw the stage for its new size; the worker does it, as it does all drawing."""
+        if self._shown is not None and self.views.stage.outgrown:
+            self._worker.wake()
 
     def leave(self) -> None:
         """Stop all threads and computations of this browser; it has disconnected."""
@@ -213,11 +219,16 @@ class ClientSession:
             with contextlib.suppress(LPNError):  # it is said when this state is to be drawn
                 self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             return None
+        shown = self._shown
+        if shown is not None and shown.state == self._state and self.views.stage.outgrown:
+            self.views.refit(shown)
+            return None
         slow = DelayedCall(_SLOW, self.views.panels.answer.show_busy)
         try:
             analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             started = time.perf_counter()
             self.views.show(analysis, slow.cancel)
+            self._shown = analysis
         except BusyError:
             slow.cancel()
             self.views.panels.answer.show_overloaded()

@@ -18,14 +18,15 @@ from explorer.failure_lab.messages import LabMessage
 from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.messages import FlightMessage
 from explorer.flight_window.window import FlightWindow
-from explorer.panels import answer_text, pages, shortcuts
+from explorer.panels import answer_text, shortcuts
 from explorer.panels.first_screen import FirstScreen
 from explorer.panels.glossary import Glossary
-from explorer.panels.messages import PartsMessage
+from explorer.panels.messages import PartsMessage, StageMessage
 from explorer.panels.panels import Panels
+from explorer.panels.stage_controls import StageControls
 from explorer.reports import Reporter
 from explorer.session_state import SessionState, StateChange
-from explorer.stage.scene import SCENE, Stage
+from explorer.stage.scene import Stage
 from explorer.stage.viewport import Viewport
 from explorer.stories import tour
 from explorer.stories.messages import StoryMessage
@@ -103,6 +104,7 @@ class ClientViews:
         )
         self.panels.navigation.order = self.lab.order
         self.panels.query.compare_models = self.explain_window.compare_models
+        self.stage_controls = StageControls(workspace, self.panels.navigation, change)
         self.glossary = Glossary(client.gui)
         own = self.panels.query.own
         self.first_screen = FirstScreen(
@@ -120,12 +122,12 @@ class ClientViews:
             StoryMessage: self.stories.receive,
             BrowseMessage: self.panels.query.receive,
             PartsMessage: self.panels.parts.receive,
+            StageMessage: self.stage_controls.receive,
         }
         properties = {
             "title": f"{workspace.data_name} · LPN Explorer",
             "tour": msgspec.to_builtins(self.stories.tour),
-            "places": tour.places(workspace.layout),
-            "scene": SCENE,
+            "places": tour.places(),
             "keys": services.url_state.keys,
             "ownHint": answer_text.own_hint(workspace, shows_rendered(workspace.root)),
         }
@@ -182,13 +184,19 @@ class ClientViews:
         with self._client.atomic():  # the page draws one frame
             self.stage.show(analysis)
             self.bridge.set_ground(self.stage.ground)
-            self.bridge.set_legend(pages.heat_legend(analysis, self._workspace))
+            self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
             self.explain_window.show(analysis)
             self.lab.show(analysis)
             self.flight.show(analysis)
             self.stories.show(analysis)
             drawn()
             self.panels.show(analysis, self.sequence)
+
+    def refit(self, analysis: StateAnalysis) -> None:
+        """Draw the stage of an analysis that is shown for the stage's new size."""
+        with self._client.atomic():
+            self.stage.show(analysis)
+            self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
 
     def fail(self, error: Exception) -> None:
         """Say why there is no answer."""

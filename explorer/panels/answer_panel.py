@@ -31,9 +31,12 @@ class AnswerPanel:
 
     def __init__(self, gui: viser.GuiApi, workspace: Workspace, change: Callable[[StateChange], None]) -> None:
         self._workspace, self._change = workspace, change
-        self._header, self.stories, self._verdict = Html(gui), Html(gui), Html(gui)
+        self._header, self._verdict = Html(gui), Html(gui)
         self._last: pages.ShownAnalysis | None = None
         self._status = Html(gui, pages.status(None))
+        why = gui.add_button("Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
+        why.on_click(lambda _: change(session_state.flip_why))
+        gui.add_html(pages.main_button(uuid_of(why)))
         with gui.add_folder("Matches"):
             self._matches = Html(gui)
             buttons = [gui.add_button(f"match {slot + 1}") for slot in range(SHOWN)]
@@ -45,8 +48,7 @@ class AnswerPanel:
             gui.add_html(pages.hidden(self._match_buttons))
         with gui.add_folder("Compared pair"):
             self._table = Html(gui)
-            why = gui.add_button("Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
-            why.on_click(lambda _: change(session_state.flip_why))
+        self.stories = Html(gui)
         gui.add_html(pages.keys(workspace))
 
     def compare(self, slot: int) -> Callable[[Any], None]:

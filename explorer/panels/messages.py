@@ -1,8 +1,8 @@
-"""The messages of the panel Parts; none of them is trusted."""
+"""The messages of the panel Parts, and of the controls over the stage; none of them is trusted."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -35,3 +35,37 @@ class TakeParts(PartsMessage, tag="parts-take"):
     """Switch on these parts and no others, with equal weights."""
 
     parts: list[_Part]
+
+
+class StageMessage(Message):
+    """A message of the controls over the stage."""
+
+
+class StepQuery(StageMessage, tag="stage-step"):
+    step: Literal["previous", "next", "random", "failure"]
+
+
+class FlipLook(StageMessage, tag="stage-flip"):
+    """Show or hide the rings, take them apart or put them together, show or close the map."""
+
+    look: Literal["rings", "exploded", "map"]
+
+
+class ShowHeat(StageMessage, tag="stage-heat"):
+    kind: Literal["off", "activation", "evidence"]
+
+
+class SetOpacity(StageMessage, tag="stage-opacity"):
+    opacity: Annotated[float, Meta(ge=0, le=1)]
+
+
+class TurnQuery(StageMessage, tag="stage-turn"):
+    """Turn the query to an angle in degrees counter-clockwise."""
+
+    angle: Annotated[float, Meta(ge=-180, le=180)]
+
+
+class FlipPart(StageMessage, tag="stage-part"):
+    """Switch a part, from 1, on or off."""
+
+    part: _Part

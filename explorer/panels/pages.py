@@ -46,6 +46,11 @@ def hidden(ids: Sequence[str]) -> str:
     return render("panels/hidden_buttons", ids=ids)
 
 
+def main_button(button: str) -> str:
+    """Return a style that draws a viser button, given by its uuid, as the one that stands out."""
+    return render("panels/main_button", id=button)
+
+
 def note(text: str, element_id: str = "") -> str:
     """Return a line of dimmed text."""
     return render("panels/note", text=text, id=element_id)
@@ -65,7 +70,7 @@ def keys(workspace: Workspace) -> str:
 def heat_legend(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the legend of the heatmap over the stage's pair; empty without one."""
     kind, part = pair_picture.heat_kind(analysis), analysis.state.heat_part
-    if kind is None or analysis.state.first_screen or analysis.state.shows_reasons or analysis.state.flight:
+    if kind is None or analysis.state.first_screen or analysis.state.flight or analysis.state.shows_reasons:
         return ""
     scale = overlays.evidence_scale if kind == "evidence" else overlays.heat_scale
     of_part = "" if part is None else f" of part {workspace.part_names[part]}"

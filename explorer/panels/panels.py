@@ -18,8 +18,8 @@ from explorer.panels.upload_control import UploadControl
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import StateAnalysis, Workspace
 
-# Widths in pixels; the right panel is narrow while the left one is minimized.
-_LEFT, _RIGHT, _NARROW = 290, 370, 330
+# Widths in pixels.
+_LEFT, _RIGHT = 290, 360
 
 
 class Panels:
@@ -65,13 +65,12 @@ class Panels:
             self.answer.show(analysis, sequence)
             self.parts.show(analysis.state)
 
-    def fit(self, small: bool) -> None:
-        """Minimize the left panel on a small screen, so that the stage has room."""
-        self._client.gui.main_panel.set_width(_NARROW if small else _RIGHT)
-        self._left.minimize() if small else self._left.expand()
+    def fit(self, folded: bool) -> None:
+        """Fold the left panel, so that the stage has its room, or unfold it."""
+        self._left.minimize() if folded else self._left.expand()
 
     def expand(self) -> None:
-        """Unfold the left panel, which a small screen folds."""
+        """Unfold the left panel, which is folded unless the browser remembers it open."""
         self._left.expand()
 
     def leave(self) -> None:

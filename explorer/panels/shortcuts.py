@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import viser
@@ -81,7 +82,7 @@ def _changes(
     if len(workspace.tasks) > 1:
         changes += [(f"Task: {name}", None, navigation.choose_task(name)) for name in workspace.tasks]
     parts = list(enumerate(workspace.part_names))
-    changes += [(f"Part {name} on or off", None, _flip_part(part)) for part, name in parts]
+    changes += [(f"Part {name} on or off", None, partial(session_state.flip_part, part=part)) for part, name in parts]
     changes.append(("All parts equal", None, session_state.equal_parts))
     if not workspace.without_cells:
         changes += [
@@ -120,13 +121,6 @@ def _flip_map(workspace: Workspace, state: SessionState) -> SessionState:
 
 def _flip_city(workspace: Workspace, state: SessionState) -> SessionState:
     return replace(state, city=not state.city) if city_available(workspace, state) else state
-
-
-def _flip_part(part: int) -> StateChange:
-    def flip(state: SessionState) -> SessionState:
-        return replace(state, enabled=tuple(on != (i == part) for i, on in enumerate(state.enabled)))
-
-    return flip
 
 
 def _show_heat(part: int | None) -> StateChange:

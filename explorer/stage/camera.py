@@ -20,8 +20,6 @@ SIGN_PICTURE = 2.1
 SIGN_CAPTION = SIDE - 2 * SIGN_PICTURE
 # The camera's field of view from bottom to top, in radians.
 FOV = 0.45
-# The area of the compared pair, the ranked tiles, and the heatmaps' legend, which is always in view, in stage units.
-HEIGHT, WIDTH = 8.4, 8.3
 
 _MAP_TILT = math.radians(38)
 _CITY_TILT = math.radians(52)

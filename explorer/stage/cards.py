@@ -15,10 +15,9 @@ import viser
 
 from explorer.compute.request_context import QueuedModel
 from explorer.compute.worker import Worker
-from explorer.layout import ScreenLayout
+from explorer.layout import LABEL, ScreenLayout
 from explorer.session_state import SessionState
 from explorer.stage.image_planes import UPRIGHT, Plane
-from explorer.stage.lettering import LABEL_HEIGHT, Lettering, label_width
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import LPNError
@@ -29,8 +28,12 @@ from lpn.retrieval import Match
 
 # Number of ranked tiles on the stage.
 SHOWN = 10
+# Rows of cards in any layout.
+_ROWS = 2
+# Height of a label in pixels, and its text's size: it is drawn twice as fine as the screen.
+_LABEL_PIXELS, _LABEL_TEXT = 2 * LABEL, 26
 # Width of the marker's line, in stage units.
-_MARGIN = 0.04
+_MARGIN = 0.03
 
 
 class Cards:
@@ -52,22 +55,16 @@ class Cards:
         model: QueuedModel | None,
     ) -> None:
         self._workspace, self._on_select, self._model = workspace, on_select, model
-        self._layout = layout = workspace.layout
-        self._gap = (layout.step[0] - layout.card[0]) / layout.card[0]
+        self._layout = workspace.layout
         self._analysis: StateAnalysis | None = None
-        self._label_size = 0
-        width, height, above = layout.card
-        across = (layout.columns - 1) * layout.step[0] + width
-        self._rows: list[tuple[Plane, Plane]] = []
-        for first in range(0, SHOWN, layout.columns):
-            y = layout.card_centre(first)[1]
-            photos = Plane(scene, f"/cards{first}/photos", across, height, (0.0, y - above / 2, 0.0))
-            labels = Plane(scene, f"/cards{first}/labels", across, above, (0.0, y + height / 2, 0.0))
-            self._rows.append((photos, labels))
+        self._rows = [
+            tuple(Plane(scene, f"/cards{row}/{kind}", 1.0, 1.0, (0.0, 0.0, 0.0)) for kind in ("photos", "labels"))
+            for row in range(_ROWS)
+        ]
         self._drawn: list[object] = [None] * len(self._rows)
         # Lines, not a picture: the transparent inside of one would hide the card from a side.
         self._marker = scene.add_line_segments(
-            "/marker", _frame(width, height + above), np.zeros((4, 2, 3), np.uint8), thickness=_MARGIN
+            "/marker", np.zeros((4, 2, 3), np.float32), np.zeros((4, 2, 3), np.uint8), thickness=_MARGIN
         )
         self._targets = [self._target(scene, slot) for slot in range(SHOWN)]
         self._lock = RLock()
@@ -80,25 +77,38 @@ class Cards:
 
     def _target(self, scene: viser.SceneApi, slot: int) -> viser.ImageHandle:
         """Add an invisible plane behind a card to receive clicks; in front, it would hide the card from a side."""
-        x, y = self._layout.card_centre(slot)
         handle = scene.add_image(
             f"/card{slot}",
             np.zeros((2, 2, 4), np.uint8),
-            self._layout.card[0],
-            sum(self._layout.card[1:]),
+            1.0,
+            1.0,
             format="png",
             cast_shadow=False,
             receive_shadow=False,
             wxyz=UPRIGHT,
-            position=(x, y, -0.01),
+            position=(0.0, 0.0, -0.01),
         )
         handle.on_click(self._clicked(slot))
         return handle
 
-    def show(self, analysis: StateAnalysis, lettering: Lettering) -> None:
+    def place(self, layout: ScreenLayout) -> None:
+        """Move the cards to where a layout has them."""
+        self._layout, self._drawn = layout, [None] * _ROWS
+        width, height, above = layout.card
+        across = (layout.columns - 1) * layout.step[0] + width
+        for row, (photos, labels) in enumerate(self._rows):
+            y = layout.card_centre(row * layout.columns)[1]
+            photos.place(((0.0, y - above / 2), (across, height)))
+            labels.place(((0.0, y + height / 2), (across, above)))
+        for slot, target in enumerate(self._targets):
+            target.position = (*layout.card_centre(slot), -0.01)
+            target.render_width, target.render_height = width, height + above
+        self._marker.points = _frame(width, height + above)
+
+    def show(self, analysis: StateAnalysis) -> None:
         """Draw the matches of an analysis."""
         with self._lock:
-            self._analysis, self._label_size = analysis, lettering.label
+            self._analysis = analysis
             self._draw(analysis)
         if self._model is not None and analysis.state.rings and self._unknown(analysis):
             self._worker.wake()
@@ -109,18 +119,29 @@ class Cards:
         full = max(match.distance2 for match in matches)
         self._mark(analysis)
         for slot, target in enumerate(self._targets):
-            target.visible = slot < len(matches)
+            target.visible = slot < min(len(matches), layout.shown)
         for row, (photos, labels) in enumerate(self._rows):
             some = self._row(analysis, row)
             photos.handle.visible = labels.handle.visible = bool(some)
             if some:
                 self._draw_photos(analysis, row)
                 labels.show(
-                    _join_row([self._label(analysis, match, full) for match in some], layout.columns, self._gap, ground)
+                    _join_row(
+                        [_card_label(layout, match, full, state.palette) for match in some],
+                        layout.columns,
+                        self._gap,
+                        ground,
+                    )
                 )
 
+    @property
+    def _gap(self) -> float:
+        """The room between two cards relative to a card's width."""
+        return self._layout.step[0] / self._layout.card[0] - 1
+
     def _row(self, analysis: StateAnalysis, row: int) -> Sequence[Match]:
-        return analysis.matches[row * self._layout.columns : (row + 1) * self._layout.columns]
+        columns = self._layout.columns
+        return analysis.matches[row * columns : (row + 1) * columns] if row < self._layout.rows else ()
 
     def _draw_photos(self, analysis: StateAnalysis, row: int) -> None:
         """Draw a row's photos, unless the same ones are drawn."""
@@ -159,7 +180,8 @@ class Cards:
 
     def _mark(self, analysis: StateAnalysis) -> None:
         """Frame the compared card if it is shown."""
-        slots = [slot for slot, match in enumerate(analysis.matches) if match.index == analysis.chosen.index]
+        shown = analysis.matches[: self._layout.shown]
+        slots = [slot for slot, match in enumerate(shown) if match.index == analysis.chosen.index]
         self._marker.visible = bool(slots)
         if slots:
             x, y = self._layout.card_centre(slots[0])
@@ -168,10 +190,9 @@ class Cards:
 
     def _photo(self, analysis: StateAnalysis, match: Match, areas: PartAreas | None) -> UInt8Array:
         picture = overlays.with_parts(self._workspace.card(analysis.task, match.index), areas, 1)
-        return overlays.framed(picture, theme.verdict_colour(match.true), 7)
-
-    def _label(self, analysis: StateAnalysis, match: Match, full: float) -> UInt8Array:
-        return _card_label(self._layout, match, full, analysis.state.palette, self._label_size)
+        # The frame is two CSS pixels wide.
+        width = round(2 * picture.shape[1] / (self._layout.card[0] * self._layout.unit))
+        return overlays.framed(picture, theme.verdict_colour(match.true), max(width, 2))
 
     def _clicked(self, slot: int) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
@@ -205,16 +226,18 @@ def _frame(width: float, height: float) -> Float32Array:
     return np.array([[(*point, 0.0) for point in line] for line in lines], np.float32)
 
 
-def _card_label(layout: ScreenLayout, match: Match, full: float, palette: Palette, size: int) -> UInt8Array:
-    width, font = label_width(layout), captions.font(size)
-    image, draw = captions.caption(width, LABEL_HEIGHT, palette)
-    edge, sign = size / 8, 0.66 * size
+def _card_label(layout: ScreenLayout, match: Match, full: float, palette: Palette) -> UInt8Array:
+    width, size = round(2 * layout.card[0] * layout.unit), _LABEL_TEXT
+    image, draw = captions.caption(width, _LABEL_PIXELS, palette)
+    font, middle, edge, sign = captions.font(size), 0.36 * _LABEL_PIXELS, size / 8, 0.66 * size
     # All labels have the digits for which the tenth rank has room.
     digits = 3 if draw.textlength(f"{SHOWN}0.000", font=font) + sign + 4 * edge <= width else 2
-    draw.text((edge, 20), str(match.rank), palette.text, font, anchor="lm")
+    draw.text((edge, middle), str(match.rank), palette.text, font, anchor="lm")
     x = 2 * edge + draw.textlength(str(match.rank), font=font)
     if match.true is not None:
-        captions.draw_sign(draw, x, 20 - size / 3, sign, match.true, palette)
-    draw.text((width - edge, 20), f"{match.distance2:.{digits}f}", palette.text, font, anchor="rm")
-    captions.draw_shares(draw, (0, 40, width - 1, 52), match.contributions, full, palette)
+        captions.draw_sign(draw, x, middle - size / 3, sign, match.true, palette)
+    draw.text((width - edge, middle), f"{match.distance2:.{digits}f}", palette.dim, font, anchor="rm")
+    captions.draw_shares(
+        draw, (0, 0.73 * _LABEL_PIXELS, width - 1, 0.87 * _LABEL_PIXELS), match.contributions, full, palette
+    )
     return np.asarray(image)

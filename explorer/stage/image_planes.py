@@ -8,13 +8,14 @@ from typing import Literal
 import numpy as np
 import viser
 
+from explorer.layout import CAPTION, Box
 from lpn.core.arrays import UInt8Array
 from lpn.drawing import captions, theme
 from lpn.drawing.theme import Palette
 from lpn.retrieval import Match
 
-# Width and height of a caption in pixels.
-CAPTION_PIXELS = 528, 58
+# Height of a caption in pixels, and its text's size: it is drawn twice as fine as the screen.
+CAPTION_PIXELS, _CAPTION_TEXT = 2 * CAPTION, 28
 # A quaternion (w, x, y, z).
 Rotation = tuple[float, float, float, float]
 # Scene images have y down and face away from +z; half a turn about x sets them upright, facing the camera.
@@ -48,6 +49,12 @@ class Plane:
             position=position,
         )
 
+    def place(self, box: Box) -> None:
+        """Move the plane to a box of the stage."""
+        (x, y), (width, height) = box
+        self.handle.position = (x, y, 0.0)
+        self.handle.render_width, self.handle.render_height = width, height
+
     def show(self, picture: UInt8Array) -> None:
         """Put a picture on the plane."""
         if self._picture.shape != picture.shape or not np.array_equal(self._picture, picture):
@@ -65,17 +72,18 @@ def title(
     texts: Sequence[str],
     true: bool | None,
     palette: Palette,
-    size: int,
+    width: float,
     distance2: float | None = None,
 ) -> UInt8Array:
     """Draw a caption: headline, sign, a text, and on the right a distance d².
 
     Args:
         texts: of which the first that fits is drawn, see `captions.fitted`.
-        size: of the texts in pixels.
+        width: of the caption on the screen, in CSS pixels.
     """
-    image, draw = captions.caption(*CAPTION_PIXELS, palette)
-    width, middle = CAPTION_PIXELS[0], CAPTION_PIXELS[1] / 2
+    size, width = _CAPTION_TEXT, round(2 * width)
+    image, draw = captions.caption(width, CAPTION_PIXELS, palette)
+    middle = CAPTION_PIXELS / 2
     draw.text((2, middle), headline, palette.text, captions.font(size + 1), anchor="lm")
     x = 2 + draw.textlength(headline, font=captions.font(size + 1)) + size / 2
     if true is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, get_args
 
-from explorer.layout import Point, ScreenLayout
 from explorer.stories.story import Focus, Step, Story
 from explorer.workspace import Workspace
 
@@ -29,7 +28,7 @@ def story(workspace: Workspace) -> Story:
     rings = workspace.parts_word == "rings"
     whole = "rings" if rings else "parts"
     evidence = (
-        " Why this tile?, further down, shows the evidence cell by cell; it adds up to the score. Its tab Heatmaps shows the "
+        " Why this tile?, below it, shows the evidence cell by cell; it adds up to the score. Its tab Heatmaps shows the "
         "activation of each part."
     )
     cards: dict[Focus, tuple[str, str, str]] = {
@@ -42,8 +41,8 @@ def story(workspace: Workspace) -> Story:
         "parts": (
             "Part by part",
             f"Both pictures are divided into {'square rings around the centre' if rings else 'parts'}, and each part is "
-            "compared with its counterpart. A bar is the part's share of the squared distance d²: the longer, the less they "
-            "agree.",
+            "compared with its counterpart. The left bar is the part's share of the squared distance d²: the longer, the less "
+            "they agree. The right one says for which of two tiles the part speaks.",
             "",
         ),
         "ranking": (
@@ -59,9 +58,8 @@ def story(workspace: Workspace) -> Story:
         ),
         "controls": (
             "Look around",
-            f"Look, at the bottom of the panel Query on the left, takes the {whole} apart"
-            f"{' and shows the map' if mapped else ''}. The list with the magnifier, above these links, has every command. Link "
-            "copies an address that brings back what you see.",
+            f"The row above the pictures takes the {whole} apart{' and shows the map' if mapped else ''}. The list with the "
+            "magnifier, above these links, has every command. Link copies an address that brings back what you see.",
             f"X takes the {whole} apart{', M shows the map' if mapped else ''}, Ctrl K lists every command",
         ),
     }
@@ -72,32 +70,19 @@ def _step(place: Focus, title: str, text: str, keys: str) -> Step:
     return Step("", "\n".join([title, text, *([f"Keys: {keys}."] if keys else [])]), points_at=place)
 
 
-def places(layout: ScreenLayout) -> dict[Focus, dict[str, Any]]:
-    """Return where the page finds each place.
-
-    The first visible element of `selectors` is the place. Without one, it is `box`: left, lower, right, and upper border in units
-    of the stage.
-    """
+def places() -> dict[Focus, dict[str, Any]]:
+    """Return where the page finds each place: the first visible element of its `selectors`."""
     windows = ("#lpn-why", "#lpn-lab-table", "#lpn-lab-breakdown", "#lpn-lab-map", "#lpn-flight")
     return {
-        "query": _place(box=_box(layout.query, layout.picture)),
-        "tile": _place(box=_box(layout.tile, layout.picture)),
-        "parts": _place(box=_box(*layout.gutter)),
-        "ranking": _place("#lpn-matches", box=_cards(layout)),
+        "query": _place("#lpn-stage-query"),
+        "tile": _place("#lpn-stage-tile"),
+        "parts": _place("#lpn-bars", "#lpn-parts"),
+        "ranking": _place("#lpn-matches", "#lpn-stage-cards"),
         "verdict": _place("#lpn-verdict"),
         "controls": _place("#lpn-header .tools"),
         "window": _place(*windows),
     }
 
 
-def _place(*selectors: str, box: tuple[float, float, float, float] | None = None) -> dict[str, Any]:
-    return {"selectors": selectors, "box": box}
-
-
-def _box(centre: Point, size: Point) -> tuple[float, float, float, float]:
-    return centre[0] - size[0] / 2, centre[1] - size[1] / 2, centre[0] + size[0] / 2, centre[1] + size[1] / 2
-
-
-def _cards(layout: ScreenLayout) -> tuple[float, float, float, float]:
-    half = layout.columns * layout.step[0] / 2
-    return -half, layout.cards_top - layout.step[1], half, layout.cards_top
+def _place(*selectors: str) -> dict[str, Any]:
+    return {"selectors": selectors}

@@ -31,6 +31,7 @@ _SCRIPT = ";".join(
         "focus.js",
         "glossary.js",
         "straighten.js",
+        "stage.js",
         "lists.js",
         "notes.js",
         "own.js",
@@ -83,7 +84,7 @@ class PageBridge:
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
-        self._address, self._ground, self._call, self._tab, self._legend = (Html(gui) for _ in range(5))
+        self._address, self._ground, self._call, self._tab, self._stage = (Html(gui) for _ in range(5))
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
         """Replace the values of `keys` in the page's address by a query string without "?"."""
@@ -93,9 +94,9 @@ class PageBridge:
         """Tell the page where the ground of the stage's map lies, see `GalleryMap.ground`; None without a map."""
         self._ground.show(run(call("stageMap", ground)))
 
-    def set_legend(self, html: str) -> None:
-        """Show the legend of what lies over the stage's pictures; none for an empty text."""
-        self._legend.show(run(call("legend", html)))
+    def set_stage(self, html: str) -> None:
+        """Show the controls over the stage's pictures; none for an empty text."""
+        self._stage.show(run(call("stage", html)))
 
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of the page's script. The page may run only the last of several quick calls."""

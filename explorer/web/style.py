@@ -8,7 +8,7 @@ from lpn.drawing import charts, theme
 
 # In the order of the cascade: a later sheet overrides an earlier one.
 _SHEETS = (
-    *("tokens", "panels", "page", "explain", "failure_lab", "flight", "stories", "browse", "lab_map"),
+    *("tokens", "panels", "page", "stage", "explain", "failure_lab", "flight", "stories", "browse", "lab_map"),
     "first_screen",
 )
 

@@ -52,6 +52,7 @@ class _Bar:
     colour: str
     title: str
     label: str = ""
+    part: int | None = None
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,8 @@ def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -
     for part, (name, share) in enumerate(zip(names, contributions.tolist(), strict=True)):
         width = 100 * max(share, 0.0) / max(full, 1e-9)
         label = f"{share:.2f}" if width > _LABELLED else ""
-        bars.append(
-            _Bar(round(start, 2), round(width, 2), part_colour(part), f"{say('part')} {name}: {share:.4f}", label)
-        )
+        hint = f"{say('part')} {name}: {share:.4f}"
+        bars.append(_Bar(round(start, 2), round(width, 2), part_colour(part), hint, label, part))
         start += width
     return _draw("bars", "shares of the squared distance", "shares", bars)
 

@@ -14,10 +14,9 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, FloatRect, expect
 
 from explorer.app import App
-from explorer.layout import _SQUARE
+from explorer.layout import layout_for
 from explorer.opening import open_model
 from explorer.session_state import SessionState
-from explorer.stage.scene import SCENE
 from explorer.workspace import StateAnalyser, StateAnalysis
 from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, difference, started
 from tools.fixtures import small_worlds
@@ -220,10 +219,12 @@ def test_the_tour_s_frame_follows_the_stage_on_a_low_screen(app: RunningApp, bro
 
     def follows() -> None:
         stage, frame = box(explorer.canvas), box(spot)
-        query, unit = _SQUARE.query, min(stage["height"] / SCENE["height"], stage["width"] / SCENE["width"])
-        middle = stage["x"] + stage["width"] / 2 + (query[0] - SCENE["middle"][0]) * unit
-        assert frame["x"] + frame["width"] / 2 == pytest.approx(middle, abs=2)
-        assert frame["width"] == pytest.approx(_SQUARE.picture[0] * unit + 8, abs=3)
+        layout = layout_for((256, 256), 4, (round(stage["width"]), round(stage["height"])))
+        (x, _), (width, _) = layout.query
+        assert frame["x"] + frame["width"] / 2 == pytest.approx(
+            stage["x"] + stage["width"] / 2 + x * layout.unit, abs=2
+        )
+        assert frame["width"] == pytest.approx(width * layout.unit + 8, abs=3)
         assert overlap(box(card), box(explorer.verdict)) == 0
 
     explorer.eventually(follows)

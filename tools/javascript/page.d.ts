@@ -92,7 +92,9 @@ interface Lpn {
   focus(uuid: string): void;
   small: MediaQueryList;
   stageSize(): Point | null;
-  legend(html: string): void;
+  stage(html: string): void;
+  placeStage(): void;
+  folded(): boolean;
   watch(): void;
   fill(name: string, texts: Record<string, string>): void;
   reveal(selector: string): void;

@@ -5,9 +5,8 @@
   const GAP = 12, EDGE = 4;
   let placing = 0;
 
-  // Return the rectangle of a place on the screen, and the left end of the panel around it: a visible element, else a box on the
-  // stage, which the map replaces.
-  const subject = ({ selectors, box }) => {
+  // Return the rectangle of a place on the screen, and the left end of the panel around it: that of a visible element.
+  const subject = ({ selectors }) => {
     for (const selector of selectors) {
       const found = document.querySelector(selector)?.getBoundingClientRect();
       if (!found || !found.width) continue;
@@ -18,13 +17,7 @@
       const enough = Math.min(60, 0.8 * found.height);
       if (bottom - top > enough && right - left > 20) return { left, top, right, bottom, panel: frame.left };
     }
-    const canvas = lpn.canvas()?.getBoundingClientRect();
-    if (!box || !canvas || new URLSearchParams(location.search).get("map") === "1") return null;
-    const { height, width, middle } = lpn.scene;
-    const unit = canvas.height / Math.max(height, (width * canvas.height) / canvas.width);
-    const x = (value) => canvas.left + canvas.width / 2 + (value - middle[0]) * unit;
-    const y = (value) => canvas.top + canvas.height / 2 - (value - middle[1]) * unit;
-    return { left: x(box[0]), top: y(box[3]), right: x(box[2]), bottom: y(box[1]), panel: 0 };
+    return null;
   };
 
   // The texts that people read meanwhile.

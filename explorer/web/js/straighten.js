@@ -49,7 +49,7 @@
     if (!turned) return button.remove();
     if (!button.isConnected) document.body.append(button);
     button.style.left = size.left + 8 + "px";
-    button.style.top = size.top + 24 + "px"; // below the heatmaps' legend
+    button.style.top = size.top + 48 + "px"; // below the controls
   };
   lpn.every(PERIOD, follow);
 })();

@@ -44,7 +44,7 @@
     lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
     const first = lpn.prefersFirst() && !named;
     if (first) lpn.opening();
-    const hello = () => lpn.send("hello", { search: search, small: lpn.small.matches, first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
+    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = lpn.every(500, hello);
     hello();
   };

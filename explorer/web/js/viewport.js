@@ -29,10 +29,25 @@
   // viser calls its page after itself. Screen readers are told the verdict, whose element is replaced whenever it changes.
   const live = element("lpn-live", document.body);
   live.setAttribute("role", "status");
+  // What can be unfolded stays as it was left, also when its element is replaced.
+  const OPEN = "lpn-open";
+  const unfolded = new Set((lpn.stored("local", OPEN) || "").split(" "));
+  const reopen = () => {
+    for (const one of /** @type {NodeListOf<HTMLDetailsElement>} */ (document.querySelectorAll("details[id]"))) {
+      if (one.dataset.seen) continue;
+      one.dataset.seen = "1";
+      one.open = unfolded.has(one.id);
+      one.addEventListener("toggle", () => {
+        unfolded[one.open ? "add" : "delete"](one.id);
+        lpn.store("local", OPEN, [...unfolded].join(" "));
+      });
+    }
+  };
   const mended = new MutationObserver(() => {
     const verdict = document.getElementById("lpn-verdict")?.textContent.replace(/\s+/g, " ").trim() || live.textContent;
     if (live.textContent !== verdict) live.textContent = verdict;
     lpn.viser.mend();
+    reopen();
     if (lpn.title && document.title !== lpn.title) document.title = lpn.title;
     if (softwareNotice()) seeOnce();
   });
@@ -98,7 +113,12 @@
   });
 
   lpn.small = matchMedia("(max-width: 1100px)");
-  lpn.small.addEventListener("change", () => lpn.send("small", lpn.small.matches));
+  lpn.small.addEventListener("change", () => lpn.send("small", lpn.folded()));
+  // The panel of the query is folded, unless the browser remembers that it was left open.
+  const PANELS = "lpn-panels", LEFT = "Query";
+  lpn.folded = () => lpn.small.matches || lpn.stored("local", PANELS) !== "open";
+  const keepPanels = () => lpn.small.matches || lpn.store("local", PANELS, tabs().some((one) => one.textContent.trim() === LEFT) ? "open" : "folded");
+  document.addEventListener("click", ({ isTrusted }) => isTrusted && setTimeout(keepPanels, 400), true);
 
   // On a phone the panels are a sheet over the page, and the stage takes the rest.
   const phone = matchMedia("(max-width: 36em)");
@@ -111,21 +131,9 @@
     const canvas = lpn.canvas();
     return canvas?.clientWidth && canvas.clientHeight ? [canvas.clientWidth, canvas.clientHeight] : null;
   };
-  // The legend of the heatmaps lies in a corner of the stage, above its captions.
-  const legend = element("lpn-legend", document.body);
-  const placeLegend = () => {
-    const box = lpn.canvas()?.getBoundingClientRect();
-    if (box) [legend.style.left, legend.style.top] = [box.left + 8 + "px", box.top + 2 + "px"];
-    if (box) legend.style.maxWidth = box.width - 16 + "px";
-  };
-  lpn.legend = (html) => {
-    legend.innerHTML = html;
-    legend.hidden = !html;
-    placeLegend();
-  };
   let sizing = 0;
   const stage = new ResizeObserver(() => {
-    placeLegend();
+    lpn.placeStage();
     clearTimeout(sizing);
     sizing = setTimeout(() => {
       const size = lpn.stageSize();

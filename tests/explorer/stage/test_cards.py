@@ -13,12 +13,9 @@ import numpy as np
 import pytest
 
 from explorer.compute.request_context import RequestContext
-from explorer.layout import layout_for
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.stage.cards import Cards
-from explorer.stage.lettering import Lettering
-from explorer.stage.viewport import Viewport
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import retrieval
 from lpn.core.arrays import Float32Array, UInt8Array
@@ -30,7 +27,6 @@ from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import RegionModel
 
 TASK = "drone-to-satellite"
-LETTERING = Lettering.of(layout_for((256, 256)), 4, Viewport())
 # Width of the frame around a card, which borders of parts may lie under.
 _FRAME = 8
 
@@ -75,6 +71,7 @@ def shown(workspace: Workspace) -> Iterator[tuple[Cards, Scene]]:
     scene = Scene()
     model = RequestContext(workspace.inference).queued(workspace.model, background=True)
     cards = Cards(scene, workspace, lambda *_: None, model)  # type: ignore[arg-type]
+    cards.place(workspace.layout)
     yield cards, scene
     cards.leave()
 
@@ -94,7 +91,7 @@ def wait_until(holds: Callable[[], bool]) -> None:
 def photo(workspace: Workspace, scene: Scene, slot: int) -> UInt8Array:
     """Return a card's photo as it is drawn, without its frame."""
     layout = workspace.layout
-    row = scene.planes[f"/cards{slot // layout.columns * layout.columns}/photos"].image
+    row = scene.planes[f"/cards{slot // layout.columns}/photos"].image
     width, height = layout.card_pixels
     left = round(slot % layout.columns * width * layout.step[0] / layout.card[0])
     return row[:height, left : left + width][_FRAME:-_FRAME, _FRAME:-_FRAME]
@@ -103,13 +100,13 @@ def photo(workspace: Workspace, scene: Scene, slot: int) -> UInt8Array:
 def expected(workspace: Workspace, analysis: StateAnalysis, slot: int, areas: PartAreas | None) -> UInt8Array:
     match = analysis.matches[slot]
     drawn = overlays.with_parts(workspace.card(analysis.task, match.index), areas, 1)
-    return overlays.framed(drawn, theme.verdict_colour(match.true), 7)[_FRAME:-_FRAME, _FRAME:-_FRAME]
+    return overlays.framed(drawn, theme.verdict_colour(match.true), _FRAME)[_FRAME:-_FRAME, _FRAME:-_FRAME]
 
 
 def test_each_card_has_the_parts_of_its_own_tile(workspace: Workspace, shown: tuple[Cards, Scene]) -> None:
     cards, scene = shown
     analysis = analysed(workspace)
-    cards.show(analysis, LETTERING)
+    cards.show(analysis)
     of_tiles = [
         retrieval.describe_picture(RegionModel(), analysis.task.gallery[match.index].load_cropped(), "satellite")
         for match in analysis.matches
@@ -131,17 +128,17 @@ def test_tiles_are_described_once_and_only_where_parts_are_shown(
     counting = workspace.model.model
     assert isinstance(counting, CountingModel)
     before = counting.tiles
-    cards.show(analysis, LETTERING)
+    cards.show(analysis)
     plain = expected(workspace, analysis, 1, None)
     np.testing.assert_array_equal(photo(workspace, scene, 1), plain)
     assert counting.tiles == before
     ringed = analysed(workspace)
-    cards.show(ringed, LETTERING)
+    cards.show(ringed)
     wait_until(lambda: all(workspace.known_tile_areas(ringed.task, match.index) for match in ringed.matches))
     # Each takes two passes, one of its mirror image. The compared tile was described for the pair.
     assert counting.tiles == before + 2 * 5
-    cards.show(analysed(workspace, weights=(1.0, 1.0, 1.0, 0.5)), LETTERING)
-    cards.show(analysis, LETTERING)
+    cards.show(analysed(workspace, weights=(1.0, 1.0, 1.0, 0.5)))
+    cards.show(analysis)
     wait_until(lambda: bool((photo(workspace, scene, 1) == plain).all()))
     assert counting.tiles == before + 2 * 5
 
@@ -155,7 +152,7 @@ def test_a_damaged_tile_has_no_parts_and_the_others_have_theirs(
     gallery = list(analysis.task.gallery)
     gallery[damaged] = replace(gallery[damaged], path=Path("gone.png"))
     broken = replace(analysis, task=replace(analysis.task, gallery=gallery))
-    cards.show(broken, LETTERING)
+    cards.show(broken)
     others = [match.index for match in analysis.matches if match.index != damaged]
     wait_until(lambda: all(workspace.known_tile_areas(analysis.task, index) for index in others))
     assert workspace.known_tile_areas(analysis.task, damaged) is None
@@ -168,8 +165,9 @@ def test_a_damaged_tile_has_no_parts_and_the_others_have_theirs(
 def test_parts_of_a_partition_take_no_forward_pass(data: Path, model_file: Path) -> None:
     workspace, scene = open_model(data, model_file), Scene()
     cards = Cards(scene, workspace, lambda *_: None, workspace.model)  # type: ignore[arg-type]
+    cards.place(workspace.layout)
     analysis = analysed(workspace)
-    cards.show(analysis, LETTERING)
+    cards.show(analysis)
     areas = workspace.areas("satellite")
     np.testing.assert_array_equal(photo(workspace, scene, 2), expected(workspace, analysis, 2, areas))
     assert areas is not None

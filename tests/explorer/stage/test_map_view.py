@@ -50,7 +50,7 @@ def test_the_tag_of_one_s_own_picture_is_marked_and_joined_with_the_tile_if_it_i
     scene = Scene()
     gallery_map = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
     state = SessionState(TASK, 4, upload=own, map=True)
-    gallery_map.show(StateAnalyser(workspace).analyse(state, 6), Lettering(28, 36, 34, 26, 24, 100.0))
+    gallery_map.show(StateAnalyser(workspace).analyse(state, 6), Lettering(24, 100.0))
     assert scene.lines.visible is (lines > 0)
     if lines:
         assert scene.lines.points.shape == (lines, 2, 3)

@@ -1,0 +1,104 @@
+"""The controls over the stage: bars of one scale, and messages that change what they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from explorer.layout import layout_for
+from explorer.opening import open_model
+from explorer.panels import answer_text, messages
+from explorer.panels.navigation import Navigation
+from explorer.panels.stage_controls import StageControls, part_bars
+from explorer.session_state import SessionState, StateChange
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn.drawing import verdicts
+
+TASK = "drone-to-satellite"
+
+
+@pytest.fixture(scope="module")
+def workspace(data: Path, model_file: Path) -> Workspace:
+    return open_model(data, model_file)
+
+
+@pytest.fixture(scope="module")
+def analyses(workspace: Workspace) -> list[StateAnalysis]:
+    analyser = StateAnalyser(workspace)
+    count = len(workspace.tasks[TASK].queries)
+    return [analyser.analyse(SessionState(TASK, 4, query=query), 10) for query in range(count)]
+
+
+def test_bars_of_all_pictures_have_one_scale(workspace: Workspace, analyses: list[StateAnalysis]) -> None:
+    for analysis in analyses:
+        bars, _ = part_bars(analysis, workspace.part_names)
+        shares = [bar.share[1] for bar in bars]
+        # A part that agrees as two unrelated pictures do, at a cosine of 0, fills its bar.
+        np.testing.assert_allclose(shares, np.clip(100 * analysis.chosen.contributions / 0.5, 0, 100), atol=0.06)
+
+
+def test_the_longest_bar_of_the_losing_side_is_the_part_that_the_verdict_names(
+    workspace: Workspace, analyses: list[StateAnalysis]
+) -> None:
+    wrong = 0
+    for analysis in analyses:
+        bars, lead = part_bars(analysis, workspace.part_names)
+        true, _, reason = answer_text.verdict(analysis, workspace.part_names)
+        assert lead is not None
+        losing = [(bar.lead or ("", 0.0))[1] * (1 if lead.of_answer else -1) for bar in bars]
+        longest = bars[int(np.argmax(losing))]
+        assert longest.decisive
+        assert f"part {longest.name} " in reason or "parts " in reason
+        wrong += not true
+    assert wrong
+
+
+def test_a_tile_that_the_verdict_does_not_speak_of_is_compared_with_the_answer(
+    workspace: Workspace, analyses: list[StateAnalysis]
+) -> None:
+    first = analyses[0]
+    spoken = answer_text.lead(first)
+    assert spoken is not None
+    other = next(match for match in first.matches[1:] if match.index != spoken.index)
+    compared = StateAnalyser(workspace).analyse(replace(first.state, selected=other.index), 10)
+    bars, lead = part_bars(compared, workspace.part_names)
+    assert lead is not None
+    assert lead.total == pytest.approx(other.distance2 - first.matches[0].distance2, abs=1e-5)
+    assert [part for part, bar in enumerate(bars) if bar.decisive] == verdicts.leading_parts(lead.terms)
+
+
+def test_the_controls_change_what_they_say(workspace: Workspace, analyses: list[StateAnalysis]) -> None:
+    changes: list[StateChange] = []
+    controls = StageControls(workspace, Navigation(workspace, lambda *_: None), changes.append)
+    state = analyses[0].state
+
+    def after(message: messages.StageMessage) -> SessionState | None:
+        controls.receive(message)
+        return changes.pop()(state)
+
+    assert after(messages.TurnQuery(-35.0)) == replace(state, angle=-35.0)
+    assert after(messages.FlipLook("exploded")) == replace(state, exploded=True)
+    assert after(messages.ShowHeat("off")) == replace(state, heat=False)
+    assert after(messages.ShowHeat("evidence")) == replace(state, heat=True, heat_kind="evidence")
+    assert after(messages.SetOpacity(0.25)) == replace(state, opacity=0.25)
+    assert after(messages.FlipPart(2)) == replace(state, enabled=(True, False, True, True))
+    stepped = after(messages.StepQuery("next"))
+    assert stepped is not None
+    assert stepped.query == 1
+    controls.receive(messages.FlipPart(9))
+    assert not changes
+
+
+def test_the_controls_lie_where_the_pictures_are(workspace: Workspace, analyses: list[StateAnalysis]) -> None:
+    controls = StageControls(workspace, Navigation(workspace, lambda *_: None), lambda _: None)
+    layout = layout_for(workspace.contract.input_size, 4, (1000, 900))
+    html = controls.html(analyses[0], layout)
+    side = round(layout.picture[0] * layout.unit)
+    assert f"width:{side}px;height:{side}px" in html
+    low = controls.html(analyses[0], layout_for(workspace.contract.input_size, 4, (390, 388)))
+    assert "lpn-bars" in html
+    assert "lpn-bars" not in low
+    assert not controls.html(replace(analyses[0], state=replace(analyses[0].state, first_screen=True)), layout)
