@@ -161,7 +161,7 @@ def _of_hub(
         }
         shared3 |= {"norm_layer": "layernormbf16", "pos_embed_rope_dtype": "fp32"}
         networks["DINOv3 ViT-S/16"] = partial(dinov3.vit_small, ffn_layer="mlp", **shared3)
-        networks["DINOv3 ViT-S+/16"] = partial(dinov3.vit_small, ffn_layer="swiglu", ffn_ratio=6, **shared3)
+        networks["DINOv3 ViT-S/16, SwiGLU"] = partial(dinov3.vit_small, ffn_layer="swiglu", **shared3)
     for name, make in networks.items():
         network = make()
         if "DINOv3" in name:

@@ -7,12 +7,20 @@ from pathlib import Path
 
 import torch
 
-from lpn.core.errors import InputError, ModelFileError
+from lpn.core.errors import InputError
 from lpn.core.files import fingerprint, printable
 from lpn.models.adapters.build import build
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.model import PublishedModel
-from lpn.models.adapters.recognise import Kind, Recognised, check_kind, title_of_other, unwrapped, unwrapped_as
+from lpn.models.adapters.recognise import (
+    Kind,
+    Recognised,
+    check_kind,
+    check_named,
+    title_of_other,
+    unwrapped,
+    unwrapped_as,
+)
 from lpn.models.adapters.vit import build_pooled
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
@@ -69,7 +77,8 @@ def load_published(
         network: the name of the network in timm; None to recognise it.
 
     Raises:
-        ModelFileError: if the file is missing, truncated, of no known model, incomplete, or has entries of wrong shapes.
+        ModelFileError: if the file is missing, truncated, of no known model or of another than the kind that is named,
+            incomplete, or has entries of wrong shapes.
         InputError: if there is no such kind, a package is missing, `compiled` with another model than an LPN, or the pooling
             does not fit the model.
     """
@@ -85,15 +94,8 @@ def load_published(
         found, state = unwrapped(state, path.name)
     else:
         found, state = named, unwrapped_as(named, state)
-    try:
-        return _built(found, state, path, device, compiled, named is None)
-    except ModelFileError as error:
-        own = None if named is None else title_of_other(named, state)
-        if own is None:
-            raise
-        raise ModelFileError(
-            f"{str(error).removesuffix('.')}; by its entries it is a checkpoint of {own}, so leave --kind out."
-        ) from error
+        check_named(named, state, path.name)
+    return _built(found, state, path, device, compiled, named is None)
 
 
 def _pooled(

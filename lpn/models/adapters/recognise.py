@@ -13,7 +13,7 @@ from lpn.core.files import first_few, printable
 if TYPE_CHECKING:
     from torch import Tensor
 
-Kind = Literal["lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "game4loc", "denseuav", "sues200"]
+Kind = Literal["lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "mean", "game4loc", "denseuav", "sues200"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # A vision transformer has no parts of its own: a pooling by name makes them, see `lpn.models.token_pooling`.
 Recognised = Kind | Literal["vit"]
@@ -37,11 +37,14 @@ class Signature:
 
 _HEAD = r"add_block\."
 _HUB = (r"(.*\.)?patch_embed\.proj\.weight$", r"(.*\.)?blocks\.0\.ls1\.gamma$")
-# In this order: the first that fits is the model.
+# Kinds of which a file of the one may be opened as the other by its name: the entries alone do not decide.
+_ALIKE: tuple[frozenset[Recognised], ...] = (frozenset({"sample4geo", "game4loc"}), frozenset({"lpn", "sdpl"}))
+# The signature with most patterns that fits is the model's: it names what tells a method from one that it resembles.
 SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ("fsra", Signature("FSRA", (r"model_1\.transformer\.blocks\.", rf"model_1\.classifier1\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.gem\d\.p$", rf"classifier\d\.{_HEAD}"))),
+    ("mean", Signature("MEAN", (r"model_1\.convnext\.", r"model_1\.DEG\.FC11\.weight$", r"model_1\.MSF\."))),
     ("camp", Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$"))),
     ("dac", Signature("DAC", (r"model_1\.convnext\.", r"model_1\.proj\.mlp\.0\.weight$"))),
     (
@@ -125,6 +128,12 @@ def recognise(keys: Collection[str], name: str) -> Recognised:
     """
     if (kind := _kind(keys)) is not None:
         return kind
+    if fitting := _fitting(keys):
+        titles = " and of ".join(dict.fromkeys(signature.title for _, signature in fitting))
+        raise ModelFileError(
+            f"{name} has the entries of {titles}, and nothing decides between them; say which with --kind "
+            f"({', '.join(dict.fromkeys(one for one, _ in fitting))}), of a second model with --beside-kind."
+        )
     convnext = [key for key in keys if "model_1.convnext." in key]
     if convnext and not any("tri_layer" in key for key in keys):
         raise ModelFileError(
@@ -151,14 +160,36 @@ def _wrapper(keys: Collection[str]) -> str | None:
 
 
 def _kind(keys: Collection[str]) -> Recognised | None:
-    """Return the first kind of which a signature fits; None if none does."""
-    return next((kind for kind, signature in SIGNATURES if _share(signature, keys) == 1), None)
+    """Return the kind whose signature fits; None if none does, or if two fit alike."""
+    fitting = _fitting(keys)
+    return fitting[0][0] if len({kind for kind, _ in fitting}) == 1 else None
+
+
+def _fitting(keys: Collection[str]) -> list[tuple[Recognised, Signature]]:
+    """Return the signatures that fit with most patterns."""
+    fitting = [(kind, signature) for kind, signature in SIGNATURES if _share(signature, keys) == 1]
+    most = max((len(signature.all_of) for _, signature in fitting), default=0)
+    return [(kind, signature) for kind, signature in fitting if len(signature.all_of) == most]
 
 
 def title_of_other(kind: Recognised, keys: Collection[str]) -> str | None:
     """Return the title of the method by whose signature names fit; None if it is `kind`, or if there is none."""
-    own = next(((other, signature) for other, signature in SIGNATURES if _share(signature, keys) == 1), None)
-    return None if own is None or own[0] == kind else own[1].title
+    fitting = _fitting(keys)
+    return fitting[0][1].title if fitting and kind not in {own for own, _ in fitting} else None
+
+
+def check_named(kind: Kind, keys: Collection[str], name: str) -> None:
+    """Refuse a kind that a user named for a file whose entries are of another.
+
+    Raises:
+        ModelFileError: with the method that the entries tell.
+    """
+    own = {other for other, _ in _fitting(keys)}
+    if own and kind not in own and not any(kind in alike and own & alike for alike in _ALIKE):
+        raise ModelFileError(
+            f"{name} is not opened as {kind}: by its entries it is a checkpoint of {title_of_other(kind, keys)}, so leave --kind "
+            "out."
+        )
 
 
 def check_kind(kind: str) -> Kind:

@@ -303,6 +303,30 @@ def test_a_baseline_of_sues_adds_the_raw_mirror_to_the_scaled_picture(
     assert relative_by_part(model.descriptors(pictures, "drone"), expected) < TOLERANCE
 
 
+def test_the_lpn_of_sues_has_rings_under_heads_without_a_batchnorm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sues, "_LPN_NETWORK", "test_resnet")
+    monkeypatch.setattr(sues, "_LPN_ENTRY", f"model.{_STEM[0]}")
+    monkeypatch.setattr(sues, "_LPN_CHANNELS", 96)
+    made, own = network("test_resnet", (160, 160))
+    shapes = {f"classifier{ring}.add_block.0.weight": [512, 96] for ring in range(2)}
+    heads = seeded.entries(shapes | {key.replace("weight", "bias"): [512] for key in shapes})
+    state = prefixed("model_1.model.", own) | prefixed("model_2.model.", own) | heads
+    model = opened(state, tmp_path, "h: 160\nw: 160\nstride: 2\n")
+    assert (model.contract.claim, model.contract.mirror) == ("exact", "sum")
+    assert model.contract.names("drone") == ["1 centre", "2 outer"]
+    pictures = seeded.pictures(30, 1, 160, 160)
+    with torch.inference_mode():
+        rings = ring_means(cast(Any, made).forward_features(torch.from_numpy(pictures)), 2, published=True)
+    raw = [published_models.linear(heads, f"classifier{i}.add_block.0", ring) for i, ring in enumerate(rings)]
+    check(model, pictures, torch.stack(raw, 1))
+    with pytest.raises(ModelFileError, match=r"pools its rings by their maximum .* only the average \(avg\) is read"):
+        opened(state, tmp_path, "pool: max\nstride: 2\n")
+    with pytest.raises(ModelFileError, match="says stride: 3; expected 1 or 2"):
+        opened(state, tmp_path, "stride: 3\n")
+
+
 def test_a_baseline_of_sues_that_is_not_read_says_so(tmp_path: Path) -> None:
     state = {f"model_{branch}.model.conv1.weight": torch.ones(2) for branch in (1, 2)}
     with pytest.raises(
