@@ -162,7 +162,9 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
     ]
 
 
-def on_device(device: str, count: int = PICTURES, given: Path | None = None, spec: ModelSpec = SPEC) -> list[Figure]:
+def on_device(
+    device: str, count: int = PICTURES, given: Path | None = None, spec: ModelSpec = SPEC, rounds: int = ROUNDS
+) -> list[Figure]:
     """Measure PyTorch on a device, and ONNX Runtime's providers of GPUs, on at most `count` pictures."""
     torch.manual_seed(0)
     with tempfile.TemporaryDirectory() as name:
@@ -189,7 +191,7 @@ def on_device(device: str, count: int = PICTURES, given: Path | None = None, spe
             "bare": lambda: bare_on_device(network, len(files)),
         }
         tasks |= {kind: lambda model=model: ours(model, files, root) for kind, model in models.items()}  # type: ignore[misc]
-        speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks, ROUNDS).items()}
+        speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks, rounds).items()}
     what = f"{spec.describe()}, {len(files)} pictures of a folder to a store, {device}"
     return [
         Figure(f"{what}, {kind}", speed[kind], "pictures/s", speed["peer"], speed["bare"], more=True) for kind in models

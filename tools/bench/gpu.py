@@ -40,6 +40,8 @@ from tools.fixtures.parity import CASES, TOLERANCE, ParityCase, difference
 MIXED = {"float16": torch.float16, "bfloat16": torch.bfloat16}
 # The case that is exported, a ResNet-50 of three views with four parts.
 EXPORTED = CASES[3]
+# To try the program: a checkpoint of few layers and small pictures, which is exported, too, and a small network.
+TINY_CASE = ParityCase("vgg16_bn", 3, 1, ("drone",), size=64, options=True)
 TINY = ModelSpec("resnet18", "layer3", views=("satellite", "drone"), input_size=(64, 64))
 
 
@@ -123,8 +125,8 @@ def speed(device: str, pictures: int, tiny: bool) -> list[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         data = make_train_split(Path(folder, "data"), 4)
         recipe = replace(RECIPES["released"], backbone="resnet18", last_layer="layer3", size=64, batch=2)
-        found = train.measure(data, recipe, Path(folder, "run"), torch.device(device), steps=1)
-    return describe.on_device(device, pictures, spec=TINY) + [
+        found = train.measure(data, recipe, Path(folder, "run"), torch.device(device), steps=1, rounds=1)
+    return describe.on_device(device, pictures, spec=TINY, rounds=1) + [
         Figure(f"training, {loop}", value, "images/s", found["plain loop"][0], more=True)
         for loop, (value, _) in found.items()
         if loop != "plain loop"
@@ -139,8 +141,8 @@ def main() -> None:
     parser.add_argument("--tiny", action="store_true", help="one checkpoint and a tiny network, to try the program")
     options = parser.parse_args()
     check_device(options.device)
-    rows = list(parity(torch.device(options.device), CASES[:1] if options.tiny else CASES))
-    rows += provider_parity(EXPORTED)
+    rows = list(parity(torch.device(options.device), [TINY_CASE] if options.tiny else CASES))
+    rows += provider_parity(TINY_CASE if options.tiny else EXPORTED)
     console = Console(width=150)
     console.print(parity_table(rows))
     for row in rows:

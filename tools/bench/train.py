@@ -191,7 +191,7 @@ def ours(trainer: Trainer, count: int = STEPS) -> Callable[[], None]:
 
 
 def measure(
-    data: Path, recipe: Recipe, folder: Path, device: torch.device, steps: int = STEPS
+    data: Path, recipe: Recipe, folder: Path, device: torch.device, steps: int = STEPS, rounds: int = ROUNDS
 ) -> dict[str, tuple[float, float]]:
     """Median images per second of each loop, and their ratio to the plain loop."""
     quiet = Console(quiet=True)
@@ -221,7 +221,7 @@ def measure(
     }
     if device.type == "cuda":
         tasks["ours, compiled"] = ours(trainer("compiled", compiled=True), steps)
-    times = take_turns(tasks, ROUNDS)
+    times = take_turns(tasks, rounds)
     pictures = steps * recipe.batch * len(places.views)
     plainly = times["plain loop"]
     return {
