@@ -57,6 +57,7 @@ class SessionState:
         heat: True while heatmaps are drawn.
         heat_kind: the heatmap's values: one picture's activation, or the compared pair's evidence.
         heat_part: the part that the heatmap shows; None for all parts.
+        heat_over: True if heatmaps of the parts lie over their pictures in the tab Heatmaps.
         same_scale: True if query and tile share one colour scale for each part in the tab Heatmaps.
         opacity: of the heatmap, 0 .. 1.
         rings: True while part boundaries are drawn.
@@ -94,6 +95,7 @@ class SessionState:
     heat: bool = True
     heat_kind: HeatKind = "activation"
     heat_part: int | None = None
+    heat_over: bool = False
     same_scale: bool = False
     opacity: float = 0.6
     rings: bool = True
@@ -176,6 +178,7 @@ _BEYOND_FIRST_SCREEN = (
     "heat",
     "heat_kind",
     "heat_part",
+    "heat_over",
     "same_scale",
     "opacity",
     "rings",

@@ -98,6 +98,7 @@ class UrlState:
             parameters.switch("heat"),
             parameters.choice("heat_kind", {"activation": "activation", "evidence": "evidence"}, "shows"),
             Parameter("part", lambda s: None if s.heat_part is None else str(s.heat_part + 1), _read_heat_part),
+            parameters.switch("heat_over", "over"),
             parameters.choice("same_scale", {"own": False, "same": True}, "scale"),
             parameters.number("opacity", 0, 1),
             parameters.choice("dark", {"light": False, "dark": True}, "theme"),

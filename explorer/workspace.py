@@ -186,6 +186,10 @@ class Workspace:
         """
         return self._tiles.get(_tile_key(task, index), lambda: describe_tile(task, index, model or self.model))
 
+    def known_tile(self, task: Task, index: int) -> DescribedPicture | None:
+        """Return a described gallery picture if it is in the cache, else None."""
+        return self._tiles.peek(_tile_key(task, index))
+
     def scored_model(self, model: Model, task: Task) -> Model:
         """Return the model that describes pictures as a task's descriptors are: calibrated where the task is."""
         as_opened = self.tasks[task.name].calibration is task.calibration

@@ -13,24 +13,33 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.drawing import heatmaps
 from lpn.drawing.heatmaps import PictureActivation
 from lpn.explain.part_activation import part_activation
+from lpn.retrieval import DescribedPicture
 
-_SIZE = 300, 900
+_SIZE = 360, 900
 
 
-def page(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Render the tab; without cells it says why there is no activation."""
+def page(analysis: StateAnalysis, workspace: Workspace, true_tile: DescribedPicture | None = None) -> str:
+    """Render the tab; without cells it says why there is no activation.
+
+    Args:
+        true_tile: shown as a third row.
+    """
+    task, state = analysis.task, analysis.state
+    rows = [("query", analysis.query, task.query_view), ("tile", analysis.tile, task.gallery_view)]
+    if true_tile is not None:
+        rows.append(("true tile", true_tile, task.gallery_view))
     pictures = []
-    for name, described, view in zip(
-        ("query", "tile"), (analysis.query, analysis.tile), analysis.task.views, strict=True
-    ):
+    for name, described, view in rows:
         if described.trace is not None:
             maps = part_activation(described.trace)
             pictures.append(PictureActivation(name, maps, draw_parts(workspace, described, view, _SIZE)))
-    same_scale = analysis.state.same_scale
     return render(
         "explain/activation",
-        heatmaps=heatmaps.draw(pictures, workspace.part_names, same_scale, _attributes) if pictures else None,
-        same_scale=same_scale,
+        heatmaps=heatmaps.draw(pictures, workspace.part_names, state.same_scale, _attributes, state.heat_over)
+        if pictures
+        else None,
+        same_scale=state.same_scale,
+        over=state.heat_over,
         note=heatmaps.NOTE,
         without_cells=workspace.without_cells,
     )

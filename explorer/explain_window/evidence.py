@@ -13,6 +13,7 @@ from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.views import View
 from lpn.drawing import charts, overlays, verdicts
 from lpn.explain import Correspondences
+from lpn.models.partition import PartBox
 from lpn.retrieval import DescribedPicture
 
 _SIZE = 300, 1000
@@ -29,6 +30,7 @@ class _Map:
     correspondences: list[int]
     terms: list[float]
     picture: str
+    boxes: list[PartBox]
 
 
 def page(analysis: StateAnalysis, workspace: Workspace) -> str:
@@ -83,6 +85,7 @@ def _map(
         correspondences.cells.tolist(),
         _rounded(correspondences.terms),
         overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, limit), 88),
+        [] if (areas := workspace.areas(view, described)) is None else areas.outlines,
     )
 
 

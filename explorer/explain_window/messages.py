@@ -35,6 +35,12 @@ class ShowPart(ExplainMessage, tag="part"):
     part: _Index | None
 
 
+class LayOver(ExplainMessage, tag="heat-over"):
+    """Lay the heatmaps of the parts over their pictures, or show them by themselves."""
+
+    laid: bool
+
+
 class ShareScale(ExplainMessage, tag="scale"):
     """Give query and tile one colour scale for each part, or each its own."""
 

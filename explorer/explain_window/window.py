@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import Lock
@@ -27,6 +28,7 @@ from explorer.web.html import Html
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison, effect_on
+from lpn.core.errors import LPNError
 from lpn.drawing.words import speaking
 from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweptProperty
@@ -43,7 +45,7 @@ _TABS: dict[WhyTab, str] = {
     "region": _REGION,
     "models": _MODELS,
 }
-_MAX_SIZE = (1000, 900)
+_MAX_SIZE = (1600, 1100)
 # Seconds between two drawings of a sweep in progress.
 _DRAW_INTERVAL = 0.15
 
@@ -139,6 +141,7 @@ class ExplainWindow:
     ) -> None:
         self._workspace, self._change, self._viewport, self._reporter = workspace, change, viewport, reporter
         self._model = requests.queued(workspace.model, background=True)
+        self._tile_model = requests.queued(workspace.model)
         self._models = ModelComparison(workspace, requests)
         self._open_tab = open_tab
         # The tab that the page shows, None until it is known.
@@ -148,7 +151,7 @@ class ExplainWindow:
         self._open = self._left = False
         tabs: list[tuple[str, Any, Callable[[WindowContent], str]]] = [
             (_EVIDENCE, viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
-            (_HEATMAPS, viser.Icon.GRID_DOTS, lambda content: activation.page(content.analysis, workspace)),
+            (_HEATMAPS, viser.Icon.GRID_DOTS, self._heatmaps_html),
             (_COMPARISON, viser.Icon.SCALE, self._comparison_html),
             (_SWEEP, viser.Icon.CHART_LINE, self._sweep_html),
             (_REGION, viser.Icon.BRUSH, lambda content: region.page(content.analysis, workspace)),
@@ -180,6 +183,8 @@ class ExplainWindow:
                 self._change(lambda state: replace(state, heat_part=part))
             case messages.ShareScale(same):
                 self._change(lambda state: replace(state, same_scale=same))
+            case messages.LayOver(laid):
+                self._change(lambda state: replace(state, heat_over=laid))
             case messages.CompareModels():
                 self.compare_models()
             case messages.ChooseModel(model) if model < len(self._workspace.beside):
@@ -343,6 +348,8 @@ class ExplainWindow:
             for tab in self._tabs[:5]:
                 tab.draw()
             self._models_worker.wake()
+            if self._true_tile(self._content) is not None:
+                self._worker.wake()
 
     def _renderer(self, render: Callable[[WindowContent], str]) -> Callable[[], str | None]:
         """Wrap a tab's function so that it renders the newest content."""
@@ -355,6 +362,28 @@ class ExplainWindow:
                 return render(content)
 
         return render_newest
+
+    def _heatmaps_html(self, content: WindowContent) -> str:
+        """Render the heatmaps of the pair, and below a wrong tile those of the true one as soon as it is described."""
+        analysis, index = content.analysis, self._true_tile(content)
+        tile = None if index is None else self._workspace.known_tile(analysis.task, index)
+        return activation.page(analysis, self._workspace, tile)
+
+    def _true_tile(self, content: WindowContent | None) -> int | None:
+        """Return the gallery position of the true tile that a wrong one is shown with; None without one."""
+        positive = None if content is None or content.analysis.chosen.true is not False else content.analysis.positive
+        return None if positive is None or self._tile_model is None else positive.index
+
+    def _describe_true_tile(self) -> None:
+        content = self._content
+        index = self._true_tile(content)
+        if content is None or index is None or self._workspace.known_tile(content.analysis.task, index) is not None:
+            return
+        task = content.analysis.task
+        assert self._tile_model is not None
+        with suppress(LPNError):  # a damaged picture: the pair is shown without it
+            self._workspace.tile(task, index, self._workspace.scored_model(self._tile_model, task))
+            self._tabs[1].draw()
 
     def _comparison_html(self, content: WindowContent) -> str:
         pair = content.pair or PairResult.of(content.analysis)
@@ -393,6 +422,7 @@ class ExplainWindow:
 
         An effect that is requested during the sweep is computed after the sweep's current point.
         """
+        self._describe_true_tile()
         self._compute_effect()
         sweep = None if self._content is None else self._content.sweep
         if sweep is None or sweep.total or sweep.ended:

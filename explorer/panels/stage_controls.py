@@ -103,7 +103,7 @@ class StageControls:
             workspace.areas(view, described)
             for view, described in zip(analysis.task.views, (analysis.query, analysis.tile), strict=True)
         ]
-        boxes = [[] if one is None or not one.straight or state.exploded else one.boxes for one in areas]
+        boxes = [[] if one is None or state.exploded else one.outlines for one in areas]
         turn = math.radians(state.angle)
         return render(
             "panels/stage",

@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Template
 from markupsafe import Markup
 
+from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.templates import environment
 from lpn.drawing import charts, overlays
@@ -24,6 +25,8 @@ NOTE = (
 # From this ratio of width to height on, a picture is a panorama, and fewer fit in a row.
 _PANORAMA = 2.0
 _IN_A_ROW, _PANORAMAS_IN_A_ROW = 5, 3
+# Shares of a picture's light outside of the part whose heatmap lies over it, and through the heatmap.
+_OUTSIDE, _THROUGH = 0.35, 0.45
 # Three labels of up to this many characters fit below a colour bar.
 _SHORT = 5
 
@@ -33,7 +36,7 @@ class PictureActivation:
     """One picture of a pair.
 
     Attributes:
-        name: "query" or "tile".
+        name: "query", "tile", or "true tile".
         maps: the activation of each part, (n, h, w), see `lpn.explain.part_activation`.
         pixels: the picture with its parts, (H, W, 3) uint8.
     """
@@ -61,11 +64,16 @@ class _Panel:
     attributes: Markup | str = ""
 
 
+# Part, name, colour, and heatmaps; the first column has the pictures themselves.
+_Column = tuple[int | None, str, str, list[_Panel]]
+
+
 def draw(
     pictures: Sequence[PictureActivation],
     names: Sequence[str],
     shared: bool = False,
     attributes: Callable[[PictureActivation, int], Markup] | None = None,
+    over: bool = False,
 ) -> Markup:
     """Draw the pictures of a pair, and the heatmap of each of their n parts that has cells, with its colour bar.
 
@@ -73,28 +81,43 @@ def draw(
         names: of the parts.
         shared: a part has one scale for all pictures; otherwise each heatmap has its own.
         attributes: HTML attributes of the heatmap of a picture's part; none by default.
+        over: the heatmaps lie over their pictures, which show through.
     """
     ranges = value_ranges([picture.maps for picture in pictures], shared)
-    columns = [("", "", [_Panel(picture.name, overlays.data_uri(picture.pixels, 75)) for picture in pictures])]
+    columns: list[_Column] = [
+        (None, "", "", [_Panel(picture.name, overlays.data_uri(picture.pixels, 75)) for picture in pictures])
+    ]
     for part, name in enumerate(names):
         if all(np.isnan(picture.maps[part]).all() for picture in pictures):
             continue
         panels = [
             _Panel(
                 picture.name,
-                overlays.png_data_uri(overlays.heat_cells(picture.maps[part], low, high)),
+                _heatmap(picture, overlays.heat_cells(picture.maps[part], low, high), over),
                 colour_bar(low, high),
                 attributes(picture, part) if attributes else "",
             )
             for picture, (low, high) in zip(pictures, ranges[:, part].tolist(), strict=True)
         ]
-        columns.append((f"part {name}", charts.part_colour(part), panels))
+        columns.append((part, f"part {name}", charts.part_colour(part), panels))
     height, width = pictures[0].pixels.shape[:2]
     most = _PANORAMAS_IN_A_ROW if width >= _PANORAMA * height else _IN_A_ROW
     rows = math.ceil(len(columns) / most)
     return Markup(
         _template().render(columns=columns, in_a_row=math.ceil(len(columns) / rows), aspect=f"{width} / {height}")
     )
+
+
+def _heatmap(picture: PictureActivation, cells: UInt8Array, over: bool) -> str:
+    """Encode the colours of a part's cells, (h, w, 4), by themselves, or laid over the darkened picture."""
+    if not over:
+        return overlays.png_data_uri(cells)
+    laid = images.enlarge(cells, *picture.pixels.shape[:2]).astype(np.float32)
+    share = laid[..., 3:] / 255
+    mixed = picture.pixels * (1 - share) * _OUTSIDE + share * (
+        _THROUGH * picture.pixels + (1 - _THROUGH) * laid[..., :3]
+    )
+    return overlays.data_uri(mixed.astype(np.uint8), 80)
 
 
 def colour_bar(low: float, high: float) -> ColourBar:

@@ -38,6 +38,11 @@ class PartAreas:
     straight: bool = False
     outside_in: bool = False
 
+    @property
+    def outlines(self) -> list[PartBox]:
+        """The boxes, if they are the borders of the parts; else none."""
+        return self.boxes if self.straight else []
+
     @classmethod
     def of(cls, contract: Contract, view: View, map_size: tuple[int, int], trace: Trace | None) -> PartAreas | None:
         """Return the areas of a view's partition, else those of the picture's cells; None without either.

@@ -256,10 +256,11 @@ def test_a_registered_photo_is_swiped_over_the_place_that_it_shows(window: Fligh
     window.eventually(check(False, False, False, False, False))
     window.page.locator("[data-photo=swipe]").click()
     slider = window.page.get_by_label("swipe")
+    window.eventually(check(False, True, False, False, False))  # it opens in the photo's middle
     slider.fill("0")
     window.eventually(check(True, True, False, False, False))
-    left = window.at(-20.0, 0.0)[0] - box(window.map)["x"]
-    slider.fill(str(round(100 * left / box(window.map)["width"])))
+    left = window.at(-20.0, 0.0)[0] - box(slider)["x"]
+    slider.fill(str(round(100 * left / box(slider)["width"])))
     window.eventually(check(False, True, False, False, False))
     window.page.locator("[data-photo=off]").click()
     window.eventually(check(False, False, False, False, False))

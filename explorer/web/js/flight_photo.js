@@ -95,7 +95,12 @@
     const look = [scale, 0, width / 2 - x * scale, 0, -scale, height / 2 + y * scale, 0, 0, 1];
     image.style.width = image.naturalWidth + "px";
     image.style.transform = lpn.transform(lpn.product(look, lpn.product(matrix, pixels)));
-    layer.style.clipPath = mode === "swipe" ? `inset(0 0 0 ${swipe.value}%)` : "none";
+    // The slider spans what is seen of the photo, so that it opens in the photo's middle.
+    const seen = layer.getBoundingClientRect(), whole = image.getBoundingClientRect();
+    const left = lpn.clamp(whole.left - seen.left, 0, width), right = lpn.clamp(whole.right - seen.left, left, width);
+    swipe.style.left = left + "px";
+    swipe.style.width = right - left + "px";
+    layer.style.clipPath = mode === "swipe" ? `inset(0 0 0 ${left + ((right - left) * swipe.value) / 100}px)` : "none";
   };
 
   const photo = (flight.photo = {

@@ -53,7 +53,8 @@
     const target = /** @type {HTMLElement} */ (event.target);
     const own = target.closest?.("[data-part]");
     if (own) return Number(own.getAttribute("data-part"));
-    const places = target === lpn.canvas() ? hud.querySelectorAll("[data-boxes]") : [];
+    const map = target.closest?.("[data-boxes]");
+    const places = target === lpn.canvas() ? hud.querySelectorAll("[data-boxes]") : map ? [map] : [];
     for (const place of /** @type {Iterable<HTMLElement>} */ (places)) {
       const size = place.getBoundingClientRect(), x = (event.clientX - size.left) / size.width, y = (event.clientY - size.top) / size.height;
       /** @type {[number, number, number, number][]} */

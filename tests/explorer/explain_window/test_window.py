@@ -112,6 +112,19 @@ def test_heatmaps_hold_the_channel_sum_of_each_part_s_cells(workspace: Workspace
     assert own[::2] != own[1::2]
 
 
+def test_heatmaps_of_a_wrong_tile_have_those_of_the_true_one_below_and_lie_over_the_pictures_on_request(
+    workspace: Workspace,
+) -> None:
+    late = int(np.argmax(workspace.rankings["drone-to-satellite"].ranks))
+    analysis = analysed(workspace, query=late)
+    assert analysis.positive is not None
+    html = activation.page(analysis, workspace, workspace.tile(analysis.task, analysis.positive.index))
+    assert re.findall('data-side="([^"]*)"', html)[:3] == ["query", "tile", "true tile"]
+    assert html.count("data:image/png") == 2 * html.count("data-cells") == 24, "a heatmap and its colours"
+    over = activation.page(analysed(workspace, query=late, heat_over=True), workspace)
+    assert over.count("data:image/jpeg") == 2 + over.count("data-cells") == 10
+
+
 def test_a_comparison_is_between_the_positive_and_the_chosen_tile(workspace: Workspace) -> None:
     ranks = workspace.rankings["drone-to-satellite"].ranks
     late = int(np.argmax(ranks))
