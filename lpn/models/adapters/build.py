@@ -36,6 +36,7 @@ from lpn.models.adapters.published import (
     regions_level,
     size_of,
 )
+from lpn.models.adapters.qdfl import build_qdfl
 from lpn.models.adapters.recognise import Kind
 from lpn.models.adapters.sues import build_sues
 from lpn.models.contract import AccountLevel
@@ -287,5 +288,6 @@ _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "sdpl": _sdpl,
     "denseuav": build_denseuav,
     "sues200": build_sues,
+    "qdfl": build_qdfl,
     **{kind: partial(_one_vector, *of) for kind, of in _VECTORS.items()},
 }

@@ -13,7 +13,9 @@ from lpn.core.files import first_few, printable
 if TYPE_CHECKING:
     from torch import Tensor
 
-Kind = Literal["lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "mean", "game4loc", "denseuav", "sues200"]
+Kind = Literal[
+    "lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "mean", "game4loc", "denseuav", "sues200", "qdfl"
+]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # A vision transformer has no parts of its own: a pooling by name makes them, see `lpn.models.token_pooling`.
 Recognised = Kind | Literal["vit"]
@@ -45,6 +47,13 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.gem\d\.p$", rf"classifier\d\.{_HEAD}"))),
     ("mean", Signature("MEAN", (r"model_1\.convnext\.", r"model_1\.DEG\.FC11\.weight$", r"model_1\.MSF\."))),
+    (
+        "qdfl",
+        Signature(
+            "QDFL",
+            (r"backbone\.model\.blocks\.", r"components\.AQEU\.coarse\.queries$", rf"components\.classifier0\.{_HEAD}"),
+        ),
+    ),
     ("camp", Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$"))),
     ("dac", Signature("DAC", (r"model_1\.convnext\.", r"model_1\.proj\.mlp\.0\.weight$"))),
     (
@@ -168,6 +177,8 @@ def _kind(keys: Collection[str]) -> Recognised | None:
 def _fitting(keys: Collection[str]) -> list[tuple[Recognised, Signature]]:
     """Return the signatures that fit with most patterns."""
     fitting = [(kind, signature) for kind, signature in SIGNATURES if _share(signature, keys) == 1]
+    # A method may hold a vision transformer.
+    fitting = [pair for pair in fitting if pair[0] != "vit"] or fitting
     most = max((len(signature.all_of) for _, signature in fitting), default=0)
     return [(kind, signature) for kind, signature in fitting if len(signature.all_of) == most]
 

@@ -49,7 +49,7 @@ _ROTARY_SIZE = (256, 256)
 
 
 @dataclass(frozen=True)
-class _Network:
+class TokenNetwork:
     """A network with its weights, and what its file tells."""
 
     trunk: CellsAndClass
@@ -73,7 +73,7 @@ def build_pooled(entries: Entries, folder: Path, pooling: TokenPooling, name: st
         ModelFileError: if entries are missing, have wrong shapes, or contradict the configuration.
         InputError: if timm is needed and cannot be imported, has no such network, or the pooling does not fit the network.
     """
-    network = _of_entries(entries, folder) if name is None else _of_name(entries, name)
+    network = network_of_entries(entries, folder) if name is None else _of_name(entries, name)
     if pooling.needs_class_token and not network.trunk.has_class:
         raise InputError(f"{network.title} has no class token for the pooling {pooling}; take mean, gem, or rings:N.")
     norm = network.norm if pooling.name == "mean" else None
@@ -97,10 +97,20 @@ def build_pooled(entries: Entries, folder: Path, pooling: TokenPooling, name: st
     return replace(made, contract=replace(made.contract, title=f"{network.title}, {pooling}, {height} x {width}"))
 
 
-def _of_entries(entries: Entries, folder: Path) -> _Network:
-    """Build a vision transformer from its entries and the configuration beside it."""
+def network_of_entries(
+    entries: Entries, folder: Path | None, default_size: tuple[int, int] | None = None
+) -> TokenNetwork:
+    """Build a vision transformer from its entries and the configurations of transformers in a folder, None without them.
+
+    Args:
+        default_size: (height, width) of pictures where nothing says it; by default that of the training.
+
+    Raises:
+        ModelFileError, InputError: as for `build_pooled`.
+    """
     vit = read_vit(entries)
-    configuration, pictures = read_configuration(folder, NETWORK), read_configuration(folder, PICTURES)
+    configuration: dict[str, Any] = {} if folder is None else read_configuration(folder, NETWORK)
+    pictures: dict[str, Any] = {} if folder is None else read_configuration(folder, PICTURES)
     configuration = cast("dict[str, Any]", configuration.get("vision_config") or configuration)
     form, own = vit.format, vit.entries
     activation = configuration.get("hidden_act") or configuration.get("hidden_activation") or form.activation
@@ -111,7 +121,7 @@ def _of_entries(entries: Entries, folder: Path) -> _Network:
         )
     epsilon = stated_number(configuration, "layer_norm_eps", form.epsilon)
     width, _, patch, _ = own.shape("patch_embed.proj.weight", 4)
-    size = _size(entries, vit, pictures, patch)
+    size = _size(entries, vit, stated_size(pictures) or default_size, patch)
     grid = size[0] // patch, size[1] // patch
     depth, heads = own.count("blocks.{}.norm1.weight"), _heads(entries, configuration, width)
     registers = own.shape("reg_token", 3)[1] if "reg_token" in own.state else 0
@@ -161,7 +171,7 @@ def _of_entries(entries: Entries, folder: Path) -> _Network:
         )
     trunk = CellsAndClass(network, grid, prefix, class_norm=class_norm)
     title = f"{form.title} {NAMES.get(width, 'ViT')}/{patch}".replace("ViT ViT", "ViT")
-    return _Network(trunk, title, width, size, normalisation, norm)
+    return TokenNetwork(trunk, title, width, size, normalisation, norm)
 
 
 def _held_norm(entries: Entries, named: tuple[str, float] | None, width: int) -> HeldNorm | None:
@@ -172,7 +182,7 @@ def _held_norm(entries: Entries, named: tuple[str, float] | None, width: int) ->
     return HeldNorm(entries.tensor(f"{name}.weight", (width,)), entries.tensor(f"{name}.bias", (width,)), epsilon)
 
 
-def _of_name(entries: Entries, name: str) -> _Network:
+def _of_name(entries: Entries, name: str) -> TokenNetwork:
     """Build a network of timm by its name, with weights of timm's names, or of another library's for the same network."""
     base = timm_networks.base_name(name)
     normalisation = timm_networks.normalisation(name)
@@ -194,7 +204,7 @@ def _of_name(entries: Entries, name: str) -> _Network:
     with torch.inference_mode():
         height, width = mapped.eval()(torch.zeros(1, 3, *size)).shape[2:]
     trunk = CellsAndClass(network, (height, width), mapped.prefix, mapped.channels_last)
-    return _Network(trunk, base, mapped.channels, size, normalisation, norm)
+    return TokenNetwork(trunk, base, mapped.channels, size, normalisation, norm)
 
 
 def _grid_of(mapped: timm_networks.TimmMap, size: tuple[int, int]) -> tuple[int, int]:
@@ -246,8 +256,7 @@ def _split_biases(state: dict[str, Tensor], name: str) -> None:
         state[key.replace("qkv.bias", "v_bias")] = bias[2 * third :]
 
 
-def _size(entries: Entries, vit: VitTensors, pictures: Mapping[str, Any], patch: int) -> tuple[int, int]:
-    stated = stated_size(pictures)
+def _size(entries: Entries, vit: VitTensors, stated: tuple[int, int] | None, patch: int) -> tuple[int, int]:
     if stated is not None and (stated[0] % patch or stated[1] % patch):
         stated = None
     trained = _ROTARY_SIZE
