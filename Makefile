@@ -8,7 +8,7 @@ HOST   ?= 127.0.0.1
 PORT   ?= 8080
 JOBS   ?= 2
 
-.PHONY: explore setup test test-all check bench fuzz soak demo format audit clean
+.PHONY: explore setup test test-all check check-types check-style bench fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -75,18 +75,24 @@ PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= LPN_MILVUS_PYTHON=$(abspath
 test: check $(VENV)/.browser $(VENV)/.milvus
 	$(PYTEST) --dist worksteal
 
-# Then everything else: the tests marked slow (whole files to one process each, which share servers), a short fuzz run, and a short soak.
-test-all: test
-	$(PYTEST) --dist loadfile -m slow
-	$(MAKE) fuzz INPUTS=300
-	$(MAKE) soak MINUTES=1 CLIENTS=8 PAGES=1
+# Everything: with the tests marked slow (whole files to one process each, which share servers), a short fuzz run, and a short soak.
+# Fuzzing takes one core, and a soak waits for most of its time.
+test-all: check $(VENV)/.browser $(VENV)/.milvus
+	$(PYTEST) --dist loadfile -m ''
+	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
-check: $(VENV)/.javascript
+# mypy takes as long as all other checks together.
+check:
+	$(MAKE) -j2 check-types check-style
+
+check-types: $(VENV)/.dev
+	$(BIN)/mypy
+
+check-style: $(VENV)/.javascript
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	PATH="$(abspath $(BIN)):$$PATH" $(JS)/node_modules/.bin/tsc -p $(JS)
 	PATH="$(abspath $(BIN)):$$PATH" $(JS)/node_modules/.bin/eslint -c $(JS)/eslint.config.js explorer
-	$(BIN)/mypy
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
@@ -99,10 +105,10 @@ bench: $(VENV)/.browser
 fuzz: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m tools.fuzz.readers --inputs $(or $(INPUTS),10000)
 
-# Many people at once, every answer checked: make soak MINUTES=10 CLIENTS=20 PAGES=2 SEED=0 OUT=soak.json
+# Many people at once, every answer checked: make soak MINUTES=10 CLIENTS=20 PAGES=2 SEED=0 ALONE=60 OUT=soak.json
 soak: $(VENV)/.browser
 	$(BIN)/python -m tools.soak $(if $(MINUTES),--minutes $(MINUTES)) $(if $(CLIENTS),--clients $(CLIENTS)) $(if $(PAGES),--pages $(PAGES)) \
-	  $(if $(SEED),--seed $(SEED)) $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
+	  $(if $(SEED),--seed $(SEED)) $(if $(ALONE),--alone $(ALONE)) $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
 
 # The demo made again, in runs/: a city rendered, LPN and its baseline trained alike on it, all packed. Every step goes on where
 # it stopped. INIT=file: ImageNet weights of a ResNet-18, with torchvision's names; without it networks start from random weights.
