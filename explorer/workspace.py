@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from base64 import b64decode
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -26,16 +27,18 @@ from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
-from lpn.core.errors import InputError, LPNError, PictureError
+from lpn.core.errors import DataError, InputError, LPNError, PictureError
 from lpn.core.resources import yield_cores
 from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
 from lpn.descriptors.weather import CLEAR
+from lpn.datasets.ground_use import Letters, ground_uses
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary
+from lpn.explain.lead_places import TileGround
 from lpn.locate.located import LocatedFlight
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -44,6 +47,8 @@ from lpn.retrieval import DescribedPicture
 from lpn.retrieval.calibration import zoom_note
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.task import Scoring, Task
+
+log = logging.getLogger(__name__)
 
 # Number of described tiles in the cache; with the feature map of a large network, each takes 4 MB.
 TILES = 48
@@ -131,7 +136,16 @@ class Workspace:
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.contract.input_size)
+        self.ground_uses: Callable[[], Mapping[str, Letters]] = lru_cache(maxsize=1)(self._read_ground_uses)
         self.load_picture = lru_cache(maxsize=64)(Picture.load)
+
+    def ground_of(self, task: Task, index: int) -> TileGround | None:
+        """Return the uses of the ground in a tile; None where nobody knows them."""
+        picture = task.gallery[index]
+        if not picture.path.is_relative_to(self.root):
+            return None
+        letters = self.ground_uses().get(picture.path.relative_to(self.root).as_posix())
+        return None if letters is None else TileGround(letters, picture.zoom)
 
     def compared(self, state: SessionState) -> LazyWorkspace | None:
         """Return the model beside this one that a state compares; None without one."""
@@ -349,6 +363,13 @@ class Workspace:
         """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
         names = [self.contract.names(view) for view in self.contract.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
+
+    def _read_ground_uses(self) -> Mapping[str, Letters]:
+        try:
+            return ground_uses(self.root)
+        except DataError as error:  # answers are useful without it
+            log.warning("%s", error)
+            return {}
 
     def _make_outcomes(self, name: str) -> tuple[Outcomes, Table] | None:
         job = self.rankings[name]

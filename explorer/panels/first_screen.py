@@ -29,14 +29,16 @@ from lpn.core.errors import PictureError
 from lpn.core.numbers import distance
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
-from lpn.drawing import overlays, theme
+from lpn.drawing import overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
+from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.coverage import outline
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps.map import OVERVIEW
 from lpn.retrieval import DescribedPicture
 
+_ANSWER = "this answer"
 # The figure of a flight is that of retrieval alone.
 _ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
 # Height of the pictures in pixels, and the largest width of a panorama.
@@ -152,6 +154,7 @@ def page(
         headline=headline,
         sentence=sentence,
         lead=lead,
+        because=_because(analysis, workspace, lead, cells),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         trust=answer_text.trust(analysis, workspace),
         gap=analysis.matches[0].gap,
@@ -198,6 +201,43 @@ def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array
         return None
     answer = analysis.chosen.index
     return lead_cells(analysis, *((answer, lead.index) if lead.of_answer else (lead.index, answer)))
+
+
+def _because(
+    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
+) -> list[str]:
+    """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does."""
+    query, tile, task = analysis.query.trace, analysis.tile.trace, analysis.task
+    if lead is None or cells is None or query is None or tile is None:
+        return []
+    sign = 1 if lead.of_answer else -1
+    areas = query.cells[0] != 0, tile.cells[0] != 0
+    turn = _turn(analysis, workspace, least=0)
+    whose = "your picture" if analysis.state.upload else "the picture"
+    tiles = [(_ANSWER, analysis.chosen.index), (lead.other, lead.index)]
+    sentences = []
+    for side, parts in ((sign, lead.decisive), (-sign, _against(sign * lead.terms))):
+        ahead, behind = tiles if side == sign else tiles[::-1]
+        if not parts:
+            sentences.append(f"No {words.say('part')} speaks for {ahead[0]}.")
+            continue
+        grounds = tuple(workspace.ground_of(task, index) for _, index in (ahead, behind))
+        place = lead_place(
+            side * lead.terms,
+            parts,
+            side * cells,
+            areas,
+            (grounds[0], grounds[1]),
+            None if turn is None else turn.degrees,
+        )
+        names = workspace.part_names
+        sentences.append(verdicts.describe_lead_place(place, names, task.query_view, (ahead[0], behind[0]), whose))
+    return sentences
+
+
+def _against(terms: FloatingArray) -> list[int]:
+    """Return the part that speaks most for the other tile, with those alike; none if no part does."""
+    return verdicts.leading_parts(-terms) if float(terms.min()) < 0 else []
 
 
 def _picture(
@@ -271,8 +311,8 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
     return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
 
 
-def _turn(analysis: StateAnalysis, workspace: Workspace) -> MatchingTurn | None:
-    """Return how far the answers are turned to lie like the query; None where they need no turn, or none is known."""
+def _turn(analysis: StateAnalysis, workspace: Workspace, least: float = _LEVEL) -> MatchingTurn | None:
+    """Return how far the answers are turned to lie like the query; None where that is less than `least` degrees, or not known."""
     state, query = analysis.state, None if analysis.state.upload else analysis.state.query
     registered = None
     if workspace.flight is not None and query is not None:
@@ -283,7 +323,7 @@ def _turn(analysis: StateAnalysis, workspace: Workspace) -> MatchingTurn | None:
         elif not heading_is_certain(located.frame):  # it is the best of those that were tried
             query = None
     turn = matching_turn(analysis, query, state.angle, registered)
-    return None if turn is None or abs(turn.degrees) < _LEVEL else turn
+    return None if turn is None or abs(turn.degrees) < least else turn
 
 
 def plain_state(state: SessionState, first: bool, named: bool) -> SessionState:

@@ -12,14 +12,13 @@ from lpn.core.views import View
 from lpn.drawing.words import capitalised, plain, say, unit
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
+from lpn.explain.lead_places import LeadPlace, middle_of
 from lpn.explain.sweeps import SweepResult, signed_value
 from lpn.models.contract import Contract
 from lpn.retrieval import Match
 
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
-# Cells lie on one side if their mean is farther from the centre than this share of their mean distance from it.
-_ONE_SIDED = 0.25
 # Parts decide together if their differences are at least this share of the largest.
 _ALIKE = 0.9
 # A guessed heading is right, or roughly so, within so many degrees; a sweep goes in steps of 15.
@@ -44,15 +43,11 @@ def describe_position(cells: Float64Array, view: View) -> str:
 
     "all around" means that they lie on no side. An unrolled tile, which is wide, does not have north at its top.
     """
-    weights = np.maximum(cells, 0.0)
     height, width = cells.shape
-    up = 0.5 - (np.arange(height)[:, None] + 0.5) / height
-    right = (np.arange(width)[None, :] + 0.5) / width - 0.5
-    total = float((weights * np.hypot(up, right)).sum())
-    east, north = float((weights * right).sum()), float((weights * up).sum())
-    if total <= 0 or np.hypot(east, north) < _ONE_SIDED * total:
+    side = middle_of(np.maximum(cells, 0.0))
+    if side is None:
         return "all around"
-    sector = round(np.degrees(np.arctan2(north, east)) / 45) % 8
+    sector = round(np.degrees(np.arctan2(side[1], side[0])) / 45) % 8
     return (_COMPASS if view == "satellite" and width < 2 * height else _SIDES)[sector]
 
 
@@ -81,6 +76,46 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
         taken = f"{-sum(evidence.csls_shares):.3f} from it, because both pictures have near neighbours elsewhere."
         text += f" Holding favourites back takes {taken}" if plain() else f" CSLS takes {taken}"
     return text
+
+
+def describe_lead_place(
+    place: LeadPlace, part_names: Sequence[str], query_view: View, names: tuple[str, str], whose: str
+) -> str:
+    """Say in one sentence which parts do most for a tile, on which side of the query, and what both tiles show there.
+
+    Args:
+        names: of the tile that the parts speak for, and of the other one.
+        whose: the query in words, such as "your picture".
+    """
+    several = len(place.parts) > 1
+    which = f"{say('part', len(place.parts))} {listed([_in_brackets(part_names[part]) for part in place.parts])}"
+    verb, percent = "speak" if several else "speaks", f"{100 * place.share:.0f}"
+    if percent == "100":
+        text = f"Only {which} {verb} for {names[0]}"
+    else:
+        text = f"{capitalised(which)} {verb} most{', alike,' if several else ''} for {names[0]} ({percent} % of all)"
+    position = describe_position(place.cells, query_view)
+    if position == "all around":
+        position = "all around the middle" if place.cells.any() else ""
+    elif query_view == "satellite":
+        position = f"above all in the {position} of {whose}"
+    else:
+        word = "at" if position in ("top", "bottom") else "on" if position in ("left", "right") else "in"
+        position = f"above all {word} the {position} of {whose}"
+    text += f", {position}" if position else ""
+    shown, other = place.uses
+    if not shown:
+        return f"{text}."
+    if set(shown) == set(other):
+        return f"{text}, where both show {listed(shown)}."
+    there = f"{text}: there {names[0]} shows {listed(shown)}"
+    return f"{there}, and {names[1]} {listed(other)}." if other else f"{there}."
+
+
+def _in_brackets(name: str) -> str:
+    """Return "1 (centre)" for a part's name of a number and a word."""
+    number, _, word = name.partition(" ")
+    return f"{number} ({word})" if number.isdigit() and word else name
 
 
 def describe_lumps(lumps: Sequence[str]) -> str:

@@ -25,6 +25,7 @@ from lpn.world.cameras import Panorama, Pose, Site, Tile, any_drone_poses, drone
 from lpn.world.city import City, Target
 from lpn.world.factors import Factor
 from lpn.world.ground_level import GroundLevel, panoramas, street_poses
+from lpn.world.ground_use import ground_csv
 from lpn.world.plan import plan_city
 
 EDITION = 2  # counts changes of the code that change the pictures of a seed
@@ -144,6 +145,11 @@ class Atlas:
     def geo_csv(self) -> bytes:
         """Encode geo.csv: the positions that pictures show."""
         return self._geo([(path, shot) for shot in self.shots if not _of_cvusa(shot) for path in shot.paths])
+
+    def ground_csv(self) -> bytes:
+        """Encode ground.csv: the uses of the ground in the tiles."""
+        tiles = [(path, shot.camera) for shot in self.shots if not _of_cvusa(shot) for path in shot.paths]
+        return ground_csv(self.city, [(path, tile) for path, tile in tiles if isinstance(tile, Tile)])
 
     def cvusa_files(self) -> dict[str, bytes]:
         """Return the text files of CVUSA's layout by path; none without panoramas."""

@@ -21,6 +21,7 @@ from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import UPGRADE, WORLD, is_newer, newer_version
 from lpn.datasets.city_model import NAME as CITY_NAME
+from lpn.datasets.ground_use import NAME as GROUND_NAME
 from lpn.datasets.rendered import PLAN, UNFINISHED
 from lpn.world import photo
 from lpn.world.atlas import EDITION, SIGHT, SPARE, Atlas, PlannedPicture, Sector, Settings, make_atlas
@@ -111,6 +112,7 @@ def build_world(settings: Settings, out: Path, part: RenderShare | None = None, 
         write_atomic(out / UNFINISHED, b"Pictures are missing here; lpn world with the same settings goes on.\n")
     write_atomic(out / PLAN, atlas.world_json())
     write_atomic(out / "geo.csv", atlas.geo_csv())
+    write_atomic(out / GROUND_NAME, atlas.ground_csv())
     for name, data in atlas.cvusa_files().items():
         write_atomic(out / name, data)
     # Parts that run at the same time need not all make it.

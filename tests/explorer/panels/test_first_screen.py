@@ -149,9 +149,9 @@ def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypa
     analysis = analyse(workspace, replace(query(workspace, True).state, why=True))
     lead = answer_text.Lead(np.array([0.1, 0.312, 0.05, 0.309]), "the best wrong picture", 3)
     monkeypatch.setattr(answer_text, "lead", lambda _: lead)
-    first, second = workspace.part_names[1], workspace.part_names[3]
+    assert workspace.part_names[3] == "4 outer"
     shown = text(first_screen.page(analysis, workspace))
-    assert f"Rings {first} and {second} do most, alike, to put this answer before the best wrong picture." in shown
+    assert "Parts 2 and 4 (outer) speak most, alike, for this answer (81 % of all)" in shown
 
 
 def test_a_lead_is_set_beside_those_of_all_answers(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -412,11 +412,24 @@ def test_on_the_demo_what_comes_from_no_place_is_what_the_constants_of_both_tile
     rest = (1 if found else -1) * 2 * (answer - other)
     assert abs(rest) > 0.005, "the demo's network has constants"
     shown = text(first_screen.page(analysis, demo))
+    said = first_screen._because(analysis, demo, lead, first_screen._lead_cells(analysis, lead))
+    assert said[0] in shown
+    assert re.match(r"(Part|Only part|Parts) .* speaks? (most )?.*for this answer", said[0])
+    assert re.search("show|No part", said[0] + said[1]), "the plan of the city tells what lies there"
     places, further = rounded_to_sum([lead.total - rest, rest])
     assert round(places + further, 3) == round(lead.total, 3), "what is shown adds up"
     assert f"A further {further:+.3f} comes from no place".replace("-", "−") in shown
     assert f"All places together make {places:+.3f}.".replace("-", "−") in shown
     assert f"and speaks for {lead.leader if rest > 0 else lead.follower}." in shown
+
+
+def test_the_demo_s_tiles_show_what_the_plan_of_the_city_says() -> None:
+    demo = open_model(DEMO, DEMO / "lpn.onnx")
+    task = demo.tasks[TASK]
+    grounds = [demo.ground_of(task, index) for index in range(task.tiles)]
+    # The building that a tile is of stands in its middle.
+    built = [ground is not None and "b" in ground.letters[6:10, 6:10] for ground in grounds]
+    assert sum(built) >= 0.95 * len(built)
 
 
 def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
