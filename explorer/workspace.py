@@ -33,8 +33,8 @@ from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
 from lpn.datasets.city_model import CityModel
-from lpn.descriptors.weather import CLEAR
 from lpn.datasets.ground_use import Letters, ground_uses
+from lpn.descriptors.weather import CLEAR
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary

@@ -214,7 +214,13 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     state = SessionState("drone-to-satellite", 4)
     left_out = {"n_parts", "upload", "find", "page", "from_first_screen"}
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
-    named |= {"heat_part": "part", "dark": "theme", "same_scale": "scale", "heat_over": "over", "first_screen": "screen"}
+    named |= {
+        "heat_part": "part",
+        "dark": "theme",
+        "same_scale": "scale",
+        "heat_over": "over",
+        "first_screen": "screen",
+    }
     named |= {"plain": "words"}
     named |= {"outcome": "only", "filter": "where", "name_search": "find", "sort_column": "sort", "descending": "order"}
     named |= {"full_height": "tall", "map": "map", "colour": "by", "why_tab": "reason", "selections": "chosen"}
