@@ -45,7 +45,7 @@ class FixedWeights(nn.Module):
 
     def forward(self, tokens: Tensor) -> Tensor:
         """Return the weight of each token in each part: (B, prefix + N, C) -> (B, n, prefix + N)."""
-        return self.weights.expand(len(tokens), -1, -1)
+        return self.weights.expand(tokens.shape[0], -1, -1)
 
 
 def first_alone(count: int) -> FixedWeights:
@@ -121,7 +121,7 @@ class PooledTokens(PartBranch):
         parts = by_heads(torch.matmul(shares, tokens), weight, self.bias)
         if not self.cells:
             return Account(parts)
-        constants = self.bias.expand(len(tokens), -1, -1)
+        constants = self.bias.expand(tokens.shape[0], -1, -1)
         if first:
             constants = by_heads(torch.matmul(shares[:, :, :first], tokens[:, :first]), weight, self.bias)
         return Account(
@@ -152,7 +152,7 @@ class StrongestTokens(PartBranch):
         strongest, where = tokens.max(2, keepdim=True)
         shares = torch.zeros_like(tokens).scatter(2, where, strongest)
         shares = shares + tokens / tokens.shape[2] if self.mean else shares
-        first, batch = self.trunk.prefix - 1, len(tokens)
+        first, batch = self.trunk.prefix - 1, tokens.shape[0]
         cells = shares[:, :, first:]
         constants = self.bias.expand(batch, -1, -1)
         if first:

@@ -220,7 +220,7 @@ class Qdfl(PartBranch):
         features, token = self.trunk(images, True)
         tokens = F.conv2d(features, self.reduce, self.reduce_bias).flatten(2).transpose(1, 2)
         coarse = self.norm_x(tokens + self.among_tokens(tokens, tokens).values)
-        queries = self.queries.expand(len(tokens), -1, -1)
+        queries = self.queries.expand(tokens.shape[0], -1, -1)
         queries = self.norm_q(queries + self.among_queries(queries, queries).values)
         queries = self.norm_fine_q(self.norm_coarse(self.coarse(queries, coarse).values))
         fine = self.fusion(on_grid((coarse + tokens).transpose(1, 2), self.grid))
@@ -243,7 +243,7 @@ class Qdfl(PartBranch):
 
         maps = torch.cat([asked, torch.zeros_like(gem)[:, None], gem[:, None]], 1)
         weight = cast(Tensor, self.weight)
-        nothing = remapped.new_zeros(len(token), 2, self.inner)
+        nothing = remapped.new_zeros(token.shape[0], 2, self.inner)
         constants = by_heads(torch.cat([remapped, nothing], 1), weight, self.bias)
         of_token = F.pad(F.linear(token, self.token).unsqueeze(1), (0, 0, self.queries_out, 1))
         return maps, constants + of_token
@@ -278,4 +278,4 @@ def build_qdfl(entries: Entries) -> PublishedParts:
         # The branch adds the mirror itself.
         mirror="none",
     )
-    return PublishedParts(made.contract, made.branches, len(names + names) ** 0.5)
+    return PublishedParts(made.contract, made.branches, (len(names) + 2) ** 0.5)

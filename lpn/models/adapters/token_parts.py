@@ -85,7 +85,7 @@ class TokenParts(PartBranch):
             scale, offset = self.norm.affine(parts[:, 0])
             parts, constants = self.norm(parts), offset.unsqueeze(1)
             features = features * scale[:, :, None, None]
-        return Account(parts, features, shares.expand(len(images), -1, -1, -1), constants)
+        return Account(parts, features, shares.expand(images.shape[0], -1, -1, -1), constants)
 
     @staticmethod
     def _means(features: Tensor, shares: Tensor) -> Tensor:
