@@ -19,8 +19,8 @@ from lpn.core.numbers import rounded_to_sum, signed
 from lpn.drawing import theme
 from lpn.drawing.theme import Colour
 
-# The share of d² of a part whose cosine is 0, relative to the part's weight: a bar of that share is full.
-_UNLIKE = 2.0
+# A full bar, relative to the largest part weight: the share of d² of a part whose cosine is 0, and room for the terms of CSLS.
+_UNLIKE, _UNLIKE_CSLS = 2.0, 3.5
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ class PartBar:
 def part_bars(analysis: StateAnalysis, names: list[str]) -> tuple[list[PartBar], answer_text.Lead | None]:
     """Return the bars of the compared pair's parts, and the lead that they show.
 
-    All pictures have one scale, which depends on the part weights alone. Where the verdict speaks of the compared tile, the
-    lead is the verdict's: its longest bar on the losing side is the part that the verdict names.
+    All pictures have one scale, which depends on the part weights and on CSLS alone. Where the verdict speaks of the compared
+    tile, the lead is the verdict's: its longest bar on the losing side is the part that the verdict names.
     """
     chosen, lead = analysis.chosen, answer_text.lead(analysis)
     first = analysis.matches[0]
     if chosen.index not in (first.index, None if lead is None else lead.index):
         terms = chosen.contributions - first.contributions
         lead = answer_text.Lead(terms, "this tile", chosen.index, sure=bool(first.true))
-    full = _UNLIKE * float(analysis.ranking.weights.max())
+    full = (_UNLIKE if chosen.constants is None else _UNLIKE_CSLS) * float(analysis.ranking.weights.max())
     shares = rounded_to_sum(chosen.contributions.tolist())
     figures = [] if lead is None else rounded_to_sum(lead.terms.tolist())
     bars = []

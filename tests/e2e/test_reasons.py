@@ -106,7 +106,7 @@ def test_each_part_has_a_heatmap_of_query_and_tile_and_both_may_share_a_scale(ex
         re.compile(r"query, activation of part 1 centre, row \d, column \d: ")
     )
     box.click()
-    explorer.eventually(lambda: _assert_equal((scales("query"), scales("tile")), own))
+    explorer.eventually(lambda: _assert_equal([scales(side) for side in sides], own))
 
 
 def _assert_equal(found: object, expected: object) -> None:

@@ -10,9 +10,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
+import numpy as np
 import torch
 from playwright.sync_api import Browser, sync_playwright
 
+from lpn.core.arrays import UInt8Array
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_MODEL, DEMO_QUERY
 from lpn.core.files import write_atomic
 from tools.bench.page import ServerProcess
@@ -20,7 +22,7 @@ from tools.fixtures.chromium import launch, returning
 from tools.fixtures.processes import free_port
 from tools.fixtures.published_models import golden
 
-QUALITY = 84
+QUALITY, _WORST = 84, 60
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Shot:
         tab: of the explain window, that is opened.
         choose: a selector of what is pressed then.
         wait: a selector of what is waited for.
-        address: that is opened.
+        address: that is opened; by default that of the query, which is ranked plain.
         part: a selector of what the picture shows; the whole page without one.
     """
 
@@ -54,6 +56,8 @@ class Shot:
     part: str = "body"
 
 
+# Pictures of both models in the tab Two models.
+_BOTH = "#lpn-model-comparison .models > :nth-child(2) img"
 SHOTS = (
     Shot("first-screen.jpg", DEMO_QUERY, address="?screen=first"),
     Shot("success.jpg", DEMO_QUERY, "m"),
@@ -61,7 +65,7 @@ SHOTS = (
     Shot("twin-n4.jpg", "0447/07"),
     Shot("failure.jpg", "0449/05"),
     Shot("failure-map.jpg", "0449/05", "m"),
-    Shot("story-context.jpg", "0445/05", "y", beside=True, tab="Two models"),
+    Shot("story-context.jpg", "0445/05", "y", beside=True, tab="Two models", wait=_BOTH),
     Shot(
         "story-turn.jpg",
         "0334/08",
@@ -71,7 +75,7 @@ SHOTS = (
         wait="#lpn-profile[data-done='24']",
     ),
     Shot("story-constant.jpg", "0381/02", "y", tab="Why"),
-    Shot("fsra-beside-lpn.jpg", "0445/05", "y", fsra=True, tab="Two models", wait="#lpn-model-comparison img"),
+    Shot("fsra-beside-lpn.jpg", "0445/05", "y", fsra=True, tab="Two models", wait=_BOTH),
     Shot(
         "flight.jpg",
         DEMO_QUERY,
@@ -81,6 +85,15 @@ SHOTS = (
         part="#lpn-flight",
     ),
 )
+
+
+def _encoded(picture: UInt8Array, before: Path) -> bytes:
+    """Encode a picture as a JPEG that is no larger than the one that it replaces, as far as a quality of `_WORST` allows."""
+    for quality in range(QUALITY, _WORST - 1, -2):
+        data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+        if not before.exists() or len(data) <= before.stat().st_size:
+            break
+    return data
 
 
 def main() -> None:
@@ -110,8 +123,9 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     context = returning(browser, 1456, 835)
+    context.add_init_script("localStorage.removeItem('lpn-panels'); localStorage.removeItem('lpn-open')")
     page = context.new_page()
-    page.goto(url + shot.address)
+    page.goto(url + (shot.address or f"?query={shot.query}"))
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     page.wait_for_timeout(4000)
     for notice in page.locator(".mantine-Notification-closeButton:visible").all():
@@ -133,8 +147,7 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
         page.locator(shot.part).screenshot(path=str(file))
         shown = cv2.imread(str(file))
         assert shown is not None
-        data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes()
-    write_atomic(out / shot.file, data)
+        write_atomic(out / shot.file, _encoded(np.asarray(shown, np.uint8), out / shot.file))
     context.close()
 
 

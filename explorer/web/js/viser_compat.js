@@ -56,6 +56,7 @@
       head.dataset.lpnFolder = "";
     }
     for (const control of document.querySelectorAll(NAMELESS)) {
+      if (control.closest("label")) continue; // it is named by the label around it
       const row = rowWith(control.parentElement, "label");
       if (row) control.setAttribute("aria-label", row.querySelector("label").textContent || "value");
     }
