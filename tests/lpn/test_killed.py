@@ -248,7 +248,7 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
 ) -> None:
     """Every step on the disk of describing a second time, with one picture more, in turn."""
     out = tmp_path / "out"
-    pictures = shutil.copytree(places, tmp_path / "pictures")
+    pictures = shutil.copytree(places / "test" / "query_drone", tmp_path / "pictures")
     arguments = [
         "describe",
         "--model",
