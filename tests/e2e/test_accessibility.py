@@ -28,8 +28,8 @@ _COVERED = """() => {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("theme", ["dark", "light"])
-def test_axe_finds_nothing_serious(app: RunningApp, contexts: Callable[..., BrowserContext], theme: str) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_axe_finds_nothing_serious(app: RunningApp, new_page: Callable[[], Page], theme: str) -> None:
+    explorer = ExplorerPage(new_page())
     page = explorer.page
     for shown, ready in (
         ("screen=first&why=1", "#lpn-first .reason .track"),

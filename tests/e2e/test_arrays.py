@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ExplorerPage, started
 from tools.fixtures import layouts, small_worlds
 
 
 @pytest.mark.slow
-def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Callable[[], BrowserContext]) -> None:
+def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, new_page: Callable[[], Page]) -> None:
     rng = np.random.default_rng(2)
     places = rng.standard_normal((8, 2, 6))
     query = places[:5] + 1.2 * rng.standard_normal((5, 2, 6))
@@ -39,7 +39,7 @@ def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, contexts: Cal
         str(tmp_path / "paths.csv"),
     )
     with started(tmp_path, tmp_path, tmp_path / "cache", default=True, options=options) as running:
-        explorer = ExplorerPage(contexts().new_page())
+        explorer = ExplorerPage(new_page())
         explorer.open(running.url)
         header = explorer.page.locator("#lpn-header")
         for text in ("q.npy", "n = 2, no network", "5 queries", "8 tiles"):

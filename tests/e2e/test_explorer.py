@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, FloatRect, expect
+from playwright.sync_api import BrowserContext, FloatRect, Page, expect
 
 import lpn
 from lpn import datasets, descriptors, retrieval
@@ -113,6 +113,7 @@ def test_query_is_chosen_by_name_thumbnail_and_key(explorer: ExplorerPage, app: 
     explorer.expect_status("name", "0009")
 
 
+@pytest.mark.slow
 def test_rotation_by_slider_and_key_changes_picture_and_ranking(explorer: ExplorerPage, app: RunningApp) -> None:
     before = explorer.stage()
     explorer.fill("Rotate", "90")
@@ -145,6 +146,7 @@ def test_dragging_ends_on_the_last_value_without_a_queue(explorer: ExplorerPage)
     explorer.expect_answers(explorer.sequence() + 1)
 
 
+@pytest.mark.slow
 def test_switching_a_part_off_reranks_exactly(explorer: ExplorerPage, app: RunningApp) -> None:
     explorer.tab("Parts")
     first = explorer.sequence()
@@ -231,8 +233,8 @@ def test_a_second_browser_is_not_disturbed(
 
 
 @pytest.mark.slow
-def test_the_map_says_how_far_off_the_answer_is(mapped_app: RunningApp, contexts: Callable[[], BrowserContext]) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_the_map_says_how_far_off_the_answer_is(mapped_app: RunningApp, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     explorer.open(mapped_app.url)
     laid = geo.Positions(mapped_app.data)
     dataset = datasets.open_dataset(mapped_app.data)
@@ -308,9 +310,9 @@ def check_moves_of_a_map(explorer: ExplorerPage, box: FloatRect) -> None:
 
 @pytest.mark.slow
 def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_cursor(
-    mapped_app: RunningApp, contexts: Callable[[], BrowserContext]
+    mapped_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+    explorer = ExplorerPage(new_page())
     explorer.open(mapped_app.url)
     marks = explorer.page.locator("#lpn-stage-map")
     expect(marks).to_have_count(0)
@@ -373,9 +375,9 @@ def crimson(picture: np.ndarray) -> float:
 
 @pytest.mark.slow
 def test_the_city_stands_on_the_map_until_it_is_switched_off(
-    city_app: RunningApp, contexts: Callable[[], BrowserContext]
+    city_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+    explorer = ExplorerPage(new_page())
     explorer.open(city_app.url)
     expect(explorer.field("City")).to_have_count(0)
     explorer.stage(lambda picture: crimson(picture) < 0.05)
@@ -392,9 +394,9 @@ def test_the_city_stands_on_the_map_until_it_is_switched_off(
 
 
 def test_the_demo_opens_without_being_told_anything(
-    demo_app: RunningApp, contexts: Callable[[], BrowserContext], tmp_path: Path
+    demo_app: RunningApp, new_page: Callable[[], Page], tmp_path: Path
 ) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+    explorer = ExplorerPage(new_page())
     explorer.open(demo_app.url)
     expect(explorer.page.locator("#lpn-header")).to_contain_text("demo")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("within 50 m")
@@ -415,8 +417,8 @@ def test_without_positions_there_is_no_map(explorer: ExplorerPage) -> None:
 
 
 @pytest.mark.slow
-def test_the_main_job_on_real_pictures(real_app: RunningApp, contexts: Callable[[], BrowserContext]) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_the_main_job_on_real_pictures(real_app: RunningApp, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     explorer.open(real_app.url)
     expect(explorer.page.locator("#lpn-header")).to_contain_text("80 queries")
     explorer.fill("Find name", "0083")
@@ -437,10 +439,8 @@ def test_the_main_job_on_real_pictures(real_app: RunningApp, contexts: Callable[
 
 
 @pytest.mark.slow
-def test_panoramas_and_unrolled_tiles_are_shown_wide(
-    panorama_app: RunningApp, contexts: Callable[[], BrowserContext]
-) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_panoramas_and_unrolled_tiles_are_shown_wide(panorama_app: RunningApp, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     explorer.open(panorama_app.url)
     expect(explorer.page.locator("#lpn-header")).to_contain_text("SAFA + LPN")
     model, dataset = lpn.load(panorama_app.model), datasets.open_dataset(panorama_app.data)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import BrowserContext, Page, expect
 
 from lpn.tasks.notes import Note, read_notes
 from tests.e2e.conftest import RunningApp, started
@@ -43,9 +43,9 @@ def open_row(lab: LabPage, row: int) -> str:
 
 @pytest.mark.slow
 def test_a_note_is_not_lost_while_the_disk_is_full(
-    places: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
+    places: Path, small_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
-    lab = LabPage(contexts().new_page())
+    lab = LabPage(new_page())
     lab.enter(small_app.url)
     tags, note, message = (lab.page.locator(name) for name in ("#lpn-lab-tags", "#lpn-lab-note", "#lpn-lab-message"))
     unsaved = lab.page.locator(".lab-note .unsaved")
@@ -92,9 +92,9 @@ def test_a_note_is_not_lost_while_the_disk_is_full(
 
 @pytest.mark.slow
 def test_a_story_and_a_view_are_not_lost_while_the_disk_is_full(
-    places: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
+    places: Path, small_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
-    lab = LabPage(contexts().new_page())
+    lab = LabPage(new_page())
     lab.enter(small_app.url)
     page = lab.page
     filler = fill(places)

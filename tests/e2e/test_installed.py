@@ -67,6 +67,7 @@ def packed(checkout: Path) -> set[str]:
     return {name for name in names if re.match(r"(lpn|explorer)/|assets/[^/]+/", name) and ".egg-info/" not in name}
 
 
+@pytest.mark.slow
 def test_an_installed_wheel_opens_the_demo_and_writes_nothing_beside_it(
     built: tuple[Path, Path, Path], tmp_path: Path, contexts: Callable[[], BrowserContext]
 ) -> None:

@@ -114,6 +114,7 @@ def expect_rows(lab: LabPage, rows: np.ndarray, start: int = 0) -> None:
     lab.eventually(check)
 
 
+@pytest.mark.slow
 def test_all_queries_are_listed_worst_first_and_sorted_by_any_column(
     lab: LabPage, truth: tuple[Outcomes, Table]
 ) -> None:
@@ -271,6 +272,7 @@ def lasso(lab: LabPage, corners: list[tuple[float, float]]) -> None:
 ALL = [(0.02, 0.02), (0.98, 0.02), (0.98, 0.98), (0.02, 0.98)]
 
 
+@pytest.mark.slow
 def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
     lab: LabPage, truth: tuple[Outcomes, Table]
 ) -> None:
@@ -450,6 +452,7 @@ def test_the_queries_in_sight_of_a_map_are_chosen_by_keys(lab: LabPage) -> None:
     expect(lab.count).to_contain_text("40 of 40 queries")
 
 
+@pytest.mark.slow
 def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes, Table], tmp_path: Path) -> None:
     _, table = truth
     lab.page.locator("#lpn-lab-where").fill("weather = sun")
@@ -508,11 +511,11 @@ def test_a_link_brings_back_what_the_laboratory_shows(
 
 @pytest.mark.slow
 def test_tags_and_notes_survive_a_restart(
-    places: Path, lab_app: RunningApp, contexts: Callable[[], BrowserContext], tmp_path: Path
+    places: Path, lab_app: RunningApp, new_page: Callable[[], Page], tmp_path: Path
 ) -> None:
     for visit in (1, 2):
         with started(places, lab_app.model, tmp_path / "cache") as running:
-            lab = LabPage(contexts().new_page())
+            lab = LabPage(new_page())
             lab.enter(running.url)
             lab.page.locator("tr[data-row]").nth(1).click()
             expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
@@ -612,6 +615,7 @@ def test_a_phones_sheet_stays_as_wide_as_the_phone(
         assert box["x"] + box["width"] <= 390
 
 
+@pytest.mark.slow
 def test_a_report_of_the_selection_is_saved(lab: LabPage, tmp_path: Path) -> None:
     lab.page.locator("#lpn-lab-where").fill("weather = sun and rank <= 3")
     expect(lab.count).not_to_contain_text("40 of 40 queries")

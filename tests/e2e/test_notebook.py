@@ -22,6 +22,7 @@ pytest.importorskip("ipykernel", reason="needs nbclient and ipykernel, of the ex
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
     data: Path, model_file: Path, tmp_path: Path, contexts: Callable[[], BrowserContext]
 ) -> None:

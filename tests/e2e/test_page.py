@@ -11,7 +11,7 @@ from urllib.parse import parse_qs, urlsplit
 import cv2
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, BrowserContext, FloatRect, expect
+from playwright.sync_api import Browser, BrowserContext, FloatRect, Page, expect
 
 from explorer.app import App
 from explorer.layout import layout_for
@@ -79,8 +79,8 @@ def test_an_address_brings_back_what_was_shown(explorer: ExplorerPage, contexts:
 
 
 @pytest.mark.slow
-def test_an_address_can_name_another_task(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_an_address_can_name_another_task(app: RunningApp, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     explorer.open(f"{app.url}/?task=satellite-to-drone&query=0010&with=truth")
     expect(explorer.page.locator("#lpn-tasks a.chosen")).to_have_text("satellite → drone")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("14 gallery pictures")
@@ -91,8 +91,8 @@ def test_an_address_can_name_another_task(app: RunningApp, contexts: Callable[..
 
 
 @pytest.mark.slow
-def test_a_hostile_address_does_no_harm(app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_a_hostile_address_does_no_harm(app: RunningApp, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     alarms: list[str] = []
     explorer.page.on("dialog", lambda dialog: (alarms.append(dialog.message), dialog.dismiss()))
     explorer.page.on("pageerror", lambda error: alarms.append(str(error)))
@@ -144,6 +144,7 @@ def coarse(picture: np.ndarray) -> np.ndarray:
     return cv2.resize(picture.astype(np.float32), None, fx=1 / 8, fy=1 / 8, interpolation=cv2.INTER_AREA)
 
 
+@pytest.mark.slow
 def test_light_and_dark(explorer: ExplorerPage) -> None:
     dark = explorer.stage(lambda picture: picture[3, 3].max() < 60)
     explorer.page.get_by_text("Light", exact=True).click()
@@ -386,7 +387,7 @@ def test_a_phone_held_sideways(app: RunningApp, contexts: Callable[..., BrowserC
 
 @pytest.mark.slow
 def test_a_slow_answer_is_said_to_be_on_its_way(
-    app: RunningApp, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
+    app: RunningApp, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer = StateAnalyser.analyse
     go_on = threading.Event()
@@ -402,7 +403,7 @@ def test_a_slow_answer_is_said_to_be_on_its_way(
     monkeypatch.setenv("LPN_CACHE", str(app.model.parent / "cache"))
     served = App(open_model(app.data, app.model), "127.0.0.1", free_port())
     try:
-        explorer = ExplorerPage(contexts().new_page())
+        explorer = ExplorerPage(new_page())
         explorer.open(f"http://127.0.0.1:{served.server.get_port()}")
         explorer.fill("Rotate", "33")
         expect(explorer.status).to_contain_text("computing")
@@ -445,6 +446,7 @@ def test_a_page_finds_its_server_after_a_long_outage(app: RunningApp, contexts: 
         explorer.expect_status("angle", "10")
 
 
+@pytest.mark.slow
 def test_the_glossary_opens_over_the_page_and_closes(explorer: ExplorerPage) -> None:
     term = explorer.page.get_by_role("cell", name="hardest negative is the negative of the highest score", exact=False)
     for close in (
@@ -568,6 +570,7 @@ def test_nothing_scrolls_a_phones_page(app: RunningApp, contexts: Callable[..., 
     expect(explorer.page.get_by_text("Move over a cell to see")).to_be_hidden()
 
 
+@pytest.mark.slow
 def test_a_panel_that_is_unfolded_repeats_no_call(explorer: ExplorerPage) -> None:
     page = explorer.page
     page.evaluate("() => { window.said = []; lpn.say = (text) => said.push(text); }")

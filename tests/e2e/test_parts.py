@@ -30,6 +30,7 @@ def test_a_part_switched_off_shows_both_figures_and_their_difference(explorer: E
     expect(panel).to_contain_text(f"{effect.gained} won and {effect.lost} lost of {effect.queries} queries")
 
 
+@pytest.mark.slow
 def test_all_combinations_are_tried_sorted_saved_and_taken(
     explorer: ExplorerPage, app: RunningApp, tmp_path: Path
 ) -> None:

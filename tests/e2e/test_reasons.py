@@ -74,6 +74,7 @@ def test_evidence_of_the_compared_pair_is_exact_and_follows_cursor_part_and_tile
     expect(explorer.page.locator("#lpn-why .lpn-map").first).to_be_hidden()
 
 
+@pytest.mark.slow
 def test_each_part_has_a_heatmap_of_query_and_tile_and_both_may_share_a_scale(explorer: ExplorerPage) -> None:
     open_window(explorer)
     explorer.tab("Heatmaps")
@@ -143,6 +144,7 @@ def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Ex
     expect(explorer.verdict).to_contain_text("Found")
 
 
+@pytest.mark.slow
 def test_a_profile_is_computed_and_a_point_taken(explorer: ExplorerPage, app: RunningApp) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
@@ -161,6 +163,7 @@ def test_a_profile_is_computed_and_a_point_taken(explorer: ExplorerPage, app: Ru
     expect(profile).to_contain_text("Choose what to change")
 
 
+@pytest.mark.slow
 def test_the_whole_task_is_measured_with_turned_queries(explorer: ExplorerPage, app: RunningApp) -> None:
     explorer.fill("Rotate", "90")
     explorer.expect_status("angle", "90")
@@ -184,6 +187,7 @@ def test_the_whole_task_is_measured_with_turned_queries(explorer: ExplorerPage, 
     expect(profile.locator(".task-point")).to_have_count(6)  # 180° is at both ends
 
 
+@pytest.mark.slow
 def test_a_painted_region_is_searched_by_alone(explorer: ExplorerPage) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Search by a region").click()
@@ -222,6 +226,7 @@ def test_nonsense_from_a_page_changes_nothing(explorer: ExplorerPage) -> None:
     explorer.expect_status("name", "0008")
 
 
+@pytest.mark.slow
 def test_a_report_of_the_pair_is_saved(
     explorer: ExplorerPage, contexts: Callable[[], BrowserContext], tmp_path: Path
 ) -> None:
@@ -237,8 +242,8 @@ def test_a_report_of_the_pair_is_saved(
 
 
 @pytest.mark.slow
-def test_two_models_answer_the_same_query(two_models: RunningApp, contexts: Callable[[], BrowserContext]) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_two_models_answer_the_same_query(two_models: RunningApp, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     explorer.open(two_models.url)
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Two models").click()
@@ -251,6 +256,7 @@ def test_two_models_answer_the_same_query(two_models: RunningApp, contexts: Call
     explorer.expect_status("query", query or "")
 
 
+@pytest.mark.slow
 def test_a_link_opens_both_models_on_query_and_tile_and_the_chart_chooses_another(
     three_models: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:

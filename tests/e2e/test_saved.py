@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import Page, expect
 
 import lpn
 from lpn import datasets, retrieval
@@ -17,9 +17,9 @@ from tests.e2e.conftest import ExplorerPage, RunningApp
 
 @pytest.mark.slow
 def test_a_saved_result_is_explored_without_its_network(
-    saved_app: RunningApp, app: RunningApp, contexts: Callable[[], BrowserContext]
+    saved_app: RunningApp, app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+    explorer = ExplorerPage(new_page())
     explorer.open(saved_app.url)
     header = explorer.page.locator("#lpn-header")
     for text in (

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import Page, expect
 
 from explorer.app import App
 from explorer.compute import ranking_job
@@ -15,8 +15,9 @@ from tests.e2e.conftest import ExplorerPage
 from tools.fixtures import small_worlds
 
 
+@pytest.mark.slow
 def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
-    tmp_path: Path, model_file: Path, contexts: Callable[[], BrowserContext], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, model_file: Path, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(ranking_job, "QUICK_COST", 0)
@@ -24,7 +25,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
     ranking = workspace.rankings["drone-to-satellite"]
     app = App(workspace, "127.0.0.1", 0)
     try:
-        explorer = ExplorerPage(contexts().new_page())
+        explorer = ExplorerPage(new_page())
         header, picker = explorer.page.locator("#lpn-header"), explorer.page.locator("#lpn-picker")
         with ranking._rank_lock:  # no ranking begins meanwhile
             explorer.open(f"http://127.0.0.1:{app.server.get_port()}")

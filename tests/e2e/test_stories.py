@@ -191,7 +191,7 @@ def test_a_story_begun_on_the_first_screen_ends_there_and_no_tour_covers_it(
 
 @pytest.mark.slow
 def test_a_step_may_point_at_what_it_speaks_of_between_others(
-    story_app: RunningApp, contexts: Callable[..., BrowserContext]
+    story_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
     steps = [
         {"shows": "query=0011", "caption": "The whole"},
@@ -199,7 +199,7 @@ def test_a_step_may_point_at_what_it_speaks_of_between_others(
         {"shows": "", "caption": "What decided", "points_at": "verdict"},
     ]
     (story_app.data / "stories.json").write_text(json.dumps([{"name": "Three", "steps": steps}]))
-    explorer = ExplorerPage(contexts().new_page())
+    explorer = ExplorerPage(new_page())
     page = explorer.page
     explorer.open(story_app.url)
     page.locator("#lpn-story-names a", has_text="Three").click()
@@ -236,8 +236,8 @@ def test_a_step_may_point_at_what_it_speaks_of_between_others(
 
 
 @pytest.mark.slow
-def test_a_draft_outlives_a_reload(story_app: RunningApp, contexts: Callable[..., BrowserContext]) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_a_draft_outlives_a_reload(story_app: RunningApp, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     explorer.open(story_app.url)
     explorer.key("s")
     expect(explorer.page.locator("#lpn-notice")).to_contain_text("Step 1")

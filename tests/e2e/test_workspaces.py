@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import BrowserContext, Locator, expect
+from playwright.sync_api import Locator, Page, expect
 
 from explorer.app import App
 from explorer.client.services import WorkspaceServices
@@ -70,9 +70,9 @@ def expect_workspace(explorer: ExplorerPage, label: str, parts: int) -> None:
 
 @pytest.mark.slow
 def test_a_page_changes_its_workspace_and_back(
-    offer: Offer, contexts: Callable[..., BrowserContext], caplog: pytest.LogCaptureFixture
+    offer: Offer, new_page: Callable[[], Page], caplog: pytest.LogCaptureFixture
 ) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+    explorer = ExplorerPage(new_page())
     explorer.open(offer.url)
     expect_workspace(explorer, "four rings", 4)
     former = weakref.ref(*offer.app._sessions.values())
@@ -125,9 +125,9 @@ def test_a_page_changes_its_workspace_and_back(
 
 @pytest.mark.slow
 def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
-    offer: Offer, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
+    offer: Offer, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+    explorer = ExplorerPage(new_page())
     explorer.open(offer.url)
     for _ in range(3):
         chip(explorer, "whole pictures").click()
@@ -150,10 +150,8 @@ def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
 
 
 @pytest.mark.slow
-def test_a_workspace_that_does_not_open_says_why_and_the_page_stays(
-    offer: Offer, contexts: Callable[..., BrowserContext]
-) -> None:
-    explorer = ExplorerPage(contexts().new_page())
+def test_a_workspace_that_does_not_open_says_why_and_the_page_stays(offer: Offer, new_page: Callable[[], Page]) -> None:
+    explorer = ExplorerPage(new_page())
     explorer.open(f"{offer.url}/?show=broken")
     notice = explorer.page.locator(".mantine-Notification-root", has_text="Not opened: a broken map")
     expect(notice).to_contain_text("The map is not there; give another.")
