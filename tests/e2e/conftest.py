@@ -355,10 +355,11 @@ class ExplorerPage:
         self.stage(filled)
 
 
-def expect_accessible(page: Page) -> None:
-    """Check that axe-core finds nothing serious or critical in a page."""
+def expect_accessible(page: Page, rules: Sequence[str] = ()) -> None:
+    """Check that axe-core finds nothing serious or critical in a page, by all rules or some."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python")
-    found = axe.Axe().run(page).response["violations"]
+    options = {"runOnly": {"type": "rule", "values": list(rules)}} if rules else {}
+    found = axe.Axe().run(page, options={"resultTypes": ["violations"], **options}).response["violations"]
     grave = [one for one in found if one["impact"] in ("serious", "critical")]
     lines = [f"{one['impact']} {one['id']}: {node['html'][:160]}" for one in grave for node in one["nodes"]]
     assert not lines, "\n".join(lines)
