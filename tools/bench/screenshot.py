@@ -22,6 +22,11 @@ from tools.fixtures.chromium import launch, returning
 from tools.fixtures.processes import free_port
 from tools.fixtures.published_models import golden
 
+# Panels as a new browser has them, and without viser's notice about software WebGL.
+_AS_OPENED = (
+    "localStorage.removeItem('lpn-panels'); localStorage.removeItem('lpn-open');"
+    "sessionStorage.setItem('lpn-software-webgl', 'seen')"
+)
 QUALITY, _WORST = 84, 60
 
 
@@ -123,14 +128,11 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     context = returning(browser, 1456, 835)
-    context.add_init_script("localStorage.removeItem('lpn-panels'); localStorage.removeItem('lpn-open')")
+    context.add_init_script(_AS_OPENED)
     page = context.new_page()
     page.goto(url + (shot.address or f"?query={shot.query}"))
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     page.wait_for_timeout(4000)
-    for notice in page.locator(".mantine-Notification-closeButton:visible").all():
-        notice.click()
-    page.wait_for_timeout(1000)
     for key in shot.keys:
         page.keyboard.press(key)
         page.wait_for_timeout(6000)
