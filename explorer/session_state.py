@@ -68,6 +68,7 @@ class SessionState:
         dark: True for the dark theme.
         plain: True for plain words, see `lpn.drawing.words`.
         first_screen: True while the page shows one query and its answer only; `why` explains it there.
+        under_flight: True while the flight window stands in the laboratory's place, to which its end leads; no address has it.
         from_first_screen: True while something is open that was opened there, so that its end leads back; no address has it.
     """
 
@@ -106,6 +107,7 @@ class SessionState:
     dark: bool = True
     plain: bool = False
     first_screen: bool = False
+    under_flight: bool = False
     from_first_screen: bool = False
 
     def __post_init__(self) -> None:
@@ -132,7 +134,7 @@ class SessionState:
     @property
     def windows(self) -> tuple[bool, ...]:
         """Everything that can be closed again: each window, the map, and the pulled rings; True for each that is open."""
-        return self.why, self.lab, self.flight, self.map, self.exploded
+        return self.why, self.lab or self.under_flight, self.flight, self.map, self.exploded
 
     @property
     def shows_window(self) -> bool:
@@ -205,8 +207,11 @@ def leave_first_screen(before: SessionState, after: SessionState) -> SessionStat
     """Return `after` without the first screen if the change from `before` is to something that it does not show.
 
     A change of the query shows the query's top match, whatever was compared before. The end of the last window that was opened
-    from the first screen leads back to it, unless another one took its place.
+    from the first screen leads back to it, unless another one took its place; the end of the flight window that took the
+    laboratory's place leads back to the laboratory.
     """
+    if after.under_flight and not after.flight:
+        after = replace(after, lab=not after.first_screen, under_flight=False)
     if not before.first_screen and not after.first_screen:
         ended = before.from_first_screen and before.shows_window and not after.shows_window
         stays = any(then and now for then, now in zip(before.windows, after.windows, strict=True))
@@ -362,7 +367,12 @@ def flip_flight(state: SessionState) -> SessionState:
     """Open the flight window in place of the other windows, or close it."""
     if state.flight and not (state.why or state.lab):
         return replace(state, flight=False)
-    return replace(state, flight=True, why=False, lab=False)
+    return open_flight(state)
+
+
+def open_flight(state: SessionState) -> SessionState:
+    """Open the flight window in place of the other windows."""
+    return replace(state, flight=True, why=False, lab=False, under_flight=state.lab or state.under_flight)
 
 
 def flip_same_scale(state: SessionState) -> SessionState:

@@ -71,8 +71,7 @@ class PageAddress:
             before = self._state()
         named = self._url_state.names_a_state(search) and not self._url_state.names_only_a_workspace(search)
         start = self._plain if named else before
-        # A browser that comes back to the workbench has asked for everything before, and knows its terms.
-        state, problems = self._url_state.read(search, replace(start, dark=not greeting.light, plain=greeting.first))
+        state, problems = self._url_state.read(search, replace(start, dark=not greeting.light, plain=greeting.plain))
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = plain_state(state, greeting.first, self._url_state.names_a_state(search))

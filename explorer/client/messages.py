@@ -26,6 +26,7 @@ class Greeting(msgspec.Struct, frozen=True):
         search: the query string of its address.
         small: its window has room for one panel only.
         first: its browser asks for the first screen.
+        plain: its browser reads plain words.
         light: its browser asks for the light theme.
         theme: the theme that was chosen in its browser before; None without one.
         viewport: width and height of its stage, any numbers; None while it has none.
@@ -34,6 +35,7 @@ class Greeting(msgspec.Struct, frozen=True):
     search: str
     small: bool = False
     first: bool = False
+    plain: bool = False
     light: bool = False
     theme: str | None = None
     viewport: tuple[float, float] | None = None

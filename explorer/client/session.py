@@ -106,6 +106,8 @@ class ClientSession:
             self.views.follow(self._state, state)
             if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
                 self.views.bridge.call("keepTheme", "dark" if state.dark else "light")
+            if change in (session_state.flip_words, session_state.show_everything):
+                self.views.bridge.call("keepWords", "plain" if state.plain else "expert")
             only_windows = state == session_state.with_windows(self._state, state)
             self._state = state
             if only_windows:  # nothing to analyse

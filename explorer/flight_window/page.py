@@ -16,8 +16,9 @@ from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays, score_map, theme
+from lpn.drawing.words import capitalised, say
 from lpn.locate.located import LocatedFrame, StageRecord
-from lpn.locate.summary import describe_flight
+from lpn.locate.summary import PLACED, describe_flight
 
 # The part whose cosines are painted, or all parts under the current weights.
 Painted = int | Literal["all", "off"]
@@ -25,16 +26,14 @@ Painted = int | Literal["all", "off"]
 COLOURS = {name: theme.COLOURS[name] for name in ("tag", "retrieval", "sequence", "registration")} | {
     "corrected": theme.COLOURS["by-hand"]
 }
-LABELS = {
-    "corrected": "By hand",
-    "tag": "GPS tags",
-    "retrieval": "Retrieval",
-    "sequence": "Sequence",
-    "registration": "Registration",
-}
 # Length of the lists of refused and of contradicting frames.
 _MAX_LISTED = 200
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
+
+
+def label(name: str) -> str:
+    """Return what a track is called: that of a stage, of the GPS tags, or of a person's corrections."""
+    return "By hand" if name == "corrected" else capitalised(say(name))
 
 
 def shell(part_names: Sequence[str], height: int, tall: bool = False) -> str:
@@ -91,7 +90,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
 
     The state is -1 while the stage has no answer.
     """
-    track: dict[str, Any] = {"label": LABELS[name], "colour": theme.css(COLOURS[name])}
+    track: dict[str, Any] = {"label": label(name), "colour": theme.css(COLOURS[name])}
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
     flight = view.flight
     for i, located in enumerate(flight.frames):
@@ -244,9 +243,9 @@ def lists(view: FlightView) -> dict[str, str]:
     """Return the lists beside the map by their names, as HTML."""
     flight = view.flight
     refused = [
-        (i, printable(located.frame.name), _refusals(located))
+        (i, printable(located.frame.name), _refusals(located) or [view.beliefs[i].reason])
         for i, located in enumerate(flight.frames)
-        if view.beliefs[i].stage != "registration" and _refusals(located)
+        if view.beliefs[i].stage not in PLACED
     ]
     apart = [(one.frame, printable(flight.frames[one.frame].frame.name), [one.sentence]) for one in view.contradictions]
     notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]
@@ -254,7 +253,7 @@ def lists(view: FlightView) -> dict[str, str]:
         notes.append(f"Corrections are left out: {view.corrections_error}")
     audit = "" if flight.audit is None else flight.audit.sentence
     return {
-        "refused": _list(refused, "", "No frame was refused."),
+        "refused": _list(refused, "", "Every frame is placed."),
         "audit": _list(apart, audit, "Registration, sequence, and tags agree within their radii."),
         "notes": render("flight/notes", notes=notes),
         "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
@@ -287,9 +286,7 @@ def _list(entries: Sequence[tuple[int, str, Sequence[str]]], sentence: str, empt
 
 
 def _refusals(located: LocatedFrame) -> list[str]:
-    return [
-        f"{LABELS[name]}: {answer.sentence}" for name, answer in located.stages.items() if answer.state == "refused"
-    ]
+    return [f"{label(name)}: {answer.sentence}" for name, answer in located.stages.items() if answer.state == "refused"]
 
 
 def _number(value: float | None, digits: int) -> float | None:

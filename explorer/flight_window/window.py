@@ -25,6 +25,7 @@ from explorer.web.html import Html
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import LPNError
+from lpn.drawing import words
 from lpn.drawing.words import speaking
 from lpn.locate.coverage import seen_by
 
@@ -91,16 +92,20 @@ class FlightWindow:
         self._choices = _Choices()
         self._analysis: StateAnalysis | None = None
         self._view: FlightView | None = None
+        self._plain = False
         self._placed: bool | None = None
         self._resized = False
         self._message: _Message | None = None
         self._saves = 0
+        # What the page was told of the frame that it shows, and the number of that message.
+        self._followed: dict[str, Any] = {}
+        self._sequence = 0
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Flight", viser.Icon.DRONE):
             self._shell = Html(gui)
             # The script of each element runs again when the page shows the window again.
-            self._data, self._chosen, self._painting, self._spot, self._progress = (Html(gui) for _ in range(5))
+            self._data, self._chosen, self._spot, self._progress = (Html(gui) for _ in range(4))
         self._worker = Worker(self._spoken, on_error)
         viewport.watch(self._resize)
         service.watch(self._worker.wake)
@@ -126,7 +131,7 @@ class FlightWindow:
         self._worker.stop()
 
     def _paint(self, part: Painted) -> None:
-        self._change(lambda state: replace(state, flight=True, why=False, lab=False))
+        self._change(session_state.open_flight)
         self._choose(painted=part)
 
     def _choose(self, **choices: Any) -> None:
@@ -201,8 +206,8 @@ class FlightWindow:
         job = self._workspace.registration
         running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
         view = self._service.view()
-        if view is not self._view:
-            self._view = view
+        if view is not self._view or words.plain() != self._plain:
+            self._view, self._plain = view, words.plain()
             self._data.show(page.calls({"show": page.data(view, self._pictures.address), "lists": page.lists(view)}))
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height, choices.full_height))
@@ -217,17 +222,14 @@ class FlightWindow:
                 }
             )
         )
-        self._chosen.show(
-            page.calls(
-                {
-                    "follow": None
-                    if frame is None
-                    else page.chosen(view, frame, self._pictures.address, saves, failed),
-                    "answer": page.answer_window(view, analysis),
-                }
-            )
-        )
-        self._painting.show(page.calls({"paint": page.painting(view, analysis, choices.painted, names)}))
+        followed = {
+            "frame": None if frame is None else page.chosen(view, frame, self._pictures.address, saves, failed),
+            "answer": page.answer_window(view, analysis),
+            "scores": page.painting(view, analysis, choices.painted, names),
+        }
+        if followed != self._followed:
+            self._followed, self._sequence = followed, self._sequence + 1
+        self._chosen.show(page.calls({"follow": followed | {"sequence": self._sequence}}))
         if choices.spot is not None:
             frames = seen_by(view.outlines, *choices.spot)
             html = page.spot_list(view, frames, choices.spot)

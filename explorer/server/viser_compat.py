@@ -95,6 +95,11 @@ def uuid_of(handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle | viser.Gu
     return str(handle._impl.uuid)
 
 
+def is_removed(handle: viser.GuiHtmlHandle) -> bool:
+    """Return True if an element is no longer in the page, as after `GuiApi.reset`; the page complains about updates of it."""
+    return bool(getattr(getattr(handle, "_impl", None), "removed", False))
+
+
 def thread_pool(gui: viser.GuiApi) -> Executor:
     """Return the pool that runs the functions which viser calls."""
     return gui._thread_executor

@@ -6,6 +6,8 @@ import threading
 
 import viser
 
+from explorer.server.viser_compat import is_removed
+
 
 class Html:
     """A thread-safe HTML element; it sends its content again only when that changed."""
@@ -17,7 +19,8 @@ class Html:
     def show(self, content: str) -> None:
         """Replace the content."""
         with self._lock:  # otherwise an older text could be sent last while `_content` holds the newer one
-            if content != self._content:
+            # A worker of a session that was replaced may still be at work.
+            if content != self._content and not is_removed(self._handle):
                 self._content = content
                 self._handle.content = _encodable(content)
 

@@ -51,6 +51,8 @@ _BEYOND = 0.05
 # How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
 _SWAY = 0.1
 UNKNOWN = (math.nan, math.nan)
+# What the matches of a registration agree on, by its model.
+_AGREED = {"similarity": "one place, turn, and scale", "homography": "one place, turn, scale, and tilt"}
 
 
 def register_frames(
@@ -264,7 +266,7 @@ def _record(frame: Frame, size: tuple[int, int], registration: Registration, rea
         place, radius = below
     sentence = registration.reason
     if registration.accepted:
-        agreed = f"{registration.inliers} matches of {registration.matcher} agree on a {registration.model}."
+        agreed = f"{registration.inliers} matches of {registration.matcher} agree on {_AGREED[registration.model]}."
         sentence = f"{agreed} {registration.turn_sentence}".rstrip()
     return StageRecord(
         "accepted" if registration.accepted else "refused",

@@ -208,12 +208,28 @@ def test_pictures_that_the_server_is_too_busy_for_are_asked_for_again(
 
 
 @pytest.mark.slow
-def test_playing_ends_at_the_last_frame(window: FlightPage) -> None:
+def test_playing_shows_every_frame_as_one_thing_and_ends_at_the_last(window: FlightPage) -> None:
+    window.page.evaluate(
+        """() => {
+          window.seen = [];
+          new MutationObserver(() => {
+            const flight = document.getElementById("lpn-flight"), find = (what) => flight.querySelector(what);
+            const shown = [
+              Number(find(".verdict").dataset.frame) + 1, parseInt(find(".facts .dim").textContent),
+              parseInt(find(".now").textContent), Number(find(".time canvas").getAttribute("aria-valuenow")),
+            ];
+            requestAnimationFrame(() => requestAnimationFrame(() => window.seen.push([...new Set(shown)])));
+          }).observe(document.querySelector("#lpn-flight .now"), { childList: true, subtree: true });
+        }"""
+    )
     window.page.get_by_label("frames a second").select_option("10")
     window.timeline.focus()
     window.page.keyboard.press("Space")
     window.expect_frame(5)
     expect(window.page.locator("[data-act=play]")).to_have_text("▶")
+    seen = window.page.evaluate("window.seen")
+    assert all(len(frames) == 1 for frames in seen), "card, facts, counter, and timeline show one frame"
+    assert list(dict.fromkeys(frames[0] for frames in seen)) in ([1, 2, 3, 4, 5, 6], [2, 3, 4, 5, 6])
 
 
 @pytest.mark.slow
@@ -312,7 +328,9 @@ def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_f
     folded = box(corner)["x"]
     page.locator("[data-act=save]").click()
     expect(page.locator("#lpn-flight .status")).to_contain_text("Not saved. The tie points turn the photo over")
-    page.evaluate("() => lpn.flight.follow({ ...lpn.flight.followed, card: 'another' })")
+    page.evaluate(
+        "() => lpn.flight.follow({ frame: { ...lpn.flight.followed, card: 'another' }, answer: null, scores: null, sequence: 0 })"
+    )
     expect(page.locator("#lpn-flight .about")).to_have_text("another")
     assert box(corner)["x"] == pytest.approx(folded, abs=2)
     assert read_corrections(file) == {}

@@ -212,7 +212,7 @@ def test_ones_own_picture_is_not_in_the_link(workspace: Workspace, links: UrlSta
 
 def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> None:
     state = SessionState("drone-to-satellite", 4)
-    left_out = {"n_parts", "upload", "find", "page", "from_first_screen"}
+    left_out = {"n_parts", "upload", "find", "page", "under_flight", "from_first_screen"}
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {
         "heat_part": "part",

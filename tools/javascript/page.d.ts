@@ -162,6 +162,7 @@ interface Lpn {
   backEndsStory(): boolean;
   backQuietly(): void;
   keepTheme(name: string): void;
+  keepWords(name: string): void;
   linked: boolean;
   greet(): void;
   address(query: string, keys: string[]): void;

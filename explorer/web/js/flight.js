@@ -8,8 +8,9 @@
   const flight = (lpn.flight = {
     root: null, // the window's element
     data: null, // the flight and its map
-    chosen: -1, // the frame that the window shows; the stage may still be on its way to it
-    followed: null, // the frame that the stage shows
+    chosen: -1, // the frame that all of the window shows; it changes with one message of the server
+    wanted: null, // the frame that was asked for and has not come yet
+    followed: null, // what the server told of the frame that is shown
     painted: null, // the scores over the map
     spotted: null, // a spot of the map, and the frames that show it
     answered: null, // the middle and the side of the window that answers, in metres
@@ -50,15 +51,15 @@
   flight.sentence = (text) => ((sentence = text), refresh());
   flight.status = (text) => ((status = text), refresh());
   flight.lists = (lists) => (Object.assign(html, lists), refresh());
-  flight.follow = (frame) => {
+  // Everything that belongs to a frame comes at once: card, answer, scores, and the number of the message.
+  flight.follow = ({ frame, answer, scores, sequence }) => {
     flight.followed = frame;
-    if (flight.play.arrived()) flight.photo.followed();
-    refresh();
-  };
-  flight.answer = (answer) => ((flight.answered = answer), flight.draw());
-  flight.paint = (scores) => {
+    flight.answered = answer;
     flight.painted = scores;
     if (scores) flight.map.paint(scores.picture);
+    flight.play.arrived();
+    flight.photo.followed();
+    if (flight.root) flight.root.dataset.seq = sequence;
     refresh();
   };
   flight.spot = (spot) => {
@@ -86,7 +87,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th title="Switch a track on or off">hollow: refused</th><th>accepted</th><th title="1-sigma radius of the chosen frame">± here</th><th title="Distance of the chosen frame's answer from its tag">off tag</th></tr>${rows.join("")}</table>`,
+      `<table class="num"><tr class="dim"><th title="Switch a track on or off">hollow: refused</th><th title="Frames whose answer this stage accepts by itself">alone</th><th title="1-sigma radius of the chosen frame">± here</th><th title="Distance of the chosen frame's answer from its tag">off tag</th></tr>${rows.join("")}</table>`,
     );
   };
   const refresh = () => {
@@ -97,8 +98,8 @@
     find(".status").textContent = status;
     fill(find(".lists"), html.counts);
     fill(find(".listed"), html[list] || '<p class="dim"><span class="for-mouse">Shift and click on the map</span><span class="for-touch">Tap Who saw? and then the map</span>: the frames that show the spot.</p>');
-    if (followed && followed.frame === chosen) fill(find(".about"), followed.card);
-    find(".about").classList.toggle("late", chosen >= 0 && followed?.frame !== chosen);
+    if (followed) fill(find(".about"), followed.card);
+    root.classList.toggle("late", flight.wanted !== null);
     if (chosen < 0) fill(find(".about"), "<p>Your own picture is not a frame of this flight.</p>");
     const bar = find(".scores");
     bar.style.display = painted ? "flex" : "none";
@@ -124,6 +125,10 @@
     all("[data-act=spot]").forEach((one) => one.classList.toggle("chosen", flight.asking));
     all(".entry").forEach((one) => one.classList.toggle("chosen", Number(one.dataset.frame) === flight.chosen));
     all("[data-act=play]").forEach((one) => (one.textContent = flight.play.on ? "❚❚" : "▶"));
+    all("[data-act=skip]").forEach((one) => {
+      one.classList.toggle("chosen", flight.play.skips);
+      one.setAttribute("aria-pressed", flight.play.skips);
+    });
     find(".view").classList.toggle("asking", flight.asking);
   };
   // Ask twice more for a picture that could not be loaded: the server may have been busy.
@@ -141,6 +146,7 @@
     out: () => flight.map.stepOut(),
     spot: () => (flight.asking = !flight.asking),
     play: () => flight.play.turn(),
+    skip: () => (flight.play.skips = !flight.play.skips),
     save: () => flight.photo.save(),
     forget: () => flight.photo.forget(),
   };

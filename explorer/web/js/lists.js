@@ -68,6 +68,11 @@
   };
 
   // How each kind of list is laid out: entries beside one another with their pictures, or rows of a table.
+  // The end of a long name: pictures of a flight differ there alone.
+  const ending = (name) => {
+    const stem = name.replace(/\.\w{2,5}$/, "");
+    return stem.length > 7 ? "\u2026" + stem.slice(-5) : stem;
+  };
   const SIGNS = { 1: ["✓", "right", "found"], 0: ["✗", "wrong", "failed"] };
   const KINDS = {
     queries: {
@@ -93,7 +98,7 @@
           mark.textContent = sign[0];
           label.append(" ");
         }
-        label.append(name);
+        label.append(ending(name));
         return node;
       },
       blank: () => Object.assign(document.createElement("div"), { className: "thumb blank" }),

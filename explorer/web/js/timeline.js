@@ -71,9 +71,9 @@
     element.setAttribute("aria-valuetext", chosen < 0 ? "no frame" : data.names[chosen]);
     const since = data.times && chosen >= 0 ? data.times[chosen] - data.times[0] : null;
     const clock = since === null ? "" : ", " + Math.floor(since / 60) + ":" + String(Math.floor(since % 60)).padStart(2, "0");
-    const { skipped } = flight.play;
-    flight.find(".now").textContent =
-      (chosen < 0 ? "your own picture" : chosen + 1 + " of " + flight.total() + clock) + (skipped ? ", " + skipped + " skipped" : "");
+    const { on, skipped, slow } = flight.play;
+    const pace = skipped ? ", " + skipped + " skipped" : on && slow ? ", every frame, slower than asked" : on ? ", every frame" : "";
+    flight.find(".now").textContent = (chosen < 0 ? "your own picture" : chosen + 1 + " of " + flight.total() + clock) + pace;
   };
   // Draw the plots one below the other.
   const draw = () => {
@@ -95,6 +95,11 @@
       pen.fillRect(across(i, width, data) - 2, foot + 13 - SIGNS[sign], 4, SIGNS[sign]);
     });
     say();
+    if (flight.wanted !== null) {
+      // The frame that was asked for, until it comes.
+      pen.fillStyle = "#e6c300";
+      pen.fillRect(across(flight.wanted, width, data) - 4, foot + 14, 8, 2);
+    }
     if (chosen < 0) return;
     pen.strokeStyle = lpn.colour("accent");
     pen.lineWidth = 2;
@@ -111,7 +116,7 @@
     // Return whether a key is one of the timeline's.
     key: (key) => {
       const last = flight.total() - 1;
-      if (key in TURNS) flight.choose(lpn.clamp(flight.chosen + TURNS[key], 0, last));
+      if (key in TURNS) flight.step(TURNS[key]);
       else if (key === "Home" || key === "End") flight.choose(key === "Home" ? 0 : last);
       else return false;
       return true;

@@ -34,17 +34,22 @@
   lpn.keepTheme = (name) => lpn.store("local", THEME, name);
   const light = () => (lpn.stored("local", THEME) || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark")) === "light";
 
+  // Plain words, until somebody asks for the field's terms.
+  const WORDS = "lpn-words";
+  lpn.keepWords = (name) => lpn.store("local", WORDS, name);
+
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {
     clearInterval(greeting);
     begun = true;
     document.getElementById("lpn-loading")?.remove(); // the page says from here on what it waits for
-    const names = [...new URLSearchParams(search).keys()].filter((key) => key !== "theme" && lpn.keys.includes(key));
+    const names = [...new URLSearchParams(search).keys()].filter((key) => !["theme", "words"].includes(key) && lpn.keys.includes(key));
     const named = names.length > 0;
     lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
     const first = lpn.prefersFirst() && !named;
-    if (first) lpn.opening();
-    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), first: first, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
+    // Another place may take seconds to open; its first screen says so, too.
+    if (first || new URLSearchParams(search).get("screen") === "first") lpn.opening();
+    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), first: first, plain: lpn.stored("local", WORDS) !== "expert", light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = lpn.every(500, hello);
     hello();
   };

@@ -17,7 +17,9 @@ from explorer.compute.background_jobs import BackgroundJob, ReportProgress
 from explorer.flight_window import page
 from explorer.flight_window.service import FlightService, FlightView
 from lpn.core.errors import DataError
+from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight
+from lpn.locate.summary import describe_flight
 from lpn.maps import open_map
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
@@ -43,8 +45,17 @@ def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
 
 def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     text = page.sentence(view, running=False)
-    assert text.startswith("A drone flew over this map and took 3 photos. Placed: 2 by laying the photo over the map")
-    assert "1 by the photos before and after (sequence)" in text
+    assert text.startswith(
+        "A drone flew over this map and took 3 photos: 3 placed. Of those placed, 2 by laying the photo over"
+    )
+    assert "and 1 by the photos before and after (sequence)." in text
+    best = Belief(None, "", "", "retrieval")
+    guessed = describe_flight(view.flight.frames, [view.beliefs[0], best, Belief(False, "", "")])
+    assert guessed.startswith(
+        "A drone flew over this map and took 3 photos: 1 placed, 1 only guessed, by the most similar window of the map "
+        "(retrieval), 1 refused. Of those placed, 1 by laying"
+    )
+    assert guessed.endswith("Half of the placed ones lie within 1 m of their GPS tags."), "a guess counts for nothing"
     assert text.endswith("m of their GPS tags.")
     assert page.sentence(view, running=True).endswith("Registration is still running, so these numbers change.")
 
@@ -100,17 +111,19 @@ def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refuse
     track = page.data(waiting, "x/")["tracks"]["registration"]
     assert track["state"] == [0, 0, -1]
     assert track["count"] == "2 of 3"
-    assert "Refused 0" in page.lists(waiting)["counts"]
+    assert "Not placed 0" in page.lists(waiting)["counts"]
 
 
-def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView) -> None:
-    lists = page.lists(view)
+def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, flight: LocatedFlight) -> None:
+    assert "Not placed 0" in page.lists(view)["counts"], "its neighbours place the frame whose registration was refused"
+    stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "sequence"}
+    lists = page.lists(view_of(replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])))
     assert "Registration: Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]
     assert "photo0" not in lists["refused"]
     assert "up to 45 m off" in lists["audit"]
     assert "Registration and tag lie 45.0 m apart" in lists["audit"]
     assert lists["notes"].count("<p>") == 2
-    assert "Refused 1" in lists["counts"]
+    assert "Not placed 1" in lists["counts"]
 
 
 def test_the_photo_is_laid_only_where_a_registration_was_accepted(view: FlightView) -> None:

@@ -329,6 +329,13 @@ def test_what_was_opened_from_the_first_screen_leads_back_to_it() -> None:
     lab = leave(first, replace(first, lab=True))
     both = leave(lab, replace(lab, why=True))
     assert leave(both, replace(both, why=False)) == lab
+    # The flight that takes the laboratory's place leads back to it, and the laboratory to the first screen.
+    flight = leave(lab, session_state.flip_flight(lab))
+    assert (flight.flight, flight.lab) == (True, False)
+    again = leave(flight, replace(flight, flight=False))
+    assert again == lab
+    assert leave(again, replace(again, lab=False)) == first
+    assert leave(flight, session_state.to_first_screen(flight)) == first
     # Everything was asked for, so the end of a window shows that.
     everything = leave(first, replace(first, first_screen=False))
     opened = leave(everything, replace(everything, lab=True))

@@ -70,6 +70,7 @@ CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
     "AsyncMessageBuffer.message_event": lambda *_: "message_event" in AsyncMessageBuffer.__dataclass_fields__,
     "AsyncMessageBuffer._warned_push_after_done": lambda *_: hasattr(AsyncMessageBuffer, "_warned_push_after_done"),
     "GuiHandle._impl.uuid": lambda _, client: bool(viser_compat.uuid_of(client.gui.add_text("text", ""))),
+    "GuiHandle._impl.removed": lambda _, client: _is_removed_by_a_reset(client),
     "GuiApi._thread_executor": lambda _, client: viser_compat.thread_pool(client.gui).submit(lambda: True).result(),
     "GuiApi._gui_input_handle_from_uuid": lambda server, client: _tells_upload_buttons(server, client),
     "GuiUploadButtonHandle._impl.value": lambda _, client: _forgets(client),
@@ -86,6 +87,13 @@ def _tells_upload_buttons(server: viser.ViserServer, client: viser.ClientHandle)
     return viser_compat.is_upload_button(server, viser_compat.uuid_of(button)) and not viser_compat.is_upload_button(
         server, viser_compat.uuid_of(text)
     )
+
+
+def _is_removed_by_a_reset(client: viser.ClientHandle) -> bool:
+    element = client.gui.add_html("")
+    before = viser_compat.is_removed(element)
+    client.gui.reset()
+    return viser_compat.is_removed(element) and not before
 
 
 def _forgets(client: viser.ClientHandle) -> bool:

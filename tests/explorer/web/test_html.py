@@ -16,6 +16,7 @@ class Handle:
 
     def __init__(self) -> None:
         self.shown, self.begun, self.arrive = "", threading.Event(), threading.Event()
+        self._impl = SimpleNamespace(removed=False)
 
     @property
     def content(self) -> str:
@@ -42,3 +43,13 @@ def test_the_last_text_stays() -> None:
     for thread in threads:
         thread.join()
     assert handle.shown == "two"
+
+
+def test_an_element_that_left_the_page_gets_no_updates() -> None:
+    handle = Handle()
+    gui: Any = SimpleNamespace(add_html=lambda _: handle)
+    html = Html(cast(viser.GuiApi, gui))
+    html.show("before")
+    handle._impl.removed = True
+    html.show("after")
+    assert handle.shown == "before"
