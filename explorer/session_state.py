@@ -334,9 +334,9 @@ def turn(state: SessionState, by: float) -> SessionState:
 
 
 def to_first_screen(state: SessionState) -> SessionState:
-    """Open the first screen, and close all that it does not show."""
+    """Open the first screen, which speaks plain words, and close all that it does not show."""
     closed = replace(state, why=False, lab=False, flight=False, map=False, exploded=False, selected=None)
-    return replace(closed, first_screen=True, from_first_screen=False)
+    return replace(closed, first_screen=True, from_first_screen=False, plain=True)
 
 
 def leave_stage_view(state: SessionState) -> SessionState:

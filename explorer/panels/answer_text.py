@@ -10,8 +10,10 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance
+from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.retrieval import Match
+from lpn.tasks.task import Task
 
 # A GPS tag at least this far from the nearest tile is in another region.
 _ELSEWHERE_M = 10_000.0
@@ -81,7 +83,7 @@ def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None
 def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), one word for it, and one sentence without a technical term."""
     first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
-    pictures = f"{analysis.task.tiles:,} {_PICTURES[analysis.task.gallery_view]}"
+    pictures = f"{analysis.task.tiles:,} {_pictures(analysis.task)}"
     if analysis.ranking.relevant is None:
         place = _elsewhere(analysis) or "The true place is not known here, so it is not graded"
         text = f"This is the most similar of {pictures}. {place}."
@@ -94,6 +96,12 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
+
+
+def _pictures(task: Task) -> str:
+    """Return what the gallery's pictures are in plain words."""
+    of_map = len(task.gallery) > 0 and task.gallery[0].cut is not None
+    return "pieces of the map" if of_map else _PICTURES[task.gallery_view]
 
 
 def own_hint(workspace: Workspace, rendered: bool) -> str:
@@ -109,7 +117,7 @@ def own_hint(workspace: Workspace, rendered: bool) -> str:
         city = " They show a rendered city: a photo of a real place has no right answer among them."
     return (
         f"Choose pictures on this device (JPEG, PNG, or WebP){above}. The model finds the most similar of the {task.tiles:,} "
-        f"{_PICTURES[task.gallery_view]} here.{city}"
+        f"{_pictures(task)} here.{city}"
     )
 
 
@@ -158,13 +166,13 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say how often answers with a similar lead over the second tile are right; empty where that is not known.
 
     It is not known under other part weights or for a region, as no other query was ranked so. For an uploaded picture it is not
-    known either if the truth names junk, as its junk is unknown.
+    known either if the truth names junk, as its junk is unknown, nor among the tiles of a rendered city.
     """
     state, task, result = analysis.state, analysis.task, workspace.rankings[analysis.task.key].result
     own = state.upload is not None
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
         return ""
-    if own and any(len(lists.junk) for lists in task.truth or ()):
+    if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):
         return ""
     besides = None if own else state.query
     alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, task.known, besides)
@@ -176,7 +184,9 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
         f"among the {alike.queries:,} {which}pictures here{unaltered} whose answer was about as far ahead of the second best, it "
         f"was right {_times(alike.right, alike.queries)}."
     )
-    return f"{text} That holds for pictures like those of {workspace.data_name}." if own else text
+    if not own:
+        return text
+    return f"{text} That holds for pictures like those of {workspace.data_name}, and only if one of these tiles shows the place."
 
 
 def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:

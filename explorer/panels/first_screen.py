@@ -36,11 +36,13 @@ from lpn.flights.cut import TurnedFrame
 from lpn.locate.coverage import outline
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps.map import OVERVIEW
+from lpn.maps.named_window import WindowCut
 from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
 # The figure of a flight is that of retrieval alone.
 _ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
+_DISPUTED = "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece: the tag is off."
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.
@@ -128,6 +130,8 @@ def page(
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
     right, headline, sentence = answer_text.plain_verdict(analysis)
+    if right is False and _lies_on_answer(analysis, workspace):
+        right, headline, sentence = None, "Its GPS tag and the map disagree", _DISPUTED
     lead = answer_text.lead(analysis) if state.why else None
     cells = None if lead is None else _lead_cells(analysis, lead)
     # What speaks for a picture has the colour of its frame.
@@ -309,6 +313,20 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
     return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
+
+
+def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool:
+    """Return True if the details of a flight's photo place its middle on the answer, whatever its GPS tag says."""
+    flight, state = workspace.flight, analysis.state
+    if flight is None or state.upload:
+        return False
+    answer, cut = (
+        flight.frames[state.query].stages.get("registration"),
+        analysis.task.gallery[analysis.chosen.index].cut,
+    )
+    if answer is None or not answer.accepted or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
+        return False
+    return max(abs(answer.x - cut.window.x), abs(answer.y - cut.window.y)) <= cut.window.size / 2
 
 
 def _turn(analysis: StateAnalysis, workspace: Workspace, least: float = _LEVEL) -> MatchingTurn | None:

@@ -42,11 +42,12 @@ class PartBar:
     off: bool
 
 
-def part_bars(analysis: StateAnalysis, names: list[str]) -> tuple[list[PartBar], answer_text.Lead | None]:
-    """Return the bars of the compared pair's parts, and the lead that they show.
+def part_bars(analysis: StateAnalysis, names: list[str]) -> tuple[list[PartBar], answer_text.Lead | None, float]:
+    """Return the bars of the compared pair's parts, the lead that they show, and the d² of a full bar.
 
-    All pictures have one scale, which depends on the part weights and on CSLS alone. Where the verdict speaks of the compared
-    tile, the lead is the verdict's: its longest bar on the losing side is the part that the verdict names.
+    All pictures have one scale, which depends on the part weights and on CSLS alone; it doubles where a bar would not fit. Where
+    the verdict speaks of the compared tile, the lead is the verdict's: its longest bar on the losing side is the part that the
+    verdict names.
     """
     chosen, lead = analysis.chosen, answer_text.lead(analysis)
     first = analysis.matches[0]
@@ -54,6 +55,9 @@ def part_bars(analysis: StateAnalysis, names: list[str]) -> tuple[list[PartBar],
         terms = chosen.contributions - first.contributions
         lead = answer_text.Lead(terms, "this tile", chosen.index, sure=bool(first.true))
     full = (_UNLIKE if chosen.constants is None else _UNLIKE_CSLS) * float(analysis.ranking.weights.max())
+    most = max([*chosen.contributions.tolist(), *([] if lead is None else (2 * abs(lead.terms)).tolist())])
+    while most > full:
+        full *= 2
     shares = rounded_to_sum(chosen.contributions.tolist())
     figures = [] if lead is None else rounded_to_sum(lead.terms.tolist())
     bars = []
@@ -69,7 +73,7 @@ def part_bars(analysis: StateAnalysis, names: list[str]) -> tuple[list[PartBar],
                 bool(off),
             )
         )
-    return bars, lead
+    return bars, lead, full
 
 
 def _percent(value: float, full: float) -> float:
@@ -97,7 +101,7 @@ class StageControls:
         state, workspace = analysis.state, self._workspace
         if state.first_screen:
             return ""
-        bars, lead = part_bars(analysis, workspace.part_names)
+        bars, lead, full = part_bars(analysis, workspace.part_names)
         colours = _lead_names(*lead_colours(lead is not None and lead.sure))
         areas = [
             workspace.areas(view, described)
@@ -115,6 +119,7 @@ class StageControls:
             lead=lead,
             colours=colours,
             total=analysis.chosen.distance2,
+            full=full,
             network=workspace.model is not None,
             knob=(50 - 42 * math.sin(turn), 50 - 42 * math.cos(turn)),
             heat="off" if not state.heat else state.heat_kind,

@@ -29,7 +29,8 @@
       const pressed = event.target.closest("[data-act]");
       if (!pressed || AT_ONCE.includes(pressed.dataset.act)) return;
       pressed.classList.add("waiting");
-      setTimeout(() => pressed.classList.remove("waiting"), 10000); // the answer may be a notification
+      // Another place may take long to open; any other answer may be a notification.
+      setTimeout(() => pressed.classList.remove("waiting"), pressed.classList.contains("choice") ? 120000 : 10000);
     };
     const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
     const another = query && pair && pair.dataset.query !== query;

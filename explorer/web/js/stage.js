@@ -65,6 +65,16 @@
     }
     return -1;
   };
+  // A finger that moves over the pictures would turn the camera until they are out of sight. It turns the map, and rings that are
+  // taken apart.
+  let finger = null; // the touch that began on the stage
+  window.addEventListener("pointerdown", ({ pointerType, target, pointerId }) => {
+    const flat = pointerType === "touch" && target === lpn.canvas() && !hud.hidden && hud.querySelector("[data-flat]") && straight();
+    if (flat) finger = pointerId;
+  }, true);
+  window.addEventListener("pointermove", (event) => event.pointerId === finger && event.stopImmediatePropagation(), true);
+  for (const kind of /** @type {const} */ (["pointerup", "pointercancel"])) window.addEventListener(kind, (event) => event.pointerId === finger && (finger = null), true);
+
   const straight = () => !document.getElementById("lpn-straighten");
   window.addEventListener("pointermove", (event) => {
     if (held || event.pointerType !== "mouse" || event.buttons) return;

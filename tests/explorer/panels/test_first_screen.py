@@ -319,7 +319,7 @@ def test_what_the_first_screen_cannot_show_leaves_it() -> None:
 
 
 def test_what_was_opened_from_the_first_screen_leads_back_to_it() -> None:
-    leave, first = session_state.leave_first_screen, SessionState("t", 4, first_screen=True)
+    leave, first = session_state.leave_first_screen, SessionState("t", 4, first_screen=True, plain=True)
     for field in ("lab", "flight", "exploded", "map"):
         opened = leave(first, replace(first, **{field: True}))
         turned = leave(opened, replace(opened, angle=9.0))
@@ -461,4 +461,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "By its details, the photo fits the map where the frame is, to ± 1.0 m; that is 9 m from its GPS tag" in said
     assert page.count("data:image/jpeg") == 3
     assert "On the map laid" not in text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
+    assert "compared 224 pieces of the map" in said
+    disputed = next(i for i, query in enumerate(workspace.tasks[TASK].queries) if "IMG_9393" in query.name)
+    assert "Its GPS tag and the map disagree" in text(
+        first_screen.page(analyse(workspace, replace(state, query=disputed)), workspace)
+    )
     assert list(tmp_path.rglob("*.npy")) == []

@@ -34,10 +34,12 @@ def analyses(workspace: Workspace) -> list[StateAnalysis]:
 
 def test_bars_of_all_pictures_have_one_scale(workspace: Workspace, analyses: list[StateAnalysis]) -> None:
     for analysis in analyses:
-        bars, _ = part_bars(analysis, workspace.part_names)
+        bars, lead, full = part_bars(analysis, workspace.part_names)
         shares = [bar.share[1] for bar in bars]
         # A part that agrees as two unrelated pictures do, at a cosine of 0, fills its bar.
-        np.testing.assert_allclose(shares, np.clip(100 * analysis.chosen.contributions / 0.5, 0, 100), atol=0.06)
+        longest = max(analysis.chosen.contributions.max(), 0.0 if lead is None else 2 * abs(lead.terms).max())
+        assert full == 0.5 if longest <= 0.5 else full / 2 < longest <= full
+        np.testing.assert_allclose(shares, np.maximum(100 * analysis.chosen.contributions / full, -100), atol=0.06)
 
 
 def test_the_longest_bar_of_the_losing_side_is_the_part_that_the_verdict_names(
@@ -45,7 +47,7 @@ def test_the_longest_bar_of_the_losing_side_is_the_part_that_the_verdict_names(
 ) -> None:
     wrong = 0
     for analysis in analyses:
-        bars, lead = part_bars(analysis, workspace.part_names)
+        bars, lead, _ = part_bars(analysis, workspace.part_names)
         true, _, reason = answer_text.verdict(analysis, workspace.part_names)
         assert lead is not None
         losing = [(bar.lead or ("", 0.0))[1] * (1 if lead.of_answer else -1) for bar in bars]
@@ -64,7 +66,7 @@ def test_a_tile_that_the_verdict_does_not_speak_of_is_compared_with_the_answer(
     assert spoken is not None
     other = next(match for match in first.matches[1:] if match.index != spoken.index)
     compared = StateAnalyser(workspace).analyse(replace(first.state, selected=other.index), 10)
-    bars, lead = part_bars(compared, workspace.part_names)
+    bars, lead, _ = part_bars(compared, workspace.part_names)
     assert lead is not None
     assert lead.total == pytest.approx(other.distance2 - first.matches[0].distance2, abs=1e-5)
     assert [part for part, bar in enumerate(bars) if bar.decisive] == verdicts.leading_parts(lead.terms)
