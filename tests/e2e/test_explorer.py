@@ -13,6 +13,7 @@ import pytest
 from playwright.sync_api import BrowserContext, FloatRect, Page, expect
 
 import lpn
+from explorer.layout import layout_for
 from lpn import datasets, descriptors, retrieval
 from lpn.core import images
 from lpn.core.demo import DEMO_QUERY
@@ -130,10 +131,8 @@ def test_rotation_by_slider_and_key_changes_picture_and_ranking(explorer: Explor
 
 @pytest.mark.slow
 def test_dragging_ends_on_the_last_value_without_a_queue(explorer: ExplorerPage) -> None:
-    thumb = explorer.page.locator('[role="slider"][aria-valuemax="180"]')
-    box = thumb.bounding_box()
-    assert box is not None
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    thumb = box(explorer.page.get_by_role("slider", name="Rotate"))
+    x, y = thumb["x"] + thumb["width"] / 2, thumb["y"] + thumb["height"] / 2
     mouse = explorer.page.mouse
     mouse.move(x, y)
     mouse.down()
@@ -144,6 +143,21 @@ def test_dragging_ends_on_the_last_value_without_a_queue(explorer: ExplorerPage)
     assert shown > 30
     explorer.expect_status("angle", f"{shown:g}")
     explorer.expect_answers(explorer.sequence() + 1)
+
+
+@pytest.mark.slow
+def test_the_handle_on_the_picture_turns_it(explorer: ExplorerPage) -> None:
+    explorer.stage()
+    knob, picture = box(explorer.page.locator("#lpn-turn")), box(explorer.page.locator("#lpn-stage-query"))
+    mouse = explorer.page.mouse
+    mouse.move(knob["x"] + knob["width"] / 2, knob["y"] + knob["height"] / 2)
+    mouse.down()
+    mouse.move(picture["x"] + 5, picture["y"] + picture["height"] / 2, steps=8)
+    mouse.up()
+    explorer.expect_status("angle", "90")
+    expect(explorer.field("Rotate")).to_have_value("90")
+    explorer.page.locator("#lpn-turn").press("Home")
+    explorer.expect_status("angle", "0")
 
 
 @pytest.mark.slow
@@ -165,9 +179,10 @@ def test_switching_a_part_off_reranks_exactly(explorer: ExplorerPage, app: Runni
 @pytest.mark.slow
 def test_a_tile_on_the_stage_can_be_clicked(explorer: ExplorerPage, app: RunningApp) -> None:
     explorer.stage()
-    box = explorer.canvas.bounding_box()
-    assert box is not None
-    explorer.page.mouse.click(box["x"] + 0.69 * box["width"], box["y"] + 0.62 * box["height"])
+    stage = box(explorer.canvas)
+    layout = layout_for((256, 256), 4, (round(stage["width"]), round(stage["height"])))
+    x, y = (side * layout.unit for side in layout.card_centre(3))
+    explorer.page.mouse.click(stage["x"] + stage["width"] / 2 + x, stage["y"] + stage["height"] / 2 - y)
     index = expected(app, "0007").match(3).index
     explorer.expect_status("chosen", str(index))
 
@@ -186,19 +201,20 @@ def test_heatmap_and_rings_can_be_hidden_and_rings_taken_apart(explorer: Explore
 
 @pytest.mark.slow
 def test_cards_are_seen_from_a_side_too(explorer: ExplorerPage) -> None:
-    def cards_seen(picture: np.ndarray) -> bool:
-        height, width = picture.shape[:2]
-        return (picture[height * 11 // 20 : height * 9 // 10, : width // 2] > 60).any(axis=2).mean() > 0.4
-
-    before = explorer.stage(cards_seen)
     stage = box(explorer.canvas)
+    top = round(box(explorer.page.locator("#lpn-stage-cards"))["y"] - stage["y"])
+
+    def seen(picture: np.ndarray) -> float:
+        """Return the share of the cards' room that is not the ground."""
+        return float((picture[top:] > 60).any(axis=2).mean())
+
+    before = explorer.stage(lambda picture: seen(picture) > 0.1)
     mouse = explorer.page.mouse
     mouse.move(stage["x"] + stage["width"] / 2, stage["y"] + 10)
     mouse.down()
     mouse.move(stage["x"] + stage["width"] / 2 - 120, stage["y"] + 10, steps=6)
     mouse.up()
-    explorer.stage(lambda picture: difference(before, picture) > 0.02)
-    explorer.stage(cards_seen)
+    explorer.stage(lambda picture: difference(before, picture) > 0.02 and seen(picture) > 0.6 * seen(before))
 
 
 def test_a_picture_of_ones_own(explorer: ExplorerPage, tmp_path: Path) -> None:
