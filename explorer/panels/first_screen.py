@@ -42,7 +42,9 @@ from lpn.retrieval import DescribedPicture
 _ANSWER = "this answer"
 # The figure of a flight is that of retrieval alone.
 _ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
-_DISPUTED = "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece: the tag is off."
+_DISPUTED = (
+    "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece: the tag is off."
+)
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.
