@@ -47,25 +47,26 @@ MARK_CONTRAST = 2.0
 
 @dataclass(frozen=True)
 class Palette:
-    """The colours of captions: background, text, dimmed text, the track of a bar, and disabled lines."""
+    """The colours of captions: background, text, dimmed text, the track of a bar, disabled lines, and rows of panels."""
 
     background: Colour
     text: Colour
     dim: Colour
     track: Colour
     off: Colour
+    row: Colour
 
     def ink(self, colour: Colour) -> Colour:
-        """Return a text colour: the same hue, mixed with black or white until it is readable on the background."""
-        return _mixed(colour, self.background, MIN_CONTRAST)
+        """Return a text colour: the same hue, mixed with black or white until it is readable on a row of a panel."""
+        return _mixed(colour, self.row, MIN_CONTRAST)
 
     def mark(self, colour: Colour) -> Colour:
         """Return the colour of a bar or a line: as `ink`, with the smaller contrast that graphics need."""
         return _mixed(colour, self.background, MARK_CONTRAST)
 
 
-DARK = Palette(BACKGROUND, TEXT, DIM, (48, 48, 48), (55, 55, 55))
-LIGHT = Palette((255, 255, 255), (28, 28, 28), (96, 96, 96), (222, 222, 222), (205, 205, 205))
+DARK = Palette(BACKGROUND, TEXT, DIM, (48, 48, 48), (55, 55, 55), (44, 44, 44))
+LIGHT = Palette((255, 255, 255), (28, 28, 28), (96, 96, 96), (222, 222, 222), (205, 205, 205), (238, 238, 238))
 
 
 def part_colour(part: int) -> Colour:

@@ -180,12 +180,12 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     first, query = page.locator("#lpn-first"), page.locator("#lpn-first .pair img").first
     first.get_by_role("button", name="Why?").tap()
     expect(first.locator(".reason p").first).to_be_in_viewport(ratio=1)
-    expect(query).to_be_in_viewport(ratio=1)
+    expect(query).to_be_in_viewport(ratio=0.99)
     before = first.locator(".pair").get_attribute("data-query")
     assert before is not None
     first.get_by_text("Another picture").tap()
     expect(first.locator(".pair")).not_to_have_attribute("data-query", before)
-    expect(query).to_be_in_viewport(ratio=1)
+    expect(query).to_be_in_viewport(ratio=0.99)
     first.get_by_role("button", name="Glossary").tap()
     close = page.locator("#lpn-glossary button")
     expect(close).to_be_in_viewport(ratio=1)

@@ -64,6 +64,8 @@
     }
     const spot = old || document.body.appendChild(document.createElement("div"));
     spot.id = "lpn-spot";
+    // A step before may have scrolled its panel away from it.
+    where.selectors.map((selector) => document.querySelector(selector)).find((one) => one?.getBoundingClientRect().width)?.scrollIntoView({ block: "nearest" });
     const place = () => {
       const box = subject(where);
       spot.hidden = !box;
