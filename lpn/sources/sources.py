@@ -79,7 +79,7 @@ class ModelOptions:
         """Open the model, see `lpn.load` for the errors."""
         import lpn
 
-        return lpn.load(self.model, self.provider, compiled, self.kind, self.pooling)
+        return lpn.load(self.model, self.provider, compiled, kind=self.kind, pooling=self.pooling)
 
 
 def _file_names(*files: Path) -> str:

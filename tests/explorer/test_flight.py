@@ -224,7 +224,7 @@ def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
 ) -> None:
     kinds = []
 
-    def load(*_: object, kind: str | None = None) -> None:
+    def load(*_: object, kind: str | None = None, **__: object) -> None:
         kinds.append(kind)
         raise InputError("It is not opened.")
 

@@ -105,7 +105,7 @@ def test_the_level_is_named_wherever_numbers_are(regions: Workspace, without_cel
             table.summary(findings, LabState(task=TASK), findings.table.rows()),
         ):
             text = re.sub("<[^>]+>", "", html)
-            assert re.search(f"[Ll]evel: {level}", text)
+            assert re.search(f"[Ll]evel(?: of evidence)?: {level}", text)
 
 
 def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,7 +61,7 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
         Signature(
             "MCCG",
             (r"model_1\.convnext\.", r"model_1\.tri_layer\.cw\.", rf"model_1\.classifier_mcb1\.{_HEAD}"),
-            (r"logit_scale$",),
+            (r"logit_scale$", r"model_1\.proj\.mlp\.", r"model_1\.pos_embed$"),
         ),
     ),
     (
