@@ -246,6 +246,7 @@ class CompareCommand(ComparisonOfSources):
         from lpn.core.consoles import stage_bars
         from lpn.core.files import check_writable, write_atomic, write_json
         from lpn.datasets import open_dataset
+        from lpn.models.shipped import model_file
 
         if self.calibrate or self.csls or self.task or self.gallery != "full":
             raise InputError(
@@ -262,7 +263,8 @@ class CompareCommand(ComparisonOfSources):
         for file in filter(None, (page, json)):
             check_writable(file)
         models = {name: model.load() for name, model in options.items()}
-        sizes = {name: model.model.stat().st_size for name, model in options.items() if model.model.is_file()}
+        files = {name: model_file(model.model) for name, model in options.items()}
+        sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
         with stage_bars(Console(stderr=True), "Taking {}") as on_progress:
             written = leaderboard(
                 models,
