@@ -82,7 +82,7 @@ test-all: check $(VENV)/.browser $(VENV)/.milvus
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
 # mypy takes as long as all other checks together.
-check:
+check: $(VENV)/.javascript
 	$(MAKE) -j2 check-types check-style
 
 check-types: $(VENV)/.dev

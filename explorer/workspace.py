@@ -111,7 +111,7 @@ class Workspace:
         self.first_query = 0
         # Other models on the same data to compare with; a state says which one is compared.
         self.beside: list[LazyWorkspace] = []
-        # The weather of all queries; a state's own weather is drawn in its place.
+        # The weather of all queries, in place of that of a state.
         self.weather = CLEAR
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
@@ -184,6 +184,8 @@ class Workspace:
             state = replace(state, scoring=self.tasks[state.task].scoring)
         if state.flight and not self.has_flight:
             state = replace(state, flight=False)
+        if self.tasks[state.task].query_view == "satellite":
+            state = replace(state, weather="normal")  # a tile has none, see `lpn.retrieval.weathers`
         if self.without_cells:
             state = replace(state, heat=False, heat_kind="activation", region=())
         return (
@@ -482,7 +484,7 @@ class StateAnalyser:
         change = state.change
         request = QueryRequest(
             query=state.upload or state.query,
-            change=change if change.weather else replace(change, weather=self._workspace.weather),
+            change=replace(change, weather=self._workspace.weather) if self._workspace.weather else change,
             weights=state.part_values(),
             region=state.region,
             compare="positive" if state.selected == POSITIVE else state.selected,

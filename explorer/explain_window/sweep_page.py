@@ -50,14 +50,18 @@ def page(
         for choice, label in TURNS.items()
         if angle or choice != "this"
     }
+    # A tile has no weather.
+    choices = {
+        key: label for key, label in CHOICES.items() if key != "weather" or analysis.task.query_view != "satellite"
+    }
     if over is None or profile is None:
-        return render("explain/sweep", choices=CHOICES, over=over, done=0, stopped=stopped, whole=whole, turns=turns)
+        return render("explain/sweep", choices=choices, over=over, done=0, stopped=stopped, whole=whole, turns=turns)
     current = signed_value(over, analysis.state.change)
     recalls = whole.recalls if whole is not None and over == "rotation" else ()
     ended = stopped or len(profile.points) >= total
     return render(
         "explain/sweep",
-        choices=CHOICES,
+        choices=choices,
         over=over,
         done=len(profile.points),
         total=total,

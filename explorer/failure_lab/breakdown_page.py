@@ -78,7 +78,7 @@ def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card
         if 1 < len(state.failure_rates(findings, everything, column)) <= most
     ]
     drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace), _hub_card(findings, lab, workspace)]
-    if findings.task.depth is None and len(findings.task.gallery) <= near_duplicates.MAX_TILES:
+    if _shows_places(findings.task) and len(findings.task.gallery) <= near_duplicates.MAX_TILES:
         drawn.append(_alike_card(findings, lab, workspace))
     return drawn + [_rate_card(findings, lab, column, state.failure_rates(findings, lab, column)) for column in columns]
 
@@ -160,7 +160,12 @@ def _alike_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Car
 
 @lru_cache(maxsize=4)
 def _near_duplicates(task: Task) -> list[NearDuplicate]:
-    return near_duplicates.near_duplicates(task.compared[1], task.gallery_labels, _MAX_TILES, task.weights)
+    return near_duplicates.near_duplicates(task.sides()[1], task.gallery_labels, _MAX_TILES, task.weights)
+
+
+def _shows_places(task: Task) -> bool:
+    """Return True if tiles show the places of queries, unlike the overlapping windows of a map, and are in memory."""
+    return task.depth is None and task.truth is None and bool(np.isin(task.gallery_labels, task.query_labels).any())
 
 
 def _apart(task: Task, pair: NearDuplicate) -> str:

@@ -9,12 +9,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import parse_qs
 
 import cv2
 import msgspec
 import numpy as np
 
-from explorer.stories.story import Step, Story
+from explorer.stories.story import Story
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import check_writable, printable, write_atomic
@@ -100,8 +101,10 @@ def record(
             viewport={"width": size[0], "height": size[1]}, color_scheme="dark" if dark else "light"
         )
         page = context.new_page()
+        shows = ""
         for index, step in enumerate(story.steps):
-            picture = _picture(page, url, story, index, dark)
+            shows = step.shows or shows  # a step that shows nothing leaves the page as it is
+            picture = _picture(page, url, story, index, shows, dark)
             takes.append(Take(picture, reading_time(step.caption) if seconds is None else seconds))
             on_progress(index + 1, len(story.steps))
         browser.close()
@@ -133,14 +136,15 @@ def _launch(playwright: Playwright) -> Browser:
         ) from error
 
 
-def _picture(page: Page, url: str, story: Story, index: int, dark: bool) -> UInt8Array:
+def _picture(page: Page, url: str, story: Story, index: int, shows: str, dark: bool) -> UInt8Array:
     """Return the picture of a step at rest, (H, W, 3) uint8 RGB."""
     from playwright.sync_api import TimeoutError as NotReady
 
-    step = story.steps[index]
+    query = parse_qs(shows).get("query", [None])[0]
+    address = "&".join(filter(None, (shows, f"theme={'dark' if dark else 'light'}", "screen=all")))
     try:
-        page.goto(f"{url}{'&' if '?' in url else '?'}{_address(step, dark)}", timeout=_PATIENCE * 1000)
-        page.wait_for_function(_READY, arg=_query(step), timeout=_PATIENCE * 1000)
+        page.goto(f"{url}{'&' if '?' in url else '?'}{address}", timeout=_PATIENCE * 1000)
+        page.wait_for_function(_READY, arg=query, timeout=_PATIENCE * 1000)
         # viser's notices are about this browser, and no part of the story.
         notices = page.evaluate("lpn.viser.SELECTORS.notification")
         page.add_style_tag(
@@ -149,7 +153,7 @@ def _picture(page: Page, url: str, story: Story, index: int, dark: bool) -> UInt
         page.evaluate("([story, index]) => lpn.tell(story, index)", [msgspec.to_builtins(story), index])
         until, before = time.monotonic() + _PATIENCE, b""
         while time.monotonic() < until:
-            page.wait_for_function(_READY, arg=_query(step), timeout=_PATIENCE * 1000)
+            page.wait_for_function(_READY, arg=query, timeout=_PATIENCE * 1000)
             page.wait_for_timeout(_PAUSE * 1000)
             shot = page.screenshot()
             if shot == before:
@@ -172,16 +176,6 @@ def _restless(story: Story, index: int) -> LPNError:
         f"Step {index + 1} of {printable(story.name)!r} did not come to rest within {_PATIENCE:g} s; open the story in the "
         "explorer, and see what the step waits for."
     )
-
-
-def _address(step: Step, dark: bool) -> str:
-    return "&".join(filter(None, (step.shows, f"theme={'dark' if dark else 'light'}", "screen=all")))
-
-
-def _query(step: Step) -> str | None:
-    from urllib.parse import parse_qs
-
-    return parse_qs(step.shows).get("query", [None])[0]
 
 
 def _frames(takes: Sequence[Take]) -> Iterator[tuple[UInt8Array, int]]:

@@ -36,13 +36,13 @@ def near_duplicates(
     Tiles labelled -1 are left out.
 
     Args:
-        gallery: (G, n, D), as the task compares them; each part has length 1.
+        gallery: (G, n, D), descriptors of a task: each part has length 1/sqrt(n).
         labels: the place of each tile, (G,).
         count: number of pairs at most.
         weights: part weights, see `part_weights`.
     """
     total, parts = gallery.shape[:2]
-    flat = (gallery * np.sqrt(part_weights(parts, weights))[None, :, None]).reshape(total, -1)
+    flat = (gallery * np.sqrt(parts * part_weights(parts, weights))[None, :, None]).reshape(total, -1)
     best: list[NearDuplicate] = []
     for start in range(0, total, _BLOCK):
         rows = np.arange(start, min(start + _BLOCK, total))

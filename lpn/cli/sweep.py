@@ -94,6 +94,10 @@ def _swept(task: Task, model: Model, options: SweepOptions, console: Console) ->
 
     from lpn.explain import sweeps
 
+    if options.over == "weather" and task.query_view == "satellite":
+        raise InputError(
+            "The queries are satellite tiles, which have no weather; choose another task, or another property to sweep."
+        )
     position = query_positions([options.query], task.queries, task.data_name)[0]
     query, model = task.queries[position], model.for_task(*task.views)
     side = model.input_size[0 if options.over == "shift-down" else 1]

@@ -98,6 +98,10 @@ def load_published(
     return _built(found, state, path, device, compiled, named is None)
 
 
+# What transformers writes beside the weights.
+_BESIDE = ("config.json", "preprocessor_config.json")
+
+
 def _pooled(
     state: StateDict,
     path: Path,
@@ -126,7 +130,9 @@ def _pooled(
             "%s has no parts of its own; its tokens are pooled by their mean (--pooling).", printable(path.name)
         )
     published = build_pooled(entries, path.parent, pooling, network)
-    return PublishedModel(published, fingerprint(path, also=repr(published.contract)), device)
+    # Heads and activations change the network, and are in no tensor.
+    beside = [file.read_bytes() for name in _BESIDE if (file := path.with_name(name)).is_file()]
+    return PublishedModel(published, fingerprint(path, also=repr((published.contract, options, beside))), device)
 
 
 def _built(
@@ -145,4 +151,6 @@ def _built(
             f"torch.compile is for LPN and SAFA, and {path.name} is of another kind ({kind}); leave --compile out."
         )
     published = build(kind, Entries(path.name, state, options))
-    return PublishedModel(published, fingerprint(path, also=repr(published.contract)), device)
+    # The stride of SUES-200's networks is in no tensor.
+    also = repr((published.contract, options) if kind == "sues200" else published.contract)
+    return PublishedModel(published, fingerprint(path, also=also), device)

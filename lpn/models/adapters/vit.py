@@ -43,7 +43,7 @@ _ACTIVATIONS = {
     "relu": "relu",
     "silu": "silu",
 }
-_HEADS = {1152: 16, 1408: 16, 1664: 16, 4096: 32}
+_HEADS = {1152: 16, 1280: 16, 1408: 16, 1664: 16, 4096: 32}
 # The size of pictures of a network without positions.
 _ROTARY_SIZE = (256, 256)
 
@@ -123,7 +123,7 @@ def network_of_entries(
     width, _, patch, _ = own.shape("patch_embed.proj.weight", 4)
     size = _size(entries, vit, stated_size(pictures) or default_size, patch)
     grid = size[0] // patch, size[1] // patch
-    depth, heads = own.count("blocks.{}.norm1.weight"), _heads(entries, configuration, width)
+    depth, heads = own.count("blocks.{}.norm1.weight"), _heads(entries, configuration, width, form.rotary)
     registers = own.shape("reg_token", 3)[1] if "reg_token" in own.state else 0
     gated = "blocks.0.mlp.fc1_g.weight" in own.state
     hidden = own.shape(f"blocks.0.mlp.{'fc1_g' if gated else 'fc1'}.weight", 2)[0]
@@ -276,10 +276,11 @@ def _uneven(entries: Entries, size: tuple[int, int], patch: int) -> ModelFileErr
     )
 
 
-def _heads(entries: Entries, configuration: Mapping[str, Any], width: int) -> int:
+def _heads(entries: Entries, configuration: Mapping[str, Any], width: int, rotary: bool) -> int:
     heads = configuration.get("num_attention_heads") or entries.options.get("heads")
     if heads is None:
-        heads = _HEADS.get(width, width // HEAD_WIDTH if width % HEAD_WIDTH == 0 else 0)
+        usual = width // HEAD_WIDTH if width % HEAD_WIDTH == 0 else 0
+        heads = usual if rotary and usual else _HEADS.get(width, usual)
     if not isinstance(heads, int) or isinstance(heads, bool) or heads < 1 or width % heads:
         raise ModelFileError(
             f"{entries.name} does not say how many heads its attention of the width {width} has; put its config.json beside "
