@@ -194,7 +194,7 @@ class ClientViews:
 
     def refit(self, analysis: StateAnalysis) -> None:
         """Draw the stage of an analysis that is shown for the stage's new size."""
-        with self._client.atomic():
+        with speaking(self._workspace.vocabulary(analysis.state.plain)), self._client.atomic():
             self.stage.show(analysis)
             self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
 
