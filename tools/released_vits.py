@@ -49,7 +49,7 @@ _GRIDS = ((9, 9), (12, 6))
 
 @dataclass
 class PeerOptions:
-    """What is compared."""
+    """The networks and settings to compare."""
 
     hub: tuple[Path, ...] = field(default=())
     """Checkouts of facebookresearch/dinov2 and facebookresearch/dinov3."""

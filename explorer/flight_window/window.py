@@ -97,7 +97,7 @@ class FlightWindow:
         self._resized = False
         self._message: _Message | None = None
         self._saves = 0
-        # What the page was told of the frame that it shows, and the number of that message.
+        # The newest message to the page about the frame that it shows, and its number.
         self._followed: dict[str, Any] = {}
         self._sequence = 0
         gui = client.gui

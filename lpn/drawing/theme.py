@@ -29,7 +29,7 @@ COLOURS: dict[str, Colour] = {
     "retrieval": (250, 197, 186),
     "sequence": (201, 179, 255),
     "registration": (84, 176, 96),
-    # What can be pressed, and what is chosen.
+    # The accent marks controls and what is chosen.
     "accent": (44, 199, 184),
 }
 # A ninth part has the first colour again. Where no parts are shown, categories of a column have these colours.

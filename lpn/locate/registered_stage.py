@@ -51,7 +51,7 @@ _BEYOND = 0.05
 # How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
 _SWAY = 0.1
 UNKNOWN = (math.nan, math.nan)
-# What the matches of a registration agree on, by its model.
+# Each model of a registration in words: the matches agree on it.
 _AGREED = {"similarity": "one place, turn, and scale", "homography": "one place, turn, scale, and tilt"}
 
 

@@ -81,7 +81,7 @@ class TokenPooling:
 
     @property
     def needs_class_token(self) -> bool:
-        """Whether the descriptor has the class token in it."""
+        """Return True if the descriptor contains the class token."""
         return self.name.startswith("cls")
 
     @property
@@ -98,7 +98,7 @@ class TokenPooling:
 
     @property
     def held(self) -> str:
-        """What is held at its value for each picture."""
+        """Return what the account holds at its value for each picture."""
         if self.name == "gem":
             return "the power means of GeM (Euler's split of its power)"
         return "the class token" if self.name == "cls+mean" else ""

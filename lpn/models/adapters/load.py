@@ -98,7 +98,7 @@ def load_published(
     return _built(found, state, path, device, compiled, named is None)
 
 
-# What transformers writes beside the weights.
+# The files that transformers writes beside the weights.
 _BESIDE = ("config.json", "preprocessor_config.json")
 
 

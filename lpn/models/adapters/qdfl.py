@@ -124,7 +124,7 @@ class _Cycle(nn.Module):
 class _Fusion(nn.Module):
     """QDFL's fusion of a map with its neighbours along rows and columns, (B, C, h, w) of a square map.
 
-    As in the released code, the map along columns stays transposed.
+    The map along columns stays transposed, as it is in the released code.
     """
 
     def __init__(self, entries: Entries, width: int) -> None:

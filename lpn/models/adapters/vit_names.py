@@ -31,7 +31,7 @@ _CLIP: tuple[Triple, Triple] = ((0.48145466, 0.4578275, 0.40821073), (0.26862954
 
 @dataclass(frozen=True)
 class VitFormat:
-    """What one library's file of a network does not say in tensors.
+    """The facts about a network that its library knows and its tensors do not tell.
 
     Attributes:
         title: of the network, for headers.
@@ -125,7 +125,7 @@ _OUTSIDE = (
     (r"head\.mlp\.", "attn_pool.mlp."),
 )
 _LAYER = re.compile(r"(?:encoder\.layers?|layers?|model\.layer)\.(\d+)\.(.*)")
-# Of OpenAI's and OpenCLIP's networks.
+# These are the names of OpenAI's and OpenCLIP's networks.
 _OPENAI = (
     (r"conv1\.", "patch_embed.proj."),
     (r"class_embedding$", "cls_token"),
@@ -138,7 +138,7 @@ _OPENAI = (
     (r"transformer\.resblocks\.(\d+)\.mlp\.c_fc\.", r"blocks.\1.mlp.fc1."),
     (r"transformer\.resblocks\.(\d+)\.mlp\.c_proj\.", r"blocks.\1.mlp.fc2."),
 )
-# Of torch.hub's DINOv2 and DINOv3, and of timm's networks with rotary positions.
+# These are the names of torch.hub's DINOv2 and DINOv3, and of timm's networks with rotary positions.
 _HUB = (
     (r"(register_tokens|storage_tokens)$", "reg_token"),
     (r"blocks\.(\d+)\.gamma_([12])$", r"blocks.\1.ls\2.gamma"),
