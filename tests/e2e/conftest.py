@@ -366,9 +366,12 @@ def expect_accessible(page: Page, rules: Sequence[str] = ()) -> None:
 
 
 def box(locator: Locator) -> FloatRect:
-    found = locator.bounding_box()
-    assert found is not None
-    return found
+    """Return the box of an element, once it is laid out: a view that is drawn anew has none for a moment."""
+    deadline = time.monotonic() + PATIENCE
+    while (laid_out := locator.bounding_box()) is None:
+        assert time.monotonic() < deadline, f"{locator} has no box"
+        locator.page.wait_for_timeout(50)
+    return laid_out
 
 
 def difference(one: np.ndarray, other: np.ndarray) -> float:

@@ -8,7 +8,6 @@ import io
 import os
 import pathlib
 import pickle
-import sys
 import tarfile
 import zipfile
 from collections.abc import Callable
@@ -20,9 +19,10 @@ import pytest
 import torch
 
 import lpn
-from lpn.core.errors import MissingPackageError, ModelFileError
+from lpn.core.errors import ModelFileError
 from lpn.models import file_contents
 from lpn.models.file_contents import check_trained_file, contents_of, names_in_pickle, pickle_protocol
+from tools.fixtures.without_torch import run_without_torch
 
 PAGE = b"<!DOCTYPE html>\n<html><head><title>%s</title></head><body>Sign in</body></html>"
 XML = b'<?xml version="1.0" encoding="UTF-8"?>\n<Error><Code>AccessDenied</Code><Message>Expired</Message></Error>'
@@ -164,19 +164,22 @@ def test_a_file_of_another_kind_is_named(case: str, tmp_path: Path) -> None:
             assert str(caught.value).startswith(f"net_119{ending} {sentence}")
 
 
-def test_a_file_of_another_kind_is_named_without_torch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    weights = saved({"a": torch.zeros(1)})
-    for module in [
-        name for name in sys.modules if name.startswith("lpn.models.adapters") or name == "lpn.models.checkpoints"
-    ]:
-        monkeypatch.delitem(sys.modules, module)
-    monkeypatch.setitem(sys.modules, "torch", None)
-    (tmp_path / "net.pth").write_bytes(FOREIGN["Git LFS"][0])
-    with pytest.raises(ModelFileError, match=r"net\.pth is a Git LFS pointer"):
-        lpn.load(tmp_path / "net.pth")
-    (tmp_path / "net.pth").write_bytes(weights)
-    with pytest.raises(MissingPackageError, match=r"needs the package torch"):
-        lpn.load(tmp_path / "net.pth")
+def test_a_file_of_another_kind_is_named_without_torch(tmp_path: Path) -> None:
+    code = """
+import sys, lpn
+for name in sys.argv[1:]:
+    try:
+        lpn.load(name)
+    except lpn.LPNError as error:
+        print(error)
+"""
+    (tmp_path / "pointer.pth").write_bytes(FOREIGN["Git LFS"][0])
+    (tmp_path / "net.pth").write_bytes(saved({"a": torch.zeros(1)}))
+    done = run_without_torch(code, "pointer.pth", "net.pth", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    pointer, weights = done.stdout.splitlines()
+    assert pointer.startswith("pointer.pth is a Git LFS pointer")
+    assert "needs the package torch" in weights
 
 
 def test_a_graph_and_weights_under_each_others_endings(tmp_path: Path, model_file: Path) -> None:
