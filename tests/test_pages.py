@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import re
 import runpy
 import shutil
 import sys
@@ -112,6 +113,15 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
     assert "77 pixels, 3 epochs, one seed of each network" in text
     assert "The world has 1\nplaces to train on and 2 to test on: 1 drone pictures" in text
     assert pages("--check", "--docs", str(docs)).returncode == 0
+
+    # Another run of several seeds stands beside the tables, and stays when they are replaced.
+    for options in (("--seeds", str(run)), ("--run", str(run))):
+        assert pages(*options, "--world", str(world), "--docs", str(docs)).returncode == 0
+        text = (docs / "reproduction.md").read_text("utf-8")
+        _, page, seeds = re.split("^# .*rendered world$|^# Several seeds$", text, flags=re.MULTILINE)
+        assert "| Baseline, n = 1 | 41.25 | 41.25 |" in page
+        assert "| Baseline, n = 1 | 41.25 | 41.25 |" in seeds
+        assert "python -m tools.pages --seeds run --world world" in seeds
 
 
 def test_the_ablation_takes_seeds_that_both_methods_have(docs: Path, tmp_path: Path) -> None:

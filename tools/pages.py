@@ -3,7 +3,8 @@
 `docs/measured/<page>.md.j2` is the page's text, and `docs/measured/<page>.json` holds its figures, each with its command, seed,
 version, machine, and date. Those of docs/shipped.md are in the cards of the models that ship. The tables of docs/recipes.md come
 from `lpn.training.recipe_sources`. With `--run` and `--world`, the tables and drawings of a run of `lpn reproduce`, and the
-counts of the world that it ran on, replace the page's own first. With `--crossval`, the table of an `lpn crossval` joins those
+counts of the world that it ran on, replace the page's own first. With `--seeds` and `--world`, the tables of a run of several
+seeds stand beside them. With `--crossval`, the table of an `lpn crossval` joins those
 of docs/strong.md. With `--check`, nothing is written: a page that differs from its data, and a figure in the text alone, end
 with status 1.
 """
@@ -67,12 +68,14 @@ def render(page: str, docs: Path) -> str:
         "trials": _trials,
     }
     records = {key: _record(value) for key, value in data.pop("tables", {}).items()}
+    seeded = {key: _record(value) for key, value in data.get("seeds", {}).get("tables", {}).items()}
     drawings = [picture for picture in _DRAWINGS.values() if (docs / picture).is_file()]
     environment.globals |= {"recipe_table": recipe_sources.table, "source": recipe_sources.source, "find": recipes.find}
     text = environment.get_template(f"{page}.md.j2").render(
         **data,
         tables=records,
         table=lambda key: table(records[key]),
+        seeded_table=lambda key: table(seeded[key]),
         cards=model_cards(),
         drawings=drawings,
         limits=[largest_drop(column) for column in range(4)],
@@ -100,20 +103,42 @@ def origins(record: TableRecord) -> list[str]:
 
 def copy_run(run: Path, world: Path, docs: Path) -> None:
     """Replace the page's data and drawings by those of a finished run of `lpn reproduce` on a rendered world."""
+    target = docs / "measured" / "reproduction.json"
+    before = json.loads(target.read_bytes()) if target.is_file() else {}
+    tuning = run / "tuning.json"
+    data = {
+        "format": FORMAT,
+        **_measured(run, world, "run"),
+        "tuning": json.loads(tuning.read_bytes()) if tuning.is_file() else None,
+    }
+    write_json(target, data | {key: before[key] for key in ("seeds",) if key in before}, ensure_ascii=False)
+    for name, picture in _DRAWINGS.items():
+        if (drawn := run / f"{name}.png").is_file():
+            cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))), [cv2.IMWRITE_JPEG_QUALITY, 80])
+        else:
+            (docs / picture).unlink(missing_ok=True)
+
+
+def copy_seeds(run: Path, world: Path, docs: Path) -> None:
+    """Put the tables of a run of several seeds beside the page's own, which stay."""
+    target = docs / "measured" / "reproduction.json"
+    data = json.loads(target.read_bytes())
+    write_json(target, data | {"seeds": _measured(run, world, "seeds")}, ensure_ascii=False)
+
+
+def _measured(run: Path, world: Path, option: str) -> dict[str, Any]:
+    """Return the tables of a run on a rendered world, and the world's commands and counts."""
     tables = json.loads(msgspec.json.encode(read_measurements(run / "measured.json").tables))
     jobs = [json.loads(file.read_bytes()) for file in sorted((run / "runs").glob("lpn-seed*/job.json"))]
     settings = json.loads((world / PLAN).read_bytes())["settings"]
     flags = " ".join(_flag(name, value) for name, value in settings.items())
-    tuning = run / "tuning.json"
-    data = {
-        "format": FORMAT,
+    return {
         "tables": dict(sorted(tables.items(), key=lambda item: (item[0].startswith("figure"), item[0]))),
-        "tuning": json.loads(tuning.read_bytes()) if tuning.is_file() else None,
         "world": {
             "commands": [
                 f"lpn world {flags} --out {world.name}",
                 jobs[0]["made"]["command"],
-                f"python -m tools.pages --run {run.name} --world {world.name}",
+                f"python -m tools.pages --{option} {run.name} --world {world.name}",
             ],
             "train": len(list((world / "train/satellite").iterdir())),
             "test": len(list((world / "test/query_satellite").iterdir())),
@@ -123,12 +148,6 @@ def copy_run(run: Path, world: Path, docs: Path) -> None:
             "seeds": len(jobs),
         },
     }
-    write_json(docs / "measured" / "reproduction.json", data, ensure_ascii=False)
-    for name, picture in _DRAWINGS.items():
-        if (drawn := run / f"{name}.png").is_file():
-            cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))), [cv2.IMWRITE_JPEG_QUALITY, 80])
-        else:
-            (docs / picture).unlink(missing_ok=True)
 
 
 def copy_ablation(runs: Path, commit: str, docs: Path) -> None:
@@ -333,6 +352,7 @@ def main() -> int:
     """Render the pages, after taking over a run, or check them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--run", type=Path, help="folder of a finished lpn reproduce")
+    parser.add_argument("--seeds", type=Path, help="folder of a finished lpn reproduce with several seeds")
     parser.add_argument("--world", type=Path, help="rendered world that the run was made on")
     parser.add_argument("--ablation", type=Path, help="folder of the ablation's runs")
     parser.add_argument("--trained", type=Path, help="folder of networks that were measured on the test split")
@@ -345,10 +365,12 @@ def main() -> int:
         found = [error for page in PAGES for error in errors(page, given.docs)]
         print("\n".join(found) or "The pages are what their data say.")
         return int(bool(found))
-    if (given.run is None) != (given.world is None):
-        parser.error("--run and --world go together: the page tells of both.")
+    if (given.run is None and given.seeds is None) != (given.world is None):
+        parser.error("--run or --seeds and --world go together: the page tells of both.")
     if given.run is not None:
         copy_run(given.run, given.world, given.docs)
+    if given.seeds is not None:
+        copy_seeds(given.seeds, given.world, given.docs)
     if given.ablation is not None:
         copy_ablation(given.ablation, given.commit, given.docs)
     if given.trained is not None:
