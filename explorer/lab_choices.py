@@ -49,9 +49,10 @@ class LabChoices:
         selections: a query must be in all of them.
         sort_column, descending: the order of the table.
         columns: shown beside the columns that are always shown; None for the default ones.
-        full_height: the window covers the whole stage.
+        full_height: the window covers the whole stage; None leaves that to the tab, see `covers_stage`.
         map: the map that is shown.
         colour: the column that colours the map; empty for the outcome.
+        both_maps: a map of descriptors stands beside that of the second model.
     """
 
     tab: Tab = "table"
@@ -62,9 +63,14 @@ class LabChoices:
     sort_column: str = "margin"
     descending: bool = False
     columns: tuple[str, ...] | None = None
-    full_height: bool = False
+    full_height: bool | None = None
     map: MapKind = "pca"
     colour: str = ""
+    both_maps: bool = False
+
+    def covers_stage(self, wide: bool) -> bool:
+        """Return True if the window covers the whole stage: as a person chose, else for maps on a wide stage."""
+        return wide and self.tab == "maps" if self.full_height is None else self.full_height
 
 
 @dataclass(frozen=True)
@@ -126,6 +132,7 @@ CHOICES = (
     LabChoice("full_height", parameters.switch("full_height", "tall"), every_task=True),
     _one_of("map", "on", get_args(MapKind)),
     _text("colour", "by", "colour"),
+    LabChoice("both_maps", parameters.switch("both_maps", "both")),
     LabChoice("selections", selects=True),
 )
 _Choices = TypeVar("_Choices", bound=LabChoices)

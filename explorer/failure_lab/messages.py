@@ -117,9 +117,20 @@ class ColourBy(LabMessage, tag="lab-colour"):
     column: str
 
 
+class ShowBothMaps(Choose, tag="lab-both"):
+    both_maps: bool
+
+
 class SelectLasso(LabMessage, tag="lab-lasso"):
+    """Select the queries within a lasso.
+
+    Attributes:
+        second: the lasso is on the map of the second model.
+    """
+
     map: MapKind
     corners: Annotated[list[tuple[Coordinate, Coordinate]], Meta(min_length=3, max_length=MAX_CORNERS)]
+    second: bool = False
 
 
 class OpenPoint(LabMessage, tag="lab-point"):
@@ -132,7 +143,8 @@ class ShowTip(LabMessage, tag="lab-tip"):
     row: QueryIndex
 
 
-class ToggleFullHeight(LabMessage, tag="lab-tall"): ...
+class SetFullHeight(LabMessage, tag="lab-tall"):
+    full_height: bool
 
 
 class CancelWork(LabMessage, tag="lab-stop"):
@@ -205,8 +217,8 @@ def apply(message: LabMessage, lab: LabState, findings: Findings | None) -> LabS
         findings: None before the table is there; most messages need it.
     """
     match message:
-        case ToggleFullHeight():
-            return replace(lab, full_height=not lab.full_height)
+        case SetFullHeight(full_height):
+            return replace(lab, full_height=full_height)
         case CancelWork(work):
             return replace(lab, paused=lab.paused | {work})
         case ResumeWork(work):

@@ -27,7 +27,7 @@ from lpn.locate.task import stage_columns
 from lpn.tasks import notes, query_outcomes
 from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import Outcomes
-from lpn.tasks.task import Task
+from lpn.tasks.task import Scoring, Task
 
 _CHANGED = "rank B: none. The data set changed before the second model was opened; stop the app and start it again."
 
@@ -39,10 +39,17 @@ class SecondRanks:
     Attributes:
         names: of the table's own model, which is A, and of the second one, which is B.
         hits: the queries whose true match B ranks first, (Q,).
+        scorings: of A and of B.
     """
 
     names: tuple[str, str]
     hits: BoolArray
+    scorings: tuple[Scoring, Scoring] = ("plain", "plain")
+
+    @property
+    def alike(self) -> bool:
+        """Both models rank by one scoring, so that their ranks differ by the models alone."""
+        return self.scorings[0] == self.scorings[1]
 
 
 @dataclass(frozen=True)
@@ -202,9 +209,8 @@ class FailureLab:
         ranked = ranking.result.ranking
         columns = query_outcomes.compared_ranks(findings.table, ranked.first, ranked.depth)
         names = self._workspace.model_name, second.model_name
-        if ranking.task.scoring != findings.task.scoring:
-            names = f"{names[0]}, {findings.task.scoring}", f"{names[1]}, {ranking.task.scoring}"
-        ranks = SecondRanks(names, findings.outcomes.known & (ranked.first == 0))
+        scorings = findings.task.scoring, ranking.task.scoring
+        ranks = SecondRanks(names, findings.outcomes.known & (ranked.first == 0), scorings)
         return replace(findings, table=findings.table.with_columns(columns), second=ranks)
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:
@@ -218,6 +224,27 @@ class FailureLab:
         return self._jobs.join(
             (kind, task), client, lambda progress: self._points(kind, self._workspace.rankings[task].task, progress)
         )
+
+    def second_points(self, kind: MapKind, task: str, client: object, beside: int) -> BackgroundJob[MapPoints] | None:
+        """Start or join the computation of a map of the second model's descriptors; None until its ranks are known.
+
+        Its tiles are in the order of the workspace's own model; those that it lacks have no place.
+        """
+        findings, second = self.findings(task, beside), self._second(beside)
+        if findings is None or findings.second is None or second is None or second.workspace is None:
+            return None
+        ranking, first = second.workspace.ranked_as(findings.task), findings.task
+        if ranking is None:
+            return None
+        other = ranking.task
+
+        def work(progress: ReportProgress) -> MapPoints:
+            points = self._points(kind, other, progress)
+            places = {tile.path: place for tile, place in zip(other.gallery, points.tiles, strict=True)}
+            tiles = [places.get(tile.path, (np.nan, np.nan)) for tile in first.gallery]
+            return replace(points, tiles=np.array(tiles, np.float64).reshape(-1, 2))
+
+        return self._jobs.join((kind, task, second.label), client, work)
 
     def retry(self, task: str, work: Literal["table"] | MapKind) -> None:
         """Forget that the table or a map failed, so that the next request computes it again."""

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol, get_args
 import numpy as np
 
 from explorer.browse.feeds import Feeds, Side
+from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.failure_lab.service import Findings, SecondProgress
 from explorer.failure_lab.state import Drawer, LabState, extra_columns, fixed_columns, outcome_masks
@@ -50,8 +51,12 @@ class _Cell(NamedTuple):
     bar: tuple[float, float, str] | None = None
 
 
-def bar(findings: Findings, lab: LabState, selected: int, chosen: int = 0) -> str:
-    """Return the bar of tabs, outcomes, and actions, given the numbers of selected queries and of chosen rows."""
+def bar(findings: Findings, lab: LabState, selected: int, chosen: int = 0, tall: bool = False) -> str:
+    """Return the bar of tabs, outcomes, and actions, given the numbers of selected queries and of chosen rows.
+
+    Args:
+        tall: the window covers the whole stage.
+    """
     counts = {outcome: int(mask.sum()) for outcome, mask in outcome_masks(findings).items()}
     names = None if findings.second is None else findings.second.names
     return render(
@@ -63,6 +68,7 @@ def bar(findings: Findings, lab: LabState, selected: int, chosen: int = 0) -> st
         number=chosen or selected,
         what="chosen" if chosen else "shown",
         most=MOST,
+        tall=tall,
     )
 
 
@@ -86,7 +92,8 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         narrowed=show_all(lab) != lab,
         notes_error=findings.notes_error,
         claim=findings.task.contract.claim,
-        names=None if findings.second is None else findings.second.names,
+        second=findings.second,
+        terms=scorings.TERMS,
         drawers=_drawers(lab, len(rows)),
     )
 

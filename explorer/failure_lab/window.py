@@ -13,7 +13,7 @@ import viser
 from explorer import reports, session_state
 from explorer.browse.feeds import Feeds
 from explorer.compute.worker import Worker
-from explorer.failure_lab import breakdown_page, messages, state, table
+from explorer.failure_lab import breakdown_page, map_layout, messages, state, table
 from explorer.failure_lab.map_page import MapPage
 from explorer.failure_lab.messages import LabMessage
 from explorer.failure_lab.note_form import NoteForm
@@ -100,7 +100,9 @@ class FailureLabWindow:
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
-            self._bar, self._boxes, self._summary, self._drawer, self._second = (Html(gui) for _ in range(5))
+            self._bar, self._boxes, self._summary, self._drawer, self._second, self._controls = (
+                Html(gui) for _ in range(6)
+            )
             # The script of `_data` runs again when the page shows the window again.
             self._body, self._data = Html(gui), Html(gui)
             self._notes = NoteForm(gui, service)
@@ -188,7 +190,8 @@ class FailureLabWindow:
                 self._download()
             case messages.SaveReport():
                 self._report()
-            case messages.OpenSecond():
+            case messages.OpenSecond() | messages.ShowBothMaps(True):
+                self._update(message)
                 self._service.open_second(self._beside)
                 self._second_worker.wake()
             case messages.CloseLab():
@@ -252,7 +255,7 @@ class FailureLabWindow:
             if changed == self._lab:
                 return
             self._lab = changed
-            if self._wanted is not None and isinstance(message, messages.ToggleFullHeight):
+            if self._wanted is not None and isinstance(message, messages.SetFullHeight):
                 self._wanted = self._wanted[0], replace(self._wanted[1], full_height=changed.full_height)
         self._tell(changed)
         if isinstance(message, messages.OF_CHARTS):
@@ -310,7 +313,8 @@ class FailureLabWindow:
             self._service.leave_second(self)
             self._place(None)
             return
-        self._place(lab.full_height)
+        tall = lab.covers_stage(self._viewport.width >= map_layout.WIDE)
+        self._place(tall)
         self._order.show(view.order)
         if findings is None:
             self._wait_for_table(lab)
@@ -321,22 +325,27 @@ class FailureLabWindow:
             self._second_worker.wake()
         rows = self._rows(findings, lab)
         chosen = state.chosen_rows(lab, rows)
-        self._bar.show(table.bar(findings, lab, len(rows), len(chosen)))
+        self._bar.show(table.bar(findings, lab, len(rows), len(chosen), tall))
         if lab.text_revision != self._text_revision:  # sending the boxes discards what the user is typing
             self._text_revision = lab.text_revision
             self._boxes.show(table.search_boxes(findings, lab))
         self._summary.show(table.summary(findings, lab, rows, len(chosen)))
         self._drawer.show(self._drawn_drawer(findings, lab, len(rows), len(chosen)))
+        controls = ""
         if lab.tab == "table":
             self._show_table(findings, lab, view.query, rows)
         elif lab.tab == "breakdown":
             self._body.show(breakdown_page.page(findings, lab, self._workspace))
         else:
-            html, script, final = self._map.page(findings, lab, view.query, rows, self._size)
-            self._body.show(html)
-            self._data.show(script)
-            if not final:
+            offered = bool(self._workspace.beside)
+            drawn = self._map.page(findings, lab, view.query, rows, self._size, self._beside, offered)
+            controls = drawn.controls
+            self._controls.show(controls)  # before the script that fills them
+            self._body.show(drawn.maps)
+            self._data.show(drawn.script)
+            if not drawn.final:
                 self._worker.wake()
+        self._controls.show(controls)
         self._tip.show("")
         self._notes.show(findings, None if lab.tab == "breakdown" else view.query)
 
@@ -365,7 +374,7 @@ class FailureLabWindow:
             if job.wait(0.4) and job.error is None:
                 self._worker.wake()
                 return
-        for part in (self._bar, self._boxes, self._summary, self._second, self._drawer):
+        for part in (self._bar, self._boxes, self._summary, self._second, self._drawer, self._controls):
             part.show("")
         self._text_revision = None
         self._notes.show(None, None)

@@ -79,7 +79,8 @@ def any_choices(rng: Random, queries: int) -> LabChoices:
         sort_column=rng.choice(["margin", "-odd name"]),
         descending=rng.choice([True, False]),
         columns=rng.choice([None, (), ("district", "a b")]),
-        full_height=rng.choice([True, False]),
+        full_height=rng.choice([None, True, False]),
+        both_maps=rng.choice([True, False]),
         map=rng.choice(["pca", "umap", "ground"]),
         colour=rng.choice(["", "distance"]),
     )
@@ -223,7 +224,14 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
     }
     named |= {"plain": "words"}
     named |= {"outcome": "only", "filter": "where", "name_search": "find", "sort_column": "sort", "descending": "order"}
-    named |= {"full_height": "tall", "map": "map", "colour": "by", "why_tab": "reason", "selections": "chosen"}
+    named |= {
+        "full_height": "tall",
+        "both_maps": "both",
+        "map": "map",
+        "colour": "by",
+        "why_tab": "reason",
+        "selections": "chosen",
+    }
     fields = (set(vars(state)) | set(vars(LabChoices()))) - left_out - {"laboratory"}
     assert {named.get(field, field) for field in fields} | {"show", "on"} == set(links.keys)
 

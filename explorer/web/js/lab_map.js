@@ -34,7 +34,7 @@
   };
   const views = new Map(); // middle and pixels per unit of each map that was looked at
   let pictured = true; // pictures stand for points where the map is close enough
-  let mode = "move", data = null, root = null, current = null;
+  let mode = "move", newest = null, maps = []; // the newest state, and the maps that show it
 
   // ---- what the server publishes, by address; the newest few
   const fetched = new Map();
@@ -90,7 +90,17 @@
     return made;
   };
 
-  const LabMap = (box) => {
+  // A label of a cluster: its place in pixels, given that of its middle.
+  const LABEL = 18;
+  const labelBox = (pen, text, [left, top]) => {
+    pen.font = "600 12px sans-serif";
+    const width = pen.measureText(text).width + 14;
+    return [left - width / 2, top - LABEL / 2, width, LABEL];
+  };
+
+  // Which of the maps a box is: that of the second model stands after the first one's.
+  const LabMap = (box, number) => {
+    let data = null, labels = [];
     const [ground, points, overlay] = box.querySelectorAll("canvas");
     const counted = box.querySelector(".counted"), position = box.querySelector(".read");
     let plane = null, flags = null, codes = null, palette = [], picture = null, order = null, groups = null, gathered = 0;
@@ -99,7 +109,7 @@
     const ratio = () => Math.min(window.devicePixelRatio || 1, 2);
     const x = (i) => plane[2 * i], y = (i) => plane[2 * i + 1];
     const soon = () => (frame ||= requestAnimationFrame(draw));
-    const ready = () => plane && flags && codes && map.view && box.isConnected;
+    const ready = () => data && plane && flags && codes && map.view && box.isConnected;
 
     // West, south, east, and north of points; of all, tiles and the ground included, without a choice. Nothing if none has a place.
     const extent = (which = null) => {
@@ -191,6 +201,25 @@
       });
       box.dataset.pictures = String(drawn);
     };
+    // Labels that would cover another are left out; those of larger clusters come first.
+    const drawLabels = (pen) => {
+      labels = [];
+      for (const { at, text, about } of data.labels) {
+        const place = labelBox(pen, text, map.toPixels(at)), [left, top, width, height] = place;
+        if (labels.some(({ place: [x0, y0, w, h] }) => left < x0 + w && x0 < left + width && top < y0 + h && y0 < top + height)) continue;
+        labels.push({ place: place, about: about });
+        pen.beginPath();
+        pen.roundRect(left, top, width, height, height / 2);
+        pen.fillStyle = "rgba(20,20,22,.82)";
+        pen.fill();
+        pen.fillStyle = "#f2f2f2";
+        pen.textAlign = "center";
+        pen.textBaseline = "middle";
+        pen.fillText(text, left + width / 2, top + height / 2 + 0.5);
+      }
+      box.dataset.labels = String(labels.length);
+    };
+    const labelAt = ([left, top]) => labels.find(({ place: [x0, y0, width, height] }) => left >= x0 && left <= x0 + width && top >= y0 && top <= y0 + height);
     const colour = (i) => (codes[i] === UNKNOWN ? GREY : palette[codes[i]] || GREY);
 
     const draw = () => {
@@ -317,10 +346,11 @@
       for (const [query, tile] of data.lines) line(query, data.queries + tile, wrong, 1);
       for (const members of groups || []) drawPie(pen, members);
       drawPictures(pen);
+      drawLabels(pen);
       if (data.query && x(data.query[0]) === x(data.query[0])) {
         const [query, answer, positive] = data.query;
         const tiles = [];
-        if (answer >= 0 && answer !== positive) tiles.push([answer, wrong]);
+        if (!number && answer >= 0 && answer !== positive) tiles.push([answer, wrong]);
         if (positive >= 0 && !data.ground) tiles.push([positive, right]);
         for (const [tile, ink] of tiles) {
           line(query, data.queries + tile, ink, 1.5);
@@ -399,7 +429,8 @@
       hideTips();
       if (pressed) return;
       const query = near(at);
-      if (query !== hovered) (hovered = query), soon();
+      if (query !== hovered) maps.forEach((one) => one.hover(query));
+      overlay.title = labelAt(at)?.about || "";
       const several = query >= 0 && apart(query);
       overlay.style.cursor = several ? "zoom-in" : query >= 0 ? "pointer" : mode === "lasso" || event.shiftKey ? "crosshair" : "grab";
       if (query < 0 || several) return;
@@ -445,7 +476,7 @@
     const sendLasso = (pixels) => {
       const step = Math.ceil(pixels.length / CORNERS);
       const places = pixels.filter((_, i) => i % step === 0).map(map.toPlane);
-      lpn.send("lab-lasso", [data.map, places.map((place) => place.map((value) => +value.toFixed(6)))]);
+      lpn.send("lab-lasso", [data.map, places.map((place) => place.map((value) => +value.toFixed(6))), number > 0]);
     };
     // The corners of the map in pixels, and the number of selected queries between them.
     const corners = () => {
@@ -453,7 +484,15 @@
       return [[0, 0], [right, 0], [right, down], [0, down]];
     };
     const inSight = () => inLasso(corners().map(map.toPlane));
-    const home = () => fit(extent());
+    // A map that nobody moved fits its room, also in a room of another size.
+    const home = () => {
+      fit(extent());
+      if (map.view) views.set(data.view + "home", { ...map.view });
+    };
+    const unmoved = () => {
+      const kept = views.get(data.view + "home");
+      return kept && ["x", "y", "scale"].every((key) => kept[key] === map.view[key]);
+    };
     /** @returns {[number, number]} */
     const limits = () => {
       const all = views.get(data.view + "fit");
@@ -464,7 +503,7 @@
       if (event.pointerType === "mouse") read(null); // what a finger has pointed at stays
       clearTimeout(rest);
       hideTips();
-      if (hovered >= 0) (hovered = -1), soon();
+      if (hovered >= 0) maps.forEach((one) => one.hover(-1));
     });
     const acts = {
       move: () => (mode = "move"),
@@ -475,8 +514,7 @@
       chosen: () => fit(extent((i) => flags[i] & SELECTED), 0.8),
       pictures: () => {
         pictured = !pictured;
-        placedAt = 0;
-        soon();
+        maps.forEach((one) => one.anew());
       },
     };
     const pressed = () => {
@@ -484,7 +522,7 @@
       box.querySelectorAll("button").forEach((one) => ["move", "lasso"].includes(one.dataset.act) && one.setAttribute("aria-pressed", one.dataset.act === mode));
       box.querySelector("[data-act=pictures]")?.setAttribute("aria-pressed", pictured);
     };
-    box.querySelectorAll("button").forEach((one) => one.addEventListener("click", () => (ready() && acts[one.dataset.act](), pressed())));
+    box.querySelectorAll("button").forEach((one) => one.addEventListener("click", () => (ready() && acts[one.dataset.act](), maps.forEach((other) => other.pressed()))));
     overlay.addEventListener("keydown", (event) => {
       if (!ready() || event.ctrlKey || event.metaKey || event.altKey) return;
       if (event.key.startsWith("Arrow")) {
@@ -503,7 +541,8 @@
     pressed();
 
     const legend = () => {
-      const key = box.parentElement.querySelector(".lab-key");
+      const key = document.querySelector("#lpn-lab-mapped .lab-key");
+      if (!key || number) return;
       const { labels, counts, ends } = data.legend;
       const entry = (ink, words, sign = "●") => {
         const one = document.createElement("span"), dot = one.appendChild(document.createElement("b"));
@@ -528,6 +567,7 @@
       if (groups?.length) entries.push(entry("currentColor", "a pie: queries that lie close together", "◕"));
       if (!data.ground) entries.push(entry(TILE, "tiles", "■"));
       if (data.axes) entries.push(data.axes);
+      if (data.labels.length) entries.push("labels: the most frequent " + data.labels[0].column + " of each cluster, with its share");
       if (data.query) entries.push("ringed: the query");
       key.replaceChildren(...entries.map((one) => (typeof one === "string" ? Object.assign(document.createElement("span"), { textContent: one }) : one)));
     };
@@ -535,7 +575,14 @@
     return {
       box: box,
       pixels: (i) => map.toPixels([x(i), y(i)]),
-      update: async (next) => {
+      hover: (query) => {
+        if (query !== hovered) (hovered = query), soon();
+      },
+      anew: () => ((placedAt = 0), soon()),
+      pressed: pressed,
+      update: async (state) => {
+        const next = { ...state, ...state.maps[number] };
+        const stale = () => newest !== state || !box.isConnected;
         const select = /** @type {HTMLSelectElement} */ (document.getElementById("lpn-lab-colour"));
         if (select && select.value !== next.colour) select.value = next.colour;
         const address = next.address;
@@ -545,15 +592,16 @@
         try {
           came = await Promise.all(wanted);
         } catch {
-          if (data === next && box.isConnected) setTimeout(() => data === next && lpn.labMap(next), 1200);
+          if (!stale()) setTimeout(() => newest === state && lpn.labMap(state), 1200);
           return;
         }
-        if (data !== next) return; // a newer state has come meanwhile
+        if (stale()) return; // a newer state has come meanwhile
+        data = next;
         [plane, flags, codes, picture] = came;
         palette = next.palette; // it belongs to these codes
         bounds = extent() || [0, 0, 0, 0];
         map.view = views.get(next.view) || null;
-        if (!map.view) {
+        if (!map.view || unmoved()) {
           home();
           if (map.view) views.set(next.view + "fit", map.view.scale);
         }
@@ -567,11 +615,11 @@
   };
 
   const labMap = (next, tries = 60) => {
-    data = next;
-    root = document.querySelector("#lpn-lab-map .lab-map");
-    if (!root || root.dataset.map !== next.map) return tries && setTimeout(() => data === next && lpn.labMap(next, tries - 1), 50);
-    if (current?.box !== root) current = LabMap(root);
-    current.update(next);
+    newest = next;
+    const boxes = [...document.querySelectorAll("#lpn-lab-map .lab-map")];
+    if (boxes.length !== next.maps.length || boxes[0].dataset.map !== next.map) return tries && setTimeout(() => newest === next && lpn.labMap(next, tries - 1), 50);
+    if (boxes.some((box, number) => maps[number]?.box !== box) || maps.length > boxes.length) maps = boxes.map(LabMap);
+    maps.forEach((one) => one.update(next));
   };
-  lpn.labMap = Object.assign(labMap, { pixels: (i) => current.pixels(i) });
+  lpn.labMap = Object.assign(labMap, { pixels: (i, number = 0) => maps[number].pixels(i) });
 })();

@@ -8,6 +8,7 @@ import pytest
 
 from explorer.browse.feeds import Feeds
 from explorer.failure_lab import map_data, messages
+from explorer.failure_lab.map_layout import MapRoom, map_room
 from explorer.failure_lab.map_page import MapPage
 from explorer.failure_lab.messages import MAX_CORNERS, ColourBy, LabMessage, OpenPoint, SelectLasso, ShowMap
 from explorer.failure_lab.service import FailureLab, Findings, MapPoints
@@ -31,9 +32,9 @@ def view(service: FailureLab, workspace: Workspace) -> MapPage:
 def shown(view: MapPage, findings: Findings, lab: LabState, query: int | None, rows: Int64Array) -> tuple[str, str]:
     """The map when it has been computed."""
     for _ in range(50):
-        html, script, final = view.page(findings, lab, query, rows, (760, 400))
-        if final:
-            return html, script
+        drawn = view.page(findings, lab, query, rows, (760, 400))
+        if drawn.final:
+            return drawn.maps, drawn.script
     raise AssertionError("the map is not computed")
 
 
@@ -135,13 +136,13 @@ def test_a_map_is_published_again_only_where_something_changed(
         html, script = shown(view, findings, state, 0, rows)
         assert f'data-map="{kind}"' in html
         published = {name: feed for name, (_, feed) in view._published.items()}
-        feed = published["plane"]
+        feed = published["plane 0"]
         piece = view._feeds.find(f"/{view._feeds.address}{feed}0".removeprefix(PREFIX))
         assert piece is not None
         assert len(piece().data) == 8 * (13 + len(findings.task.gallery))
         assert shown(view, findings, state, 0, rows) == (html, script)
         # The script fills a canvas of another height again.
-        assert view.page(findings, state, 0, rows, (760, 500))[1] != script
+        assert view.page(findings, state, 0, rows, (860, 700)).script != script
         shown(view, findings, replace(state, colour="weather"), 1, rows[:4])
         changed = {name for name, (_, feed) in view._published.items() if feed != published[name]}
         assert changed == {"flags", "codes"}
@@ -173,6 +174,24 @@ def test_a_lasso_and_a_click_belong_to_the_map_that_is_shown(
         values = iter([points, None])  # another thread removes the map between two reads
         monkeypatch.setattr(MapPage, "_points", property(lambda _, values=values: next(values)), raising=False)
         assert ask() is not None
+
+
+def test_a_map_is_drawn_as_large_as_the_window_allows() -> None:
+    tall = map_room((748, 888), 0.53)
+    assert tall.beside
+    assert tall.height > 800
+    assert 0.5 < tall.width / tall.height < 0.65
+    wide = map_room((748, 440), 3.0)
+    assert not wide.beside
+    assert wide.width > 700
+    assert wide.height < 240
+    # Two maps share the width, and a phone has its controls above.
+    assert map_room((748, 888), 1.0, 2).width <= 356
+    assert map_room((380, 400), 0.5) == MapRoom(344, 460)
+    for window, proportion in (((320, 320), 1e9), ((10_000, 320), 1e-9), ((748, 440), 1.0)):
+        room = map_room(window, proportion)
+        assert min(room.width, room.height) >= 150
+        assert room.width <= window[0]
 
 
 def test_wrong_messages_of_a_map_change_nothing(findings: Findings, lab: LabState) -> None:

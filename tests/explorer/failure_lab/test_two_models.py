@@ -17,7 +17,8 @@ import pytest
 
 from explorer.browse.feeds import Feeds
 from explorer.compute import ranking_job
-from explorer.failure_lab import messages, state, table
+from explorer.failure_lab import map_data, messages, state, table
+from explorer.failure_lab.map_page import MapPage
 from explorer.failure_lab.service import FailureLab, Findings, SecondProgress
 from explorer.failure_lab.state import LabState
 from explorer.failure_lab.window import FailureLabWindow
@@ -301,3 +302,43 @@ def test_the_window_shows_the_wait_and_then_the_ranks(waiting: Workspace, held: 
     wait_until(lambda: not gui.shown("lpn-lab-second"))
     assert f"B: {GateModel().contract.method}" in gui.shown("lpn-lab-models")
     window.leave()
+
+
+def test_the_maps_of_both_models_stand_side_by_side_and_share_what_is_selected(two: Workspace, lab: LabState) -> None:
+    service = FailureLab(two)
+    assert service.build(TASK, None).wait(120)
+    findings = service.findings(TASK)
+    assert findings is not None
+    lab = messages.apply(messages.ShowBothMaps(True), lab, findings)
+    view = MapPage(service, Feeds(two), "me")
+    drawn = view.page(findings, lab, 0, findings.table.rows(), (760, 500), offered=True)
+    for _ in range(50):
+        if drawn.final:
+            break
+        drawn = view.page(findings, lab, 0, findings.table.rows(), (760, 500), offered=True)
+    assert findings.second is not None
+    assert [drawn.maps.count(name) for name in findings.second.names] == [1, 1]
+    assert drawn.maps.count("<canvas") == 6
+    first, second = view._points, view._second
+    assert first is not None
+    assert second is not None
+    assert first.tiles.shape == second.tiles.shape
+    assert not np.allclose(first.queries, second.queries)
+    # A lasso on the second map selects by that map, and replaces the one on the first.
+    left = [(-2.0, -2.0), (0.0, -2.0), (0.0, 2.0), (-2.0, 2.0)]
+    for number, points in enumerate((first, second)):
+        lab = view.select_lasso(lab, messages.SelectLasso("pca", left, number > 0))
+        places = np.frombuffer(map_data.plane(points), "<f4").reshape(-1, 2)[: len(points.queries)]
+        assert chosen(findings, lab) == np.flatnonzero(places[:, 0] < 0).tolist()
+    assert len(lab.selections) == 1
+
+
+def test_models_under_two_scorings_are_not_compared_without_a_word(two: Workspace, lab: LabState) -> None:
+    findings = built(two)
+    assert findings.second is not None
+    rows = findings.table.rows()
+    assert "lpn-lab-scorings" not in table.summary(findings, lab, rows)
+    apart = replace(findings, second=replace(findings.second, scorings=("csls", "plain")))
+    said = table.summary(apart, lab, rows)
+    assert "A is ranked CSLS, and B plain: their ranks do not differ by the models alone." in said
+    assert "lpn.send(&#34;scoring&#34;,&#34;plain&#34;)" in said
