@@ -303,6 +303,13 @@ def resize_linear(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     return cast(UInt8Array, cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR_EXACT))
 
 
+def resize_area(picture: UInt8Array, height: int, width: int) -> UInt8Array:
+    """Resize to (height, width, 3) by the mean over the area of each pixel: OpenCV's INTER_AREA, bilinear where it enlarges."""
+    if picture.shape[:2] == (height, width):
+        return picture
+    return cast(UInt8Array, cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA))
+
+
 def polar(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     """Unroll a north-up square tile around its centre, as SAFA does, into a panorama's shape: (height, width, 3).
 

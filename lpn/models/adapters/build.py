@@ -16,6 +16,7 @@ from lpn.models import timm_networks
 from lpn.models.adapters import convnext, sdpl, transformers
 from lpn.models.adapters.denseuav import build_denseuav
 from lpn.models.adapters.entries import Entries
+from lpn.models.adapters.mfrgn import build_mfrgn
 from lpn.models.adapters.named import named_vector
 from lpn.models.adapters.network import MeanVector, PartBranch
 from lpn.models.adapters.pooled import PooledTokens, RegionWeights, first_alone
@@ -52,13 +53,6 @@ _VECTORS: dict[Kind, tuple[str, tuple[tuple[str, ...], ...]]] = {
     "dac": ("DAC", ()),
     "camp": ("CAMP", ()),
     "mean": ("MEAN", ()),
-}
-_CONVNEXTS = {
-    (9, 96): "ConvNeXt-T",
-    (27, 96): "ConvNeXt-S",
-    (27, 128): "ConvNeXt-B",
-    (27, 192): "ConvNeXt-L",
-    (27, 256): "ConvNeXt-XL",
 }
 
 
@@ -120,7 +114,7 @@ def _mccg(entries: Entries) -> PublishedParts:
     if resnet:
         backbone = _resnet_name(own.under("convnext.model."))
     else:
-        backbone = _convnext_name(convnext.with_timm_names(own.under("convnext.")))
+        backbone = convnext.name_of(convnext.with_timm_names(own.under("convnext.")))
     return by_view(
         entries,
         lambda branch: convnext.Mccg(branch, size, blocks),
@@ -217,7 +211,7 @@ def _network_of_timm(entries: Entries) -> _Network:
     if "stages.0.blocks.0.conv_dw.weight" in entries.state:
         size = size_of(entries, (384, 384), convnext.STRIDE)
         convolutional, width = convnext.vector(entries, size), entries.shape("head.norm.weight", 1)[0]
-        return _Network(convolutional, _convnext_name(entries), width, size)
+        return _Network(convolutional, convnext.name_of(entries), width, size)
     rotary_tokens = {"reg_token", "blocks.0.attn.q_bias", "patch_embed.proj.weight"} <= entries.state.keys()
     foreign = transformers.foreign_entry(entries)
     if not (rotary_tokens and "pos_embed" not in entries.state) and foreign is not None:
@@ -275,13 +269,6 @@ def _resnet_name(entries: Entries) -> str:
     return RESNETS.get(convnext.resnet_depths(entries)[2], "ResNet")
 
 
-def _convnext_name(entries: Entries) -> str:
-    depth = entries.count("stages.2.blocks.{}.conv_dw.weight")
-    width = entries.shape("stages.0.blocks.0.conv_dw.weight", 4)[0]
-    name = _CONVNEXTS.get((depth, width), "ConvNeXt")
-    return name.replace("ConvNeXt", "ConvNeXt V2") if convnext.is_second(entries) else name
-
-
 _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "fsra": _fsra,
     "mccg": _mccg,
@@ -289,5 +276,6 @@ _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "denseuav": build_denseuav,
     "sues200": build_sues,
     "qdfl": build_qdfl,
+    "mfrgn": build_mfrgn,
     **{kind: partial(_one_vector, *of) for kind, of in _VECTORS.items()},
 }

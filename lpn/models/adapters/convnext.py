@@ -22,6 +22,14 @@ _TIMM_NAMES = {
     r"stages\.(\d+)\.(\d+)\.(norm|gamma)": r"stages.\1.blocks.\2.\3",
     r"norm\.": "head.norm.",
 }
+# ConvNeXts by the blocks of their third stage and the channels of their first.
+_CONVNEXTS = {
+    (9, 96): "ConvNeXt-T",
+    (27, 96): "ConvNeXt-S",
+    (27, 128): "ConvNeXt-B",
+    (27, 192): "ConvNeXt-L",
+    (27, 256): "ConvNeXt-XL",
+}
 # Pixels along a side of one cell of the map.
 STRIDE = 32
 
@@ -34,6 +42,14 @@ def with_timm_names(entries: Entries) -> Entries:
 def is_second(entries: Entries) -> bool:
     """Return whether entries of timm's names are of a ConvNeXt V2."""
     return "stages.0.blocks.0.mlp.grn.weight" in entries.state
+
+
+def name_of(entries: Entries) -> str:
+    """Return the name of a ConvNeXt of timm's names by its depth and width."""
+    depth = entries.count("stages.2.blocks.{}.conv_dw.weight")
+    width = entries.shape("stages.0.blocks.0.conv_dw.weight", 4)[0]
+    name = _CONVNEXTS.get((depth, width), "ConvNeXt")
+    return name.replace("ConvNeXt", "ConvNeXt V2") if is_second(entries) else name
 
 
 class Trunk(nn.Module):

@@ -14,7 +14,19 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 Kind = Literal[
-    "lpn", "fsra", "mccg", "sdpl", "sample4geo", "dac", "camp", "mean", "game4loc", "denseuav", "sues200", "qdfl"
+    "lpn",
+    "fsra",
+    "mccg",
+    "sdpl",
+    "sample4geo",
+    "dac",
+    "camp",
+    "mean",
+    "game4loc",
+    "denseuav",
+    "sues200",
+    "qdfl",
+    "mfrgn",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # A vision transformer has no parts of its own: a pooling by name makes them, see `lpn.models.token_pooling`.
@@ -52,6 +64,12 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
         Signature(
             "QDFL",
             (r"backbone\.model\.blocks\.", r"components\.AQEU\.coarse\.queries$", rf"components\.classifier0\.{_HEAD}"),
+        ),
+    ),
+    (
+        "mfrgn",
+        Signature(
+            "MFRGN", (r"backbone\.backbone\.", r"transformer_H\.layers\.", r"proj_gl\.0\.", r"proj_local\.weight$")
         ),
     ),
     ("camp", Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$"))),
@@ -93,6 +111,13 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ),
     ("vit", Signature("a vision transformer of torch.hub", (*_HUB, r"(.*\.)?mask_token$"))),
     ("vit", Signature("CLIP", (r"(.*\.)?class_embedding$", r"(.*\.)?conv1\.weight$"))),
+)
+# Published checkpoints that are not read, each with the reason.
+_UNREAD: tuple[tuple[Signature, str], ...] = (
+    (
+        Signature("MFRGN of CVUSA, CVACT, or VIGOR", (r"(.*\.)?transformer_sat_H\.", r"(.*\.)?transformer_grd_H\.")),
+        "its panoramas and tiles differ in size and weights, and a model here has one size; its model of University-1652 opens",
+    ),
 )
 # Prefixes of all names after training with DataParallel, torch.compile, or a class that holds the network as `model` or `net`.
 _WRAPPERS = ("module.", "_orig_mod.", "model.", "net.", "network.")
@@ -137,6 +162,7 @@ def recognise(keys: Collection[str], name: str) -> Recognised:
     """
     if (kind := _kind(keys)) is not None:
         return kind
+    _refuse_unread(keys, name)
     if fitting := _fitting(keys):
         titles = " and of ".join(dict.fromkeys(signature.title for _, signature in fitting))
         raise ModelFileError(
@@ -161,6 +187,12 @@ def recognise(keys: Collection[str], name: str) -> Recognised:
         f"{name} is not a checkpoint of a known model: it holds {entries}; {near}. If it is one under other names, "
         f"name it with --kind ({', '.join(KINDS)})."
     )
+
+
+def _refuse_unread(keys: Collection[str], name: str) -> None:
+    for signature, reason in _UNREAD:
+        if _share(signature, keys) == 1:
+            raise ModelFileError(f"{name} is a checkpoint of {signature.title}, which is not read: {reason}.")
 
 
 def _wrapper(keys: Collection[str]) -> str | None:
@@ -193,8 +225,9 @@ def check_named(kind: Kind, keys: Collection[str], name: str) -> None:
     """Refuse a kind that a user named for a file whose entries are of another.
 
     Raises:
-        ModelFileError: with the method that the entries tell.
+        ModelFileError: with the method that the entries tell, also if it is one that is not read.
     """
+    _refuse_unread(keys, name)
     own = {other for other, _ in _fitting(keys)}
     if own and kind not in own and not any(kind in alike and own & alike for alike in _ALIKE):
         raise ModelFileError(

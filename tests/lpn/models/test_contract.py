@@ -224,7 +224,7 @@ def test_cells_of_the_heads_that_do_not_fit_the_map_are_refused_with_the_shapes(
         ({"std": (1.0, 1e-300, 1.0)}, "std above 0, from 0.0001 to 10000"),
         ({"mean": (1e39, 0.0, 0.0)}, "the mean from -1000 to 1000"),
         ({"mean": (0.0, float("nan"), 0.0)}, "expected three numbers each"),
-        ({"resize": "area"}, "resize is 'area'; expected one of bicubic, linear"),
+        ({"resize": "nearest"}, "resize is 'nearest'; expected one of bicubic, linear, area"),
         ({"partitions": {"drone": ModelSpec().partition("drone")}, "n_parts": 3, "part_names": {}}, "has 4 parts; expected 3"),
     ],
 )  # fmt: skip

@@ -29,6 +29,7 @@ GOLDENS = {
     "dac_base_384": "dac",
     "game4loc_vitb_384": "game4loc",
     "denseuav_vits_224": "denseuav",
+    "mfrgn_small": "mfrgn",
 }
 
 
@@ -90,6 +91,20 @@ def test_an_unknown_checkpoint_is_told_with_its_names_and_the_nearest_model(keys
     with pytest.raises(ModelFileError, match=said) as caught:
         recognise(keys, "net_last.pth")
     assert "\n" not in str(caught.value)
+
+
+def test_a_published_checkpoint_that_is_not_read_is_refused_by_name(tmp_path: Path) -> None:
+    shapes = published_models.shapes_of("mfrgn_small")
+    street = {
+        key.replace("transformer_", f"transformer_{view}_"): shape
+        for view in ("sat", "grd")
+        for key, shape in shapes.items()
+    }
+    with pytest.raises(ModelFileError, match=r"of MFRGN of CVUSA, CVACT, or VIGOR, which is not read: its panoramas"):
+        recognise([f"module.{key}" for key in street], "net.pth")
+    torch.save(seeded.entries(street), tmp_path / "net.pth")
+    with pytest.raises(ModelFileError, match="not read: its panoramas and tiles differ"):
+        lpn.load(tmp_path / "net.pth", "cpu", kind="mfrgn")
 
 
 def test_a_kind_that_is_named_must_exist_and_fit(tmp_path: Path) -> None:
