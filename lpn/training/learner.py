@@ -42,7 +42,7 @@ class Learner:
         self.mixed_precision = MixedPrecision(recipe, group.device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
-        self.multi_view: nn.Module = MultiViewNetwork(network, recipe.joint_views)
+        self.multi_view: nn.Module = MultiViewNetwork(network, recipe.joint_views, recipe.variants > 0)
 
     def distribute(self) -> None:
         """Average the gradients of all processes from now on; on GPUs, BatchNorm sees the whole batch."""
@@ -118,15 +118,16 @@ class MultiViewNetwork(nn.Module):
     """A network that takes all picture sets of a step in one forward call, as DistributedDataParallel requires.
 
     By default each set is a batch of its own, as in the published code. If `joint`, sets with the same weights
-    and the same partition form one batch, so that BatchNorm sees them together.
+    and the same partition form one batch, so that BatchNorm sees them together. If `behind_frozen`, sets are outputs of the
+    backbone's frozen blocks.
     """
 
-    def __init__(self, network: LPN, joint: bool) -> None:
+    def __init__(self, network: LPN, joint: bool, behind_frozen: bool = False) -> None:
         super().__init__()
-        self.network, self.joint = network, joint
+        self.network, self.joint, self.behind_frozen = network, joint, behind_frozen
 
     def forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set (b, 3, H, W)."""
+        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set: (b, 3, H, W), or frozen outputs."""
         outputs: dict[str, tuple[Tensor, Tensor]] = {}
         groups = self.network.spec.groups()
         batches: dict[object, list[str]] = {}
@@ -134,7 +135,9 @@ class MultiViewNetwork(nn.Module):
             key = next(g for g in groups if branch_of(name) in g) if self.joint else name
             batches.setdefault(key, []).append(name)
         for names in batches.values():
-            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
+            embeddings, scores = self.network(
+                torch.cat([sets[name] for name in names]), branch_of(names[0]), self.behind_frozen
+            )
             sizes = [len(sets[name]) for name in names]
             for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
                 outputs[name] = (e, s)

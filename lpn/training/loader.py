@@ -23,6 +23,7 @@ from lpn.core.errors import InputError
 from lpn.core.resources import usable_cores
 from lpn.core.views import branch_of
 from lpn.training.augmentation import augment, draw_place_pose
+from lpn.training.frozen_outputs import DrawnVariant, FrozenOutputs
 from lpn.training.map_windows import MapWindows
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import TrainingSet
@@ -31,8 +32,9 @@ from lpn.training.training_set import TrainingSet
 _PREFETCH = 2
 _MAX_WORKERS = 16
 
-# Draws the pictures of each set of a row, or one picture of one set.
-_Row = Callable[[], dict[str, list[UInt8Array]]]
+# The pictures of each set of a row, or one picture of one set, or a variant whose outputs may be here already.
+_Drawn = dict[str, list[UInt8Array]] | DrawnVariant
+_Row = Callable[[], _Drawn]
 # The class of each row of a batch, by set.
 _Labels = dict[str, Int64Array]
 
@@ -42,7 +44,8 @@ class TrainingBatch:
     """The input of one step.
 
     Attributes:
-        sets: for each picture set, this process's share of the batch: (b, 3, H, W) float32, normalised, channels last.
+        sets: for each picture set, this process's share of the batch: (b, 3, H, W) float32, normalised, channels last; or what
+            `Branch.frozen_output` returned for it.
         labels: for each picture set, the class of each row of the whole batch, (B,) int64.
         overlaps: of windows of a map, which rows of the whole batch share ground, (B, B) bool; else None.
     """
@@ -77,6 +80,9 @@ class Loader:
         share: the rows of every batch that this process prepares.
         workers: number of threads; 0 chooses one for the machine, see `choose_workers`.
         processes: number of processes that share the machine.
+
+    Attributes:
+        frozen: the outputs of frozen blocks, which are loaded in place of pictures if the recipe has variants.
 
     Raises:
         InputError: when there are fewer places or pictures than rows in a batch, or the number of workers is negative.
@@ -116,6 +122,7 @@ class Loader:
             )
         self.places, self.recipe, self.device, self.share = places, recipe, device, share
         self.workers = workers or choose_workers(device, processes)
+        self.frozen: FrozenOutputs | None = None
         rows = len(range(recipe.batch)[share])
         self._prefetch = max(_PREFETCH, -(-2 * self.workers // rows))
         self._scale, self._offset = (
@@ -139,7 +146,7 @@ class Loader:
             PictureError: when a picture cannot be read.
         """
         pool = ThreadPoolExecutor(self.workers, "lpn-loader")
-        ahead: deque[tuple[_Labels, BoolArray | None, list[Future[dict[str, list[UInt8Array]]]]]] = deque()
+        ahead: deque[tuple[_Labels, BoolArray | None, list[Future[_Drawn]]]] = deque()
         try:
             for epoch in range(first, end):
                 for labels, overlaps, rows in self._batches(epoch):
@@ -161,18 +168,13 @@ class Loader:
                 yield dict.fromkeys(self.places.views, places), self.places.overlapping(places, epoch), rows
             return
         if self.recipe.sampling == "places":
+            drawn = epoch % self.recipe.variants if self.recipe.variants else epoch
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
                 labels = {
-                    name: self._labels_of(name, number, places, epoch) for number, name in enumerate(self._files, 1)
+                    name: self._labels_of(name, number, places, drawn) for number, name in enumerate(self._files, 1)
                 }
                 rows = [
-                    partial(
-                        self._draw_place,
-                        self.places,
-                        int(places[row]),
-                        epoch,
-                        {n: int(of[row]) for n, of in labels.items()},
-                    )
+                    self._row(self.places, int(places[row]), drawn, {n: int(of[row]) for n, of in labels.items()})
                     for row in range(len(places))[self.share]
                 ]
                 yield {name: np.repeat(of, self._per_place(name)) for name, of in labels.items()}, None, rows
@@ -228,6 +230,10 @@ class Loader:
                 labels[row] = rng.choice(self._there[name])
         return labels
 
+    def _row(self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]) -> _Row:
+        draw = partial(self._draw_place, places, place, epoch, labels)
+        return draw if self.frozen is None else partial(self.frozen.draw, (place, epoch), draw)
+
     def _draw_place(
         self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]
     ) -> dict[str, list[UInt8Array]]:
@@ -249,11 +255,15 @@ class Loader:
         panorama = places.panoramas and name == "street"
         return augment(places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
 
-    def _batch(
-        self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[dict[str, list[UInt8Array]]]]
-    ) -> TrainingBatch:
+    def _batch(self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[_Drawn]]) -> TrainingBatch:
         drawn = [task.result() for task in tasks]
-        sets = {name: self._network_input([one for row in drawn for one in row.get(name, ())]) for name in labels}
+        if self.frozen is not None:
+            sets = self.frozen.sets([row for row in drawn if isinstance(row, tuple)], self._network_input)
+        else:
+            pictures = [row for row in drawn if isinstance(row, dict)]
+            sets = {
+                name: self._network_input([one for row in pictures for one in row.get(name, ())]) for name in labels
+            }
         shared = None if overlaps is None else torch.from_numpy(overlaps).to(self.device)
         return TrainingBatch(sets, {name: torch.from_numpy(of).to(self.device) for name, of in labels.items()}, shared)
 

@@ -386,7 +386,7 @@ _SOURCES: dict[str, dict[str, str]] = {
         "*": _OFF,
     },
     "compression": {"*": _OFF},
-    "weather": {"*": _OFF},
+    **{name: {"*": _OFF} for name in ("weather", "adapted_blocks", "variants")},
     "flip": {
         "paper": f"{_STATED}: random horizontal flip",
         "released": f"{_LPN} train.py:97, 107: each picture on its own",

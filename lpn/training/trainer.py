@@ -28,6 +28,7 @@ from lpn.models.network import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec, is_timm
+from lpn.training.frozen_outputs import FrozenOutputs
 from lpn.training.initialise import initialise_heads
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
@@ -142,6 +143,9 @@ class Trainer:
         if init is not None and not resume:
             self._load_init(network, init)
         self.learner = Learner(network, recipe, self.group, compiled)
+        if recipe.variants:
+            every = recipe.variants * len(self.places)
+            self.loader.frozen = FrozenOutputs(network, every, self.learner.mixed_precision.autocast)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         self.test_split: TestSplit | None = None
@@ -429,6 +433,7 @@ def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
         maps=recipe.maps,
         polar=recipe.polar,
         backbone_dropout=recipe.backbone_dropout,
+        adapted_blocks=recipe.adapted_blocks,
     )
     if recipe.pooling == "safa":
         return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])

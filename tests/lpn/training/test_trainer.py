@@ -497,6 +497,35 @@ def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path,
     assert "24 places in satellite, drone: 2 steps of 12 places an epoch, 1 epoch, so 2 updates." in said.getvalue()
 
 
+def test_each_variant_of_a_place_passes_the_frozen_blocks_once(places: Path, tmp_path: Path) -> None:
+    """Its output is that of the pictures drawn then, so the losses are those of the whole network on them."""
+    recipe = replace(TIMM, sampling="places", adapted_blocks=2, variants=2, epochs=3, batch=8)
+    run, _ = trainer(places, tmp_path / "run", recipe)
+    computed, whole = [], []
+    branch = run.network.branch("satellite")
+    run.network.get_submodule("model_1.model.network.patch_embed").register_forward_hook(
+        lambda *of: computed.append(len(of[2]))
+    )
+    with closing(run.loader.stream(0, 3)) as batches:
+        seen = [batch.sets for batch in batches]
+    assert sum(computed) == 2 * 2 * 24
+    run.loader.frozen = None
+    with closing(run.loader.stream(0, 3)) as batches:
+        whole = [batch.sets for batch in batches]
+    branch.eval()
+    for outputs, pictures in zip(seen, whole, strict=True):
+        for name, values in outputs.items():
+            assert torch.allclose(values, branch.frozen_output(pictures[name]), rtol=2e-3, atol=2e-3)
+
+
+def test_a_run_with_variants_trains_adapters_and_is_resumed(places: Path, tmp_path: Path) -> None:
+    recipe = replace(TIMM, sampling="places", adapted_blocks=1, variants=1, epochs=1, size=32, batch=8)
+    run, _ = trainer(places, tmp_path / "run", recipe, test=False)
+    model = lpn.load(run.run(), "cpu")
+    assert (recipe_of(tmp_path / "run/last.safetensors")["variants"], model.contract.level) == (1, "exact")
+    trainer(places, tmp_path / "run", recipe, resume=True, test=False)[0].run()
+
+
 def test_the_paper_s_recipe_is_the_default() -> None:
     recipe = RECIPES["paper"]
     assert recipe == Recipe()
