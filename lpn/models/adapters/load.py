@@ -7,8 +7,8 @@ from pathlib import Path
 
 import torch
 
-from lpn.core.errors import InputError
-from lpn.core.files import fingerprint, printable
+from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import fingerprint, first_few, printable
 from lpn.models.adapters.build import build
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.model import PublishedModel
@@ -22,6 +22,7 @@ from lpn.models.adapters.recognise import (
     unwrapped_as,
 )
 from lpn.models.adapters.vit import build_pooled
+from lpn.models.adapters.vit_names import vit_prefix
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
 from lpn.models.published_checkpoints import StateDict, read_options
@@ -31,6 +32,7 @@ log = logging.getLogger(__name__)
 
 # Methods whose checkpoint is a network of timm and no parts, so that its tokens may be pooled otherwise.
 _PLAIN = ("Sample4Geo", "Game4Loc")
+_SHOWN = 3
 
 
 def load_file(
@@ -135,6 +137,17 @@ def _pooled(
     return PublishedModel(published, fingerprint(path, also=repr((published.contract, options, beside))), device)
 
 
+def _check_alone(entries: Entries) -> None:
+    """Refuse a vision transformer that may be the trunk of a method: other entries stand beside it under names of their own."""
+    place = vit_prefix(entries)
+    others = [printable(key)[:80] for key in entries.state if place is not None and not key.startswith(place[0])]
+    if others and place is not None and place[1] == "hub":
+        raise ModelFileError(
+            f"{entries.name} holds a vision transformer under {place[0]} and other entries ({first_few(others, _SHOWN)}), so it "
+            "may be of a method that is not known here; --pooling mean reads the transformer alone."
+        )
+
+
 def _built(
     kind: Recognised, state: StateDict, path: Path, device: torch.device | str, compiled: bool, recognised: bool
 ) -> Model:
@@ -145,6 +158,7 @@ def _built(
     if kind == "lpn":
         return from_state(state, options, path, device, compiled)
     if kind == "vit":
+        _check_alone(Entries(path.name, state))
         return _pooled(state, path, device, compiled, None, None)
     if compiled:
         raise InputError(

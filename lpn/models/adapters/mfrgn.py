@@ -14,7 +14,7 @@ from lpn.core.views import VIEWS
 from lpn.models.adapters import convnext
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, on_grid, whole_mean
-from lpn.models.adapters.published import PublishedParts, published, size_of
+from lpn.models.adapters.published import PublishedParts, fixed_size, published
 
 # Sides of the pyramid that the finest map is pooled to, heads of the attention, groups of the GroupNorm.
 _PYRAMID = (1, 6, 12, 21)
@@ -270,12 +270,7 @@ def build_mfrgn(entries: Entries) -> PublishedParts:
             f"In {entries.name}, proj.weight is for {count} tokens, which no square picture of 32, 64 ... {_MOST} pixels gives; "
             "expected a model of University-1652."
         )
-    size = size_of(entries, (trained, trained))
-    if size != (trained, trained):
-        raise ModelFileError(
-            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels, and its weights are for {trained} x "
-            f"{trained}; correct or remove it."
-        )
+    size = fixed_size(entries, (trained, trained))
     branch = Mfrgn(entries, trained, pooled)
     return published(
         dict.fromkeys(VIEWS, branch),

@@ -160,6 +160,21 @@ def size_of(entries: Entries, default: tuple[int, int], step: int = 1) -> tuple[
     return size
 
 
+def fixed_size(entries: Entries, trained: tuple[int, int]) -> tuple[int, int]:
+    """Return the size that the weights are for.
+
+    Raises:
+        ModelFileError: if the options give another one.
+    """
+    size = size_of(entries, trained)
+    if size != trained:
+        raise ModelFileError(
+            f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels, and its weights are for {trained[0]} x "
+            f"{trained[1]}; correct or remove it."
+        )
+    return size
+
+
 def check_views(entries: Entries, held: int) -> None:
     stated = entries.options.get("views", held)
     if stated != held:

@@ -27,6 +27,7 @@ Kind = Literal[
     "sues200",
     "qdfl",
     "mfrgn",
+    "infogeo",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # A vision transformer has no parts of its own: a pooling by name makes them, see `lpn.models.token_pooling`.
@@ -70,6 +71,13 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
         "mfrgn",
         Signature(
             "MFRGN", (r"backbone\.backbone\.", r"transformer_H\.layers\.", r"proj_gl\.0\.", r"proj_local\.weight$")
+        ),
+    ),
+    (
+        "infogeo",
+        Signature(
+            "InfoGeo",
+            (r"model\.backbone\.dino_model\.blocks\.", r"slot_mixvpr\.mix\.0\.", r"slot_mixvpr\.row_proj\.weight$"),
         ),
     ),
     ("camp", Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$"))),

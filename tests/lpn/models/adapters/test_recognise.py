@@ -30,6 +30,7 @@ GOLDENS = {
     "game4loc_vitb_384": "game4loc",
     "denseuav_vits_224": "denseuav",
     "mfrgn_small": "mfrgn",
+    "infogeo_small": "infogeo",
 }
 
 
