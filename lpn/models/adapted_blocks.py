@@ -35,10 +35,8 @@ class ResidualAdapter(nn.Module):
     def __init__(self, channels: int, of_maps: bool) -> None:
         super().__init__()
         hidden = max(channels // _NARROWER, 1)
-        if of_maps:
-            self.down, self.up = nn.Conv2d(channels, hidden, 1), nn.Conv2d(hidden, channels, 1)
-        else:
-            self.down, self.up = nn.Linear(channels, hidden), nn.Linear(hidden, channels)
+        self.down: nn.Conv2d | nn.Linear = nn.Conv2d(channels, hidden, 1) if of_maps else nn.Linear(channels, hidden)
+        self.up: nn.Conv2d | nn.Linear = nn.Conv2d(hidden, channels, 1) if of_maps else nn.Linear(hidden, channels)
         nn.init.zeros_(self.up.weight)
         nn.init.zeros_(cast(Tensor, self.up.bias))
 
@@ -97,7 +95,8 @@ def frozen_output(backbone: nn.Module, images: Tensor, count: int) -> Tensor:
         images: (B, 3, H, W).
         count: of the blocks with adapters.
     """
-    block, entered = blocks_of(backbone)[-count], []
+    block = blocks_of(backbone)[-count]
+    entered: list[Tensor] = []
 
     def stop(_: nn.Module, inputs: tuple[Tensor, ...]) -> None:
         entered.append(inputs[0])
@@ -111,7 +110,7 @@ def frozen_output(backbone: nn.Module, images: Tensor, count: int) -> Tensor:
         pass
     finally:
         hook.remove()
-    return cast(Tensor, entered[0])
+    return entered[0]
 
 
 def map_behind(backbone: nn.Module, values: Tensor, size: tuple[int, int], count: int) -> Tensor:
