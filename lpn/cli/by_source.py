@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, is_dataclass, make_dataclass
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from dataclasses import field, fields, is_dataclass, make_dataclass
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.sources import TaskSource
+
+# Marks a rarely used option, Annotated[type, FOLDED]: the help of its command names it without explaining it.
+FOLDED = object()
 
 
 def of_sources(command: type[Any], *sources: type[TaskSource]) -> dict[str, type[Any]]:
@@ -46,24 +49,51 @@ def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:
         InputError: if an option is one of another source.
     """
     sources: dict[str, type[Any]] = getattr(command, "SOURCES", {})
-    config = (tyro.conf.OmitArgPrefixes,)
     if arguments and (chosen := sources.get(arguments[0])) is not None:
-        return tyro.cli(chosen, args=arguments[1:], prog=f"{program} {arguments[0]}", config=config)
+        return _cli(chosen, arguments[1:], f"{program} {arguments[0]}")
     own = arguments[1:] if sources and arguments[:1] == ["data"] else arguments
     if sources and own and not own[0].startswith("-") and not _takes_words(command):
         raise InputError(f"{program} has no source {printable(own[0])}; it has data, {', '.join(sources)}.")
     _check_options(command, sources, own, program)
     others = ", ".join(f"{program} {word}" for word in sources)
-    description = (command.__doc__ or "") + (
-        f"\n\nOther sources, each with its own --help: {others}." if others else ""
+    return _cli(command, own, program, f"Other sources, each with its own --help: {others}." if others else "")
+
+
+def _cli(command: type[Any], arguments: Sequence[str], program: str, more: str = "") -> Any:
+    """Parse the options of a command; its help ends with `more` and the names of the folded options."""
+    folded, shows = ", ".join(options(command, folded=True)), command
+    if folded and {"-h", "--help"} & set(arguments):
+        shows = _without_folded(command)
+        more = f"{more}\n\nRarely used, and explained in docs/evaluation.md: {folded}."
+    description = f"{command.__doc__ or ''}\n\n{more}".strip()
+    return tyro.cli(shows, args=arguments, prog=program, description=description, config=(tyro.conf.OmitArgPrefixes,))
+
+
+def _without_folded(command: type[Any]) -> type[Any]:
+    """Return a command, or a group of options, that shows no folded option."""
+    hints = get_type_hints(command, include_extras=True)
+    replaced: list[tuple[str, Any, Any]] = []
+    for one in fields(command):
+        kind = hints[one.name]
+        if FOLDED in getattr(kind, "__metadata__", ()):
+            replaced.append((one.name, Annotated[kind, tyro.conf.Suppress], field(default=one.default)))
+        elif isinstance(kind, type) and is_dataclass(kind) and (shown := _without_folded(kind)) is not kind:
+            replaced.append((one.name, shown, field(default_factory=shown)))
+    if not replaced:
+        return command
+    return make_dataclass(
+        command.__name__, replaced, bases=(command,), kw_only=True, namespace={"__doc__": command.__doc__}
     )
-    return tyro.cli(command, args=own, prog=program, description=description, config=config)
 
 
-def options(command: type[Any]) -> Iterator[str]:
-    """Yield the options of a command as they are written, such as "--data"; those of its groups, too."""
+def options(command: type[Any], folded: bool = False) -> Iterator[str]:
+    """Yield the options of a command as they are written, such as "--data"; those of its groups, too.
+
+    Args:
+        folded: yield only those that its help does not explain.
+    """
     for name, marks in _leaves(command):
-        if tyro.conf.Positional not in marks:
+        if tyro.conf.Positional not in marks and (FOLDED in marks or not folded):
             yield f"--{name.replace('_', '-')}"
 
 
@@ -75,8 +105,8 @@ def _takes_words(command: type[Any]) -> bool:
 def _leaves(command: type[Any]) -> Iterator[tuple[str, tuple[Any, ...]]]:
     """Yield the name and the annotations of each field of a command and of its groups."""
     hints = get_type_hints(command, include_extras=True)
-    for field in fields(command):
-        kind = hints[field.name]
+    for one in fields(command):
+        kind = hints[one.name]
         annotations: tuple[Any, ...] = getattr(kind, "__metadata__", ())
         kind = get_args(kind)[0] if annotations else kind
         members = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
@@ -84,7 +114,7 @@ def _leaves(command: type[Any]) -> Iterator[tuple[str, tuple[Any, ...]]]:
         for group in groups:
             yield from _leaves(group)
         if not groups:
-            yield field.name, annotations
+            yield one.name, annotations
 
 
 def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments: Sequence[str], program: str) -> None:

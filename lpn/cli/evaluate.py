@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import tyro
 
+from lpn.cli.by_source import FOLDED
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
@@ -44,15 +45,15 @@ class ChangeOptions:
     weather: WeatherName | Literal["all"] = "normal"
     """Weather of University-WX in drone or street pictures, whichever side they are; all measures the ten of them in both
     directions and prints the leaderboard's table."""
-    weather_strength: float = 1.0
+    weather_strength: Annotated[float, FOLDED] = 1.0
     """Share of the weather in each picture, 0 to 1."""
-    weather_seed: int = 0
+    weather_seed: Annotated[int, FOLDED] = 0
     """Seed of the weather; with a seed, the same picture always has the same weather."""
-    whole: bool = False
+    whole: Annotated[bool, FOLDED] = False
     """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
-    branch: View | None = None
+    branch: Annotated[View | None, FOLDED] = None
     """Branch of the model that describes both queries and gallery (Table VI); by default the branch of each view."""
-    protocol: Literal["ours", "released"] = "ours"
+    protocol: Annotated[Literal["ours", "released"], FOLDED] = "ours"
     """Protocol: ours, or as the released test code does: pictures without their EXIF orientation, queries turned to the nearest
     pixel, and on Oxford5k and Paris6k means of the map of pictures of up to 1024 pixels; see docs/evaluation.md."""
 
@@ -63,7 +64,7 @@ class RankingOptions:
 
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
-    average_queries: bool = False
+    average_queries: Annotated[bool, FOLDED] = False
     """Average all query pictures of a place into one query."""
     centre: bool = False
     """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
@@ -126,7 +127,7 @@ class EvaluationOfSource(ABC):
 class EvaluationWithAnswers(EvaluationOfSource):
     """Measure recall and AP, or write answers for a server that keeps the true matches."""
 
-    answers: Path | None = None
+    answers: Annotated[Path | None, FOLDED] = None
     """File to write the names of each query's ten nearest gallery pictures to, as University160k's server takes them
     (answer.txt); nothing is measured then."""
 
@@ -324,7 +325,7 @@ class EvaluateCommand(EvaluationWithAnswers):
     }
 
     source: Data
-    compile: bool = False
+    compile: Annotated[bool, FOLDED] = False
     """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     changes: ChangeOptions = field(default_factory=ChangeOptions)
     ranking: RankingOptions = field(default_factory=RankingOptions)

@@ -205,6 +205,8 @@ def evaluate(
         )
     protocol = protocol or Protocol()
     protocol.chosen(model.n_parts)
+    if protocol.change.weather:
+        check_weather(task)
     pictures = TaskPictures.of(dataset, task)
     model = model if protocol.branch else model.for_task(*pictures.views)
     for view in pictures.views:
@@ -278,6 +280,12 @@ def evaluate(
         measures=measures,
         calibration=calibration,
     )
+
+
+def check_weather(task: str) -> None:
+    """Raise InputError for a task that compares tiles with tiles, on which no weather falls."""
+    if task == "satellite-to-satellite":
+        raise InputError(f"{task} has satellite tiles on both sides, which have no weather; leave --weather out.")
 
 
 def _falls_on_gallery(views: tuple[View, View]) -> bool:

@@ -10,12 +10,11 @@ import numpy as np
 
 from lpn.core.errors import InputError
 from lpn.core.notebook_html import percentages
-from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.descriptors import descriptor_reader
 from lpn.descriptors.weather import WEATHERS, Weather, WeatherName
 from lpn.models.base import Model
-from lpn.retrieval.evaluate import Result, evaluate
+from lpn.retrieval.evaluate import Result, check_weather, evaluate
 from lpn.retrieval.protocol import Protocol
 
 
@@ -100,8 +99,7 @@ def evaluate_weathers(
     if not strength:
         raise InputError("The weather's strength is 0, at which all weathers are alike; expected above 0, up to 1.")
     for task in tasks:
-        if set(views_of(task)) == {"satellite"}:
-            raise InputError(f"{task} has satellite tiles on both sides, which have no weather; leave --weather out.")
+        check_weather(task)
     results: dict[WeatherName, dict[str, Result]] = {}
     for name in WEATHERS:
         change = replace(protocol.change, weather=Weather(name, strength, seed))

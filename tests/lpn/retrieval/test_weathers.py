@@ -61,3 +61,6 @@ def test_all_weathers_print_the_leaderboards_table(
 def test_tiles_have_no_weather(data: Path, model_file: Path) -> None:
     with pytest.raises(InputError, match="satellite tiles on both sides"):
         evaluate_weathers(lpn.load(model_file), open_dataset(data), ["satellite-to-satellite"])
+    fog = Protocol(Change(weather=Weather("fog")))
+    with pytest.raises(InputError, match="satellite tiles on both sides"):
+        evaluate(lpn.load(model_file), open_dataset(data), "satellite-to-satellite", fog)
