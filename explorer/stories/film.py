@@ -121,14 +121,17 @@ def write(takes: Sequence[Take], out: Path) -> None:
     write_atomic(out, _webp(takes) if out.suffix.lower() == ".webp" else _mp4(takes))
 
 
+def installed_browser() -> str | None:
+    """Return the path of the system's Chromium or Chrome; None without one, where playwright takes its own."""
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    return next(filter(None, map(shutil.which, names)), None)
+
+
 def _launch(playwright: Playwright) -> Browser:
     from playwright.sync_api import Error
 
-    installed = (
-        shutil.which(name) for name in ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-    )
     try:
-        return playwright.chromium.launch(executable_path=next(filter(None, installed), None))
+        return playwright.chromium.launch(executable_path=installed_browser())
     except Error as error:
         raise InputError(
             "A film is taken in Chromium, which cannot be started here; install it, or give the command: playwright install "

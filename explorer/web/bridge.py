@@ -38,6 +38,7 @@ _SCRIPT = ";".join(
         "pointer.js",
         "first_screen.js",
         "tips.js",
+        "picture_loader.js",
         "tiles.js",
         "thumbnails.js",
         "pens.js",

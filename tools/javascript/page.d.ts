@@ -131,6 +131,11 @@ interface Lpn {
 
   // Maps and their drawing.
   panZoom(element: HTMLElement, options: PanZoomOptions): PanZoom;
+  pictureLoader(redraw: () => void, kept: number): {
+    image(address: string): HTMLImageElement | null;
+    request(addresses: string[]): void;
+    clear(): void;
+  };
   tiles(redraw: () => void): { draw(pen: CanvasRenderingContext2D, ratio: number, data: any, map: PanZoom): number; clear(): void };
   thumbnails(redraw: () => void): { all(addresses: string[]): (HTMLImageElement | null)[] };
   colour(name: string): string;

@@ -1,57 +1,18 @@
-// The tiles of a map: loaded a few at a time as they are needed, kept up to a number, and drawn with what is there so far.
+// The tiles of a map, drawn with what is there so far.
 (() => {
   const lpn = window.lpn;
   if (lpn.tiles) return;
-  const SIDE = 256;
-  // Tiles that load at once, and tiles in memory.
-  const LOADING = 6, KEPT = 300;
-  // Milliseconds until a tile that could not be loaded is asked for again, twice as many after each failure, and failures after
-  // which it is left out.
-  const RETRY = 2000, ATTEMPTS = 6;
+  const SIDE = 256, KEPT = 300;
 
   // `redraw` is called when a tile has come.
   lpn.tiles = (redraw) => {
-    const images = new Map(); // by level/column/row, the oldest first
-    const image = (level, column, row) => {
-      const key = level + "/" + column + "/" + row;
-      const found = images.get(key);
-      if (!found) return null;
-      images.delete(key);
-      images.set(key, found);
-      return found.ready ? found : null;
-    };
-    const load = (key, address, failures) => {
-      const one = Object.assign(new Image(), { ready: false, failures: 0, again: NaN });
-      images.set(key, one);
-      one.onload = () => ((one.ready = true), redraw());
-      one.onerror = () => {
-        one.failures = failures + 1;
-        if (one.failures === ATTEMPTS) return;
-        const wait = RETRY * 2 ** failures;
-        one.again = performance.now() + wait;
-        setTimeout(redraw, wait + 100);
-      };
-      one.src = address + "tile/" + key;
-    };
-    const due = (one) => !one || performance.now() > one.again;
-    const request = (wanted, address) => {
-      let busy = [...images.values()].filter((one) => !one.ready && !one.failures).length;
-      for (const key of wanted) {
-        const known = images.get(key);
-        if (busy >= LOADING) break;
-        if (!due(known)) continue;
-        load(key, address, known ? known.failures : 0);
-        busy++;
-      }
-      for (const [key, one] of images) {
-        if (images.size <= KEPT) break;
-        if (one.ready || one.failures) images.delete(key);
-      }
-    };
+    const loader = lpn.pictureLoader(redraw, KEPT);
 
     // Draw the tiles in sight, and return how many are missing. `map` is a `PanZoom` in metres.
     const draw = (pen, ratio, data, map) => {
       const { west, north, side, levels } = data.pyramid;
+      const address = (level, column, row) => `${data.address}tile/${level}/${column}/${row}`;
+      const image = (...of) => loader.image(address(...of));
       const level = Math.min(Math.max(Math.ceil(Math.log2((side * map.view.scale * ratio) / SIDE) - 0.2), 0), levels);
       const step = side / 2 ** level, most = 2 ** level - 1;
       const number = (metres) => Math.min(Math.max(Math.floor(metres / step), 0), most);
@@ -69,7 +30,7 @@
             continue;
           }
           const far = Math.hypot(column - (columns[0] + columns[1]) / 2, row - (rows[0] + rows[1]) / 2);
-          missing.push([far, level + "/" + column + "/" + row]);
+          missing.push([far, address(level, column, row)]);
           // A part of a coarser tile stands for it.
           for (let up = 1; up <= level && !found; up++) {
             found = image(level - up, column >> up, row >> up);
@@ -79,9 +40,9 @@
         }
       const wanted = missing.sort((one, two) => one[0] - two[0]).map((one) => one[1]);
       // The coarsest tile comes last: it may take seconds on a large map, and stands only for tiles that are not there yet.
-      request(image(0, 0, 0) || !level ? wanted : [...wanted, "0/0/0"], data.address);
+      loader.request(image(0, 0, 0) || !level ? wanted : [...wanted, address(0, 0, 0)]);
       return missing.length;
     };
-    return { draw: draw, clear: () => images.clear() };
+    return { draw: draw, clear: loader.clear };
   };
 })();
