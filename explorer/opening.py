@@ -188,11 +188,13 @@ def _offer_scorings(workspace: Workspace, model: Model, model_name: str, dataset
     """
     shipped = None if (why_not := no_calibration(model, dataset)) else shipped_calibration(model, dataset)
 
-    def prepare(_: ReportProgress) -> None:
+    def prepare(report: ReportProgress) -> None:
         if not wait:
             yield_cores()  # answers must not wait for it
-        calibration = shipped or calibrated(model, dataset)
-        tasks = scored_tasks(model, model_name, dataset, calibration, list(workspace.tasks))
+        # Before the page opens, the terminal shows it.
+        on_progress = None if wait or shipped is not None else report
+        calibration = shipped or calibrated(model, dataset, on_progress)
+        tasks = scored_tasks(model, model_name, dataset, calibration, list(workspace.tasks), on_progress)
         for ranking in [_begin_ranking(task) for task in tasks]:
             workspace.rankings[ranking.task.key] = ranking
         if wait:
@@ -203,7 +205,7 @@ def _offer_scorings(workspace: Workspace, model: Model, model_name: str, dataset
     workspace.scorings = Scorings(why_not, None if why_not else prepare)
     if not (wait or shipped is not None):
         return
-    job = workspace.scorings.prepare()
+    job = workspace.scorings.prepare(workspace)
     assert job is not None
     job.wait(threading.TIMEOUT_MAX)
     if job.error is not None and wait:

@@ -62,6 +62,10 @@ class ShowScoring(PageMessage, tag="scoring"):
     scoring: Scoring
 
 
+class CancelScoring(PageMessage, tag="scoring-stop"):
+    """Prepare a scoring no longer for this page."""
+
+
 class ShowOther(PageMessage, tag="show"):
     """Show another workspace."""
 

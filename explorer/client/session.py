@@ -62,6 +62,8 @@ class ClientSession:
         self.client, self._workspace = client, workspace
         self._lock = threading.RLock()
         self._shown: StateAnalysis | None = None
+        # The scoring that this page waits for.
+        self._preparing: BackgroundJob[None] | None = None
         task = next(iter(workspace.tasks))
         scoring = workspace.default_scoring(task)
         state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query, scoring=scoring)
@@ -172,6 +174,8 @@ class ClientSession:
                 self.change(self.views.panels.navigation.choose_task(task))
             case messages.ShowScoring(scoring):
                 self._show_scoring(scoring)
+            case messages.CancelScoring():
+                self._preparing = None
             case messages.UndoAlteration(alteration):
                 self.change(lambda state: session_state.undo(state, alteration))
             case messages.ActOnFirstScreen(action):
@@ -191,22 +195,28 @@ class ClientSession:
         """Rank by a scoring; one that is not ready is prepared first, while the page goes on."""
         if scored_key(self._state.task, scoring) in self._workspace.rankings:
             self.change(lambda state: replace(state, scoring=scoring))
-        elif (job := self._workspace.scorings.prepare()) is not None:
+        elif (job := self._workspace.scorings.prepare(self)) is not None:
+            self._preparing = job
             threading.Thread(
                 target=self._await_scoring, args=(job, scoring), name="explorer-scoring", daemon=True
             ).start()
 
     def _await_scoring(self, job: BackgroundJob[None], scoring: Scoring) -> None:
-        notice = self.client.add_notification(
-            "Calibrating",
-            "All pictures are described at several zooms; this page goes on until then.",
-            loading=True,
-            auto_close_seconds=None,
-        )
+        answer = self.views.panels.answer
         while not job.wait(_POLL):
-            if self._requests.closed:
-                return
-        notice.remove()
+            if self._requests.closed or self._preparing is not job:
+                job.leave(self)
+                break
+            answer.show_preparation(job, self._workspace.rankings[self._state.ranking_key])
+        if self._requests.closed:
+            return
+        chosen = self._preparing is job
+        if chosen:
+            self._preparing = None
+        if self._preparing is None:
+            answer.show_preparation(None, self._workspace.rankings[self._state.ranking_key])
+        if not chosen:
+            return
         if job.error is not None:
             self.views.panels.notify_error("Not calibrated", job.error)
         else:

@@ -42,13 +42,17 @@ class Scorings:
         self.why_not, self._prepare = why_not, prepare
         self._jobs, self._lock = BackgroundJobs(), Lock()
 
-    def prepare(self) -> BackgroundJob[None] | None:
-        """Start or join the preparation, which may describe all pictures; None where there is nothing to prepare."""
+    def prepare(self, client: object) -> BackgroundJob[None] | None:
+        """Start or join the preparation, which may describe all pictures; None where there is nothing to prepare.
+
+        Args:
+            client: waits for it; the last one that leaves the job cancels it.
+        """
         if self._prepare is None:
             return None
         with self._lock:
             self._jobs.forget_failed("prepare")
-            return self._jobs.join("prepare", self, self._prepare)
+            return self._jobs.join("prepare", client, self._prepare)
 
 
 def choices(rankings: Mapping[str, RankingJob], name: str) -> list[Choice]:

@@ -9,6 +9,7 @@ from typing import Any
 import viser
 
 from explorer import session_state
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import RankingJob
 from explorer.panels import pages
 from explorer.server.viser_compat import uuid_of
@@ -33,6 +34,7 @@ class AnswerPanel:
         self._workspace, self._change = workspace, change
         self._header, self._verdict = Html(gui), Html(gui)
         self._last: pages.ShownAnalysis | None = None
+        self._preparing: BackgroundJob[None] | None = None
         self._status = Html(gui, pages.status(None))
         why = gui.add_button("Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
         why.on_click(lambda _: change(session_state.flip_why))
@@ -76,7 +78,12 @@ class AnswerPanel:
         """Show the model's results on a task, or the progress of their ranking."""
         plain = self._last is not None and self._last.analysis.state.plain
         with speaking(self._workspace.vocabulary(plain)):
-            self._header.show(pages.header(self._workspace, ranking.task))
+            self._header.show(pages.header(self._workspace, ranking.task, self._preparing))
+
+    def show_preparation(self, job: BackgroundJob[None] | None, ranking: RankingJob) -> None:
+        """Show how far the preparation of a scoring is beside a model's results; None when it has ended."""
+        self._preparing = job
+        self.show_results(ranking)
 
     def show_idle(self) -> None:
         """Show the status of the last analysis."""

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 
 from explorer import session_state
 from explorer.compute import scorings
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.panels import answer_text
 from explorer.stage import pair_picture
 from explorer.web.render import render
@@ -77,8 +78,12 @@ def heat_legend(analysis: StateAnalysis, workspace: Workspace) -> str:
     return render("panels/heat_legend", kind=kind, of_part=of_part, scale=overlays.data_uri(scale(*_SCALE), 95))
 
 
-def header(workspace: Workspace, task: Task) -> str:
-    """Return the title: model, data set, task, and its metrics, or the progress of their ranking."""
+def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | None = None) -> str:
+    """Return the title: model, data set, task, and its metrics, or the progress of their ranking.
+
+    Args:
+        preparing: the preparation of a scoring that the page waits for.
+    """
     ranking = workspace.rankings[task.key]
     return render(
         "panels/header",
@@ -90,6 +95,7 @@ def header(workspace: Workspace, task: Task) -> str:
         error=ranking.error,
         scorings=scorings.choices(workspace.rankings, task.name),
         no_scorings=workspace.scorings.why_not,
+        preparing=preparing,
     )
 
 

@@ -166,10 +166,13 @@ def shipped_only(
     return next((shipped for shipped in stores if shipped is not None), None)
 
 
-def descriptor_reader(root: Path) -> Reader:
+def descriptor_reader(root: Path, on_progress: CountProgress | None = None) -> Reader:
     """Return a reader of descriptors of the data set in `root`: from its shipped stores, else from the cache.
 
     Only float32 stores are used, so that results do not depend on the shipped precision.
+
+    Args:
+        on_progress: receives the numbers of described and of all pictures of each list; by default the terminal shows them.
     """
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
@@ -177,7 +180,7 @@ def descriptor_reader(root: Path) -> Reader:
             shipped = shipped_descriptors(model, pictures, view, store, exact=True)
             if shipped is not None:
                 return shipped
-        return cached_descriptors(model, pictures, view, change)
+        return cached_descriptors(model, pictures, view, change, on_progress)
 
     return read
 

@@ -49,7 +49,7 @@ def open_task(
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
         calibration: see `calibrated`; its zooms and means are applied to `model`, which is that before the calibration.
-        on_progress: receives the numbers of described and of all pictures, unless there is a calibration; by default the
+        on_progress: receives the numbers of described and of all pictures, with a calibration of each list; by default the
             terminal shows them.
 
     Raises:
@@ -74,7 +74,7 @@ def open_task(
         else:
             query_side, gallery_side = (
                 descriptors.shipped_only(calibration.applied(model), side, view, dataset.root, role)
-                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
+                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root, on_progress))
                 for side, view, role in zip((queries, gallery), views, _ROLES, strict=True)
             )
     except PictureError:  # of one list; name the broken pictures of all lists at once
@@ -115,18 +115,26 @@ def _shifted(on_progress: CountProgress | None, before: int, total: int) -> Coun
 
 
 def scored_tasks(
-    model: Model, model_name: str, dataset: Dataset, calibration: Calibration, names: Sequence[str]
+    model: Model,
+    model_name: str,
+    dataset: Dataset,
+    calibration: Calibration,
+    names: Sequence[str],
+    on_progress: CountProgress | None = None,
 ) -> list[GalleryTask]:
     """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
 
     Args:
         model: before the calibration.
         names: of the tasks.
+        on_progress: see `open_task`.
 
     Raises:
         LPNError: as `open_task`.
     """
-    tasks = [open_task(model, model_name, dataset, name, calibration=calibration) for name in names]
+    tasks = [
+        open_task(model, model_name, dataset, name, calibration=calibration, on_progress=on_progress) for name in names
+    ]
     return tasks + [replace(task, neighbours=NEIGHBOURS) for task in tasks if len(task.queries) >= NEIGHBOURS]
 
 
@@ -158,8 +166,12 @@ def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]
     return lists
 
 
-def calibrated(model: Model, dataset: Dataset) -> Calibration:
+def calibrated(model: Model, dataset: Dataset, on_progress: CountProgress | None = None) -> Calibration:
     """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
+
+    Args:
+        on_progress: receives the numbers of described and of all pictures of each list at each zoom; by default the terminal
+            shows them.
 
     Raises:
         InputError: when the model's branches have roles, so that a task decides its descriptors, or pictures are too few.
@@ -174,7 +186,7 @@ def calibrated(model: Model, dataset: Dataset) -> Calibration:
     if not tasks:
         raise no_task_error(model, dataset)
     check_test_split(dataset, tasks)
-    return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root))
+    return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root, on_progress))
 
 
 def offered_tasks(model: Model, dataset: Dataset) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from lpn.datasets import open_dataset
 from lpn.retrieval.csls import NEIGHBOURS
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
+from lpn.tasks.opening import calibrated
 from lpn.tasks.task import SCORINGS, Scoring
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
@@ -171,6 +173,33 @@ def test_the_switch_names_what_each_scoring_brings_and_the_best_is_the_default(w
         assert header.count('<a class="chosen" ') >= 1
 
 
+def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
+    tmp_path: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_places(tmp_path / "places", 22)
+    counts: list[tuple[int, int]] = []
+    calibrated(lpn.load(model_file), open_dataset(tmp_path / "places"), lambda *count: counts.append(count))
+    assert counts[-1] == (22, 22)
+
+    def endless(_: object, __: object, on_progress: Callable[[int, int], None]) -> None:
+        while True:
+            on_progress(3, 22)
+
+    monkeypatch.setattr("explorer.opening.calibrated", endless)
+    opened, client = open_model(tmp_path / "places", model_file), object()
+    job = opened.scorings.prepare(client)
+    assert job is not None
+    while not job.total:
+        job.wait(0.01)
+    page = pages.header(opened, opened.tasks[TASK], job)
+    assert "3 of 22 at this one" in page
+    assert "scoring-stop" in page
+    job.leave(client)
+    assert job.wait(PATIENCE)
+    assert job.cancelled
+    assert "scoring-stop" not in pages.header(opened, opened.tasks[TASK])
+
+
 def test_two_constants_are_named_beside_the_parts(workspace: Workspace) -> None:
     analysis = StateAnalyser(workspace).analyse(state_of(workspace, "csls", why=True), 3)
     table = pages.parts_table(analysis, workspace)
@@ -186,7 +215,7 @@ def test_few_pictures_are_ranked_plainly_and_the_page_says_why(tmp_path: Path, m
     assert opened.scorings.why_not.startswith(
         "A calibration takes 20 pictures of each view or more, and there are 5 drone"
     )
-    assert opened.scorings.prepare() is None
+    assert opened.scorings.prepare(opened) is None
     assert opened.scorings.why_not in pages.header(opened, opened.tasks[TASK])
     state = opened.supported_state(SessionState(TASK, 4, scoring="csls"))
     assert state.scoring == "plain"
