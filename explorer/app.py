@@ -17,11 +17,12 @@ import viser
 
 from explorer.client.services import WorkspaceServices
 from explorer.client.session import ClientSession
+from explorer.parameters import DATA
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, is_loopback, make_authenticator
 from explorer.server.gateway import Gateway
 from explorer.server.picture_route import EncodedPicture, PictureRoute
-from explorer.workspace import LazyWorkspace, Workspace
+from explorer.workspace import LazyWorkspace, StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.log import conceal
@@ -43,8 +44,6 @@ _NOTEBOOKS = (
     "https://127.0.0.1:*",
     "vscode-webview:",
 )
-# Key of the workspace that a page shows first.
-_FIRST = "first"
 
 
 class App:
@@ -56,6 +55,7 @@ class App:
         label: display name of the workspace beside `others`.
         others: further workspaces that a page can show, by their keys in its address.
         embedders: see `Gateway`.
+        key: that of `workspace`. An address that names a picture and no workspace is one of the workspace `DATA`.
 
     Raises:
         InputError: when the address or port cannot be listened on.
@@ -71,6 +71,7 @@ class App:
         label: str = "",
         others: Mapping[str, LazyWorkspace] | None = None,
         embedders: Sequence[str] = (),
+        key: str = DATA,
     ) -> None:
         _check_free(host, port)
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
@@ -78,9 +79,10 @@ class App:
         conceal(self.authenticator.cookie_value)
         self._others, self._lock = others or {}, threading.Lock()
         self._changing: set[int] = set()
+        self._opens_quick = False
         self._services: dict[str, WorkspaceServices] = {}
-        self._choices = {_FIRST: label} | {key: other.label for key, other in self._others.items()} if others else {}
-        self._first = self._add(_FIRST, workspace)
+        self._choices = {key: label} | {key: other.label for key, other in self._others.items()} if others else {}
+        self._first = self._add(key, workspace)
         self._pictures = PictureRoute(self._find_picture)
         self.gateway = Gateway(self.authenticator, self._pictures, embedders)
         viser_compat.use_thread_safe_buffers()
@@ -125,8 +127,9 @@ class App:
         services: WorkspaceServices,
         search: str | None = None,
         replaced: ClientSession | None = None,
+        ready: StateAnalysis | None = None,
     ) -> ClientSession:
-        session = ClientSession(client, services, self._show_other, search)
+        session = ClientSession(client, services, self._show_other, search, self._open_quick, ready)
         with self._lock:
             if self._sessions.get(client.client_id) is replaced:  # else its page has changed its workspace already
                 self._sessions[client.client_id] = session
@@ -135,6 +138,18 @@ class App:
             self._disconnected(client)
             session.leave()  # it may not have been listed
         return session
+
+    def _open_quick(self) -> None:
+        """Open the workspaces that take about a second, one after the other, so that they are there when somebody asks."""
+        quick = [other for other in self._others.values() if other.quick and not other.asked]
+
+        def open_each() -> None:
+            for other in quick:
+                other.open().wait(threading.TIMEOUT_MAX)
+
+        if quick and not self._opens_quick:
+            self._opens_quick = True
+            threading.Thread(target=open_each, name="explorer-open", daemon=True).start()
 
     def _fit_camera(self, client_id: int) -> None:
         session = self._sessions.get(client_id)
@@ -197,9 +212,10 @@ class App:
             return
         session.leave()
         try:
+            ready = session.preview(self._services[key], search)
             client.gui.reset()
             client.scene.reset()
-            self._begin(client, self._services[key], search, session)
+            self._begin(client, self._services[key], search, session, ready)
         except Exception:
             log.exception("A page could not change its workspace")
             client.gui.reset()
@@ -224,6 +240,8 @@ def serve(
     port: int = 8080,
     authenticator: Authenticator | None = None,
     others: Mapping[str, LazyWorkspace] | None = None,
+    label: str = "",
+    key: str = DATA,
 ) -> None:
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
@@ -231,12 +249,13 @@ def serve(
         open_workspace: one of the functions of `opening`; called once the port is known to be free.
         authenticator: the access rules; by default those of `App`.
         others: workspaces that a page offers beside it, by the keys that an address gives them.
+        label, key: of the workspace beside them, see `App`.
 
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     host = host or "0.0.0.0"
-    app = _start(open_workspace, host, port, authenticator, others)
+    app = _start(open_workspace, host, port, authenticator, others, label, key)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     if not is_loopback(host):
@@ -259,6 +278,8 @@ def serve_in_background(
     port: int = 0,
     authenticator: Authenticator | None = None,
     others: Mapping[str, LazyWorkspace] | None = None,
+    label: str = "",
+    key: str = DATA,
 ) -> ServedPage:
     """Open a workspace, and serve it until the page is closed or the process ends; see `serve`.
 
@@ -269,7 +290,7 @@ def serve_in_background(
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     with _no_cell_output():
-        app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, _NOTEBOOKS)
+        app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, label, key, _NOTEBOOKS)
     # A browser sends no cookie, so no proof of a token, from a frame in another site's page.
     return ServedPage(app.link, app.close, framed=app.authenticator.token is None)
 
@@ -280,12 +301,14 @@ def _start(
     port: int,
     authenticator: Authenticator | None,
     others: Mapping[str, LazyWorkspace] | None,
+    label: str,
+    key: str,
     embedders: Sequence[str] = (),
 ) -> App:
     _check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    return App(open_workspace(), host, port, authenticator, "a rendered city", others, embedders)
+    return App(open_workspace(), host, port, authenticator, label, others, embedders, key)
 
 
 @contextmanager

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
 
 import tyro
 
+from explorer.parameters import DATA
 from lpn.cli import by_source
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
@@ -28,8 +30,19 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
     from lpn.tasks.task import Task
 
-# The function that opens the page's data, and further workspaces that the page offers, by the keys of their addresses.
-Workspaces = tuple[Callable[[], "Workspace"], dict[str, "LazyWorkspace"]]
+
+@dataclass(frozen=True)
+class Workspaces:
+    """What opens the workspace that a page shows first, and further ones that the page offers, by the keys of their addresses.
+
+    Attributes:
+        label, key: of the first, see `App`.
+    """
+
+    open_workspace: Callable[[], Workspace]
+    others: Mapping[str, LazyWorkspace] = field(default_factory=dict)
+    label: str = ""
+    key: str = DATA
 
 
 @dataclass(kw_only=True)
@@ -71,8 +84,8 @@ class ExploreSource(ABC):
         from explorer.app import serve
 
         authenticator = self.serve.authenticator()
-        open_workspace, offered = self.workspaces()
-        serve(open_workspace, self.serve.host, self.serve.port, authenticator, offered)
+        opening, host, port = self.workspaces(), self.serve.host, self.serve.port
+        serve(opening.open_workspace, host, port, authenticator, opening.others, opening.label, opening.key)
 
     @abstractmethod
     def workspaces(self) -> Workspaces:
@@ -90,7 +103,7 @@ class ExploreNamed(ExploreSource):
     def workspaces(self) -> Workspaces:
         from explorer.opening import open_source
 
-        return partial(open_source, self.source, self.query), {}
+        return Workspaces(partial(open_source, self.source, self.query))
 
 
 @dataclass(kw_only=True)
@@ -114,20 +127,22 @@ class ExploreFlight(ExploreSource):
 
         kinds, poolings = _of_beside(self.beside, self.beside_kind, self.beside_pooling)
         source, model = self.source, self.source.model
-        return partial(
-            open_flight_over,
-            source.map,
-            source.flight,
-            model.model,
-            self.query,
-            self.beside,
-            self.register,
-            model.provider,
-            kind=model.kind,
-            beside_kinds=kinds,
-            pooling=model.pooling,
-            beside_poolings=poolings,
-        ), {}
+        return Workspaces(
+            partial(
+                open_flight_over,
+                source.map,
+                source.flight,
+                model.model,
+                self.query,
+                self.beside,
+                self.register,
+                model.provider,
+                kind=model.kind,
+                beside_kinds=kinds,
+                pooling=model.pooling,
+                beside_poolings=poolings,
+            )
+        )
 
 
 @dataclass(kw_only=True)
@@ -182,11 +197,18 @@ class Explore(ExploreSource):
         if isinstance(source, Model):
             query = DEMO_QUERY if data is None else None
             return serve_in_background(partial(open_model, data or DEMO, source, query), host, port, authenticator, {})
-        open_workspace, offered = Explore(data=data, model=source).workspaces()
-        return serve_in_background(open_workspace, host, port, authenticator, offered)
+        opening = Explore(data=data, model=source).workspaces()
+        return serve_in_background(
+            opening.open_workspace, host, port, authenticator, opening.others, opening.label, opening.key
+        )
 
-    def workspaces(self) -> Workspaces:
-        from explorer.opening import offered_flight, open_model
+    def opens_data(self) -> Callable[[], Workspace]:
+        """Return what opens the data set, by default the demo's city, under the model.
+
+        Raises:
+            InputError: if an option lacks the one that it needs, or the demo's files are missing.
+        """
+        from explorer.opening import open_model
 
         for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):
             if given is not None and self.model is None:
@@ -200,24 +222,7 @@ class Explore(ExploreSource):
                 "--data and a model with --model."
             )
         query = DEMO_QUERY if self.data is None and self.query is None else self.query
-        is_demo = self.data is None and self.model is None
-        baseline = DEMO_BASELINE if is_demo and DEMO_BASELINE.is_file() else None
-        others = {
-            key: offered_flight(
-                label,
-                *place,
-                DEMO_MODEL,
-                self.provider,
-                query,
-                place[0].with_name(DEMO_ANSWERS),
-                about,
-            )
-            for key, label, place, query, about in (
-                ("place", "a real flight", DEMO_PLACE, DEMO_PHOTO, _REAL),
-                ("flight", "a rendered flight", DEMO_FLIGHT, None, ""),
-            )
-            if is_demo and place[0].exists()
-        }
+        baseline = DEMO_BASELINE if self._is_demo and DEMO_BASELINE.is_file() else None
         return partial(
             open_model,
             self.data or DEMO,
@@ -232,10 +237,49 @@ class Explore(ExploreSource):
             self.pooling,
             poolings,
             self.beside_weather,
-        ), others
+        )
+
+    def workspaces(self) -> Workspaces:
+        from explorer.opening import offered, open_offered_flight
+
+        open_data = self.opens_data()
+        if not self._is_demo:
+            return Workspaces(open_data)
+        flights = {
+            key: partial(
+                open_offered_flight,
+                map_path=place[0],
+                flight_path=place[1],
+                model=DEMO_MODEL,
+                provider=self.provider,
+                query=query,
+                shipped=place[0].with_name(DEMO_ANSWERS),
+                about=about,
+            )
+            for key, place, query, about in (
+                ("place", DEMO_PLACE, DEMO_PHOTO, _REAL),
+                ("flight", DEMO_FLIGHT, None, ""),
+            )
+            if place[0].exists()
+        }
+        others = {
+            key: offered(_LABELS[key], [opens.keywords[name] for name in ("map_path", "flight_path", "model")], opens)
+            for key, opens in flights.items()
+        }
+        of_city = self.query or self.beside or self.beside_weather or self.calibrate
+        if of_city or "place" not in flights or find_spec("rasterio") is None:
+            return Workspaces(open_data, others, _LABELS[DATA])
+        del others["place"]
+        city = {DATA: offered(_LABELS[DATA], [DEMO, DEMO_MODEL], lambda _: open_data())}
+        return Workspaces(partial(flights["place"], None), city | others, _LABELS["place"], "place")
+
+    @property
+    def _is_demo(self) -> bool:
+        return self.data is None and self.model is None
 
 
-_REAL = "real photos of a place that the model was not trained on; the map is made of the flight's other photos"
+_LABELS = {DATA: "a rendered city", "place": "a real flight", "flight": "a rendered flight"}
+_REAL = "real photos of a place that the model was not trained on, over a map of the flight's other photos"
 
 
 def _of_beside(
@@ -287,10 +331,7 @@ class StoryCommand:
             raise InputError("--record needs the name of a story; lpn story alone lists them.")
         if self.seconds is not None and not 0.1 <= self.seconds <= 60:
             raise InputError(f"--seconds is {self.seconds:g}; expected 0.1 to 60.")
-        open_workspace, _ = Explore(
-            data=self.data, model=self.model, kind=self.kind, calibrate=self.calibrate
-        ).workspaces()
-        workspace = open_workspace()
+        workspace = Explore(data=self.data, model=self.model, kind=self.kind, calibrate=self.calibrate).opens_data()()
         stories = stories_of(workspace)
         for problem in stories.errors:
             print(f"lpn: {problem}", file=sys.stderr)

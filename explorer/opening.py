@@ -322,25 +322,27 @@ def open_flight_over(
     workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
     assert network is not None
-    _print_notes(opened)
+    if shipped is None:  # the flight window shows them, too
+        _print_notes(opened)
     broken = () if located.retrieval is None else located.retrieval.broken
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
     opens = []
     for file, other_name, other_kind, other_pooling in zip(beside, names, kinds, poolings, strict=True):
         options = ModelOptions(model=file, kind=other_kind, pooling=other_pooling, provider=provider)
-        options.load()  # one that cannot be loaded ends the start
-        other = replace(source, model=options)
-        opens.append(_opens_flown(other, other_name, overlap))
+        loaded = options.load()  # one that cannot be loaded ends the start
+        opens.append(_opens_flown(replace(source, model=options), other_name, overlap, loaded))
     _put_beside(workspace, names, opens)
     if register:
         _begin_registration(workspace, located, network, LocateOptions(register=False, overlap=overlap))
     return workspace
 
 
-def _opens_flown(source: Flown, name: str, overlap: float) -> Callable[[ReportProgress | None], Workspace]:
+def _opens_flown(
+    source: Flown, name: str, overlap: float, loaded: Model
+) -> Callable[[ReportProgress | None], Workspace]:
     """Return what opens a flight under another model, see `_open_flown`."""
-    return lambda report: _flight_workspace(_open_flown(source, name, overlap, report))
+    return lambda report: _flight_workspace(_open_flown(source, name, overlap, report, loaded=loaded))
 
 
 def _flight_workspace(opened: OpenedSource) -> Workspace:
@@ -351,8 +353,8 @@ def _flight_workspace(opened: OpenedSource) -> Workspace:
     return workspace
 
 
-def offered_flight(
-    label: str,
+def open_offered_flight(
+    report: ReportProgress | None,
     map_path: Path,
     flight_path: Path,
     model: Path,
@@ -360,40 +362,50 @@ def offered_flight(
     query: str | None = None,
     shipped: Path | None = None,
     about: str = "",
-) -> LazyWorkspace:
-    """Return a flight over a map that is opened when a browser asks for it, see `open_flight_over`.
+) -> Workspace:
+    """Open a flight over a map with few windows, see `open_flight_over`.
+
+    Args:
+        about: see `Workspace.about`.
+    """
+    workspace = open_flight_over(
+        map_path,
+        flight_path,
+        model,
+        query,
+        provider=provider,
+        overlap=OFFERED_OVERLAP,
+        report=report,
+        shipped=shipped,
+    )
+    workspace.about = about
+    return workspace
+
+
+def offered(label: str, files: Sequence[Path], open_workspace: Callable[[ReportProgress], Workspace]) -> LazyWorkspace:
+    """Return a workspace whose answers ship, which is opened when a browser asks for it, or before.
 
     Args:
         label: its name on the page.
-        about: see `Workspace.about`.
+        files: those whose names without folders stand in its errors.
     """
-
-    def opened(report: ReportProgress) -> Workspace:
-        workspace = open_flight_over(
-            map_path,
-            flight_path,
-            model,
-            query,
-            provider=provider,
-            overlap=OFFERED_OVERLAP,
-            report=report,
-            shipped=shipped,
-        )
-        workspace.about = about
-        return workspace
-
-    return LazyWorkspace(label, _naming_files([map_path, flight_path, model], opened))
+    return LazyWorkspace(label, _naming_files(files, open_workspace), quick=True)
 
 
 def _open_flown(
-    source: Flown, name: str, overlap: float, report: ReportProgress | None, shipped: Path | None = None
+    source: Flown,
+    name: str,
+    overlap: float,
+    report: ReportProgress | None,
+    shipped: Path | None = None,
+    loaded: Model | None = None,
 ) -> OpenedSource:
     """Open a flight without registration, under a name of its model."""
     with (
         _status(f"Opening {source.title}"),
         progress_bars() if report is None else nullcontext(_counts(report)) as progress,
     ):
-        return source.locate(overlap, progress, shipped=shipped).named(name)
+        return source.locate(overlap, progress, shipped=shipped, loaded=loaded).named(name)
 
 
 def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:

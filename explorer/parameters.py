@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 _NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
+# Key of the workspace that addresses without `show` mean.
+DATA = "data"
 # Characters of a text that an address holds.
 LONGEST_TEXT = 200
 

@@ -12,6 +12,7 @@ from explorer import parameters, session_state
 from explorer.compute.scorings import choices
 from explorer.lab_choices import CHOICES, LabChoices, Selection
 from explorer.parameters import (
+    DATA,
     LONGEST_TEXT,
     Parameter,
     UnusableError,
@@ -181,18 +182,20 @@ class UrlState:
             return set()
 
     def workspace_key(self, text: str) -> str:
-        """Return the key of the workspace that a query string names; the first workspace needs no name.
+        """Return the key of the workspace that a query string names; the workspace `DATA` needs no name.
 
         Args:
             text: untrusted.
         """
         try:
-            return _parameters_of(text).get("show") or next(iter(self._workspace.choices), self._workspace.key)
+            return _parameters_of(text).get("show") or self._unnamed
         except ValueError:
             return self._workspace.key
 
     def other_workspace(self, text: str) -> str | None:
         """Return the key of the other workspace that a query string names, see `Workspace.choices`; None if it names none.
+
+        A query string without a workspace that names anything to show, such as a query, means the workspace `DATA`.
 
         Args:
             text: untrusted.
@@ -201,11 +204,17 @@ class UrlState:
             key = _parameters_of(text).get("show")
         except ValueError:
             return None
+        if key is None and self._named(text) - {"screen"}:
+            key = self._unnamed
         return key if key != self._workspace.key and key in self._workspace.choices else None
 
+    @property
+    def _unnamed(self) -> str:
+        """The key of the workspace of query strings that name none."""
+        return DATA if DATA in self._workspace.choices else self._workspace.key
+
     def _write_key(self, _: SessionState) -> str | None:
-        first = next(iter(self._workspace.choices), self._workspace.key)
-        return None if self._workspace.key == first else self._workspace.key
+        return None if self._workspace.key == self._unnamed else self._workspace.key
 
     def _read_key(self, state: SessionState, value: str) -> SessionState:
         if value != self._workspace.key:

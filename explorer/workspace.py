@@ -410,10 +410,11 @@ class LazyWorkspace:
     Args:
         label: display name, such as "the baseline (n = 1)".
         open_workspace: opens it; that may take as long as the description of all pictures, whose progress it reports.
+        quick: all pictures are described already, so that it takes about a second.
     """
 
-    def __init__(self, label: str, open_workspace: Callable[[ReportProgress], Workspace]) -> None:
-        self.label = label
+    def __init__(self, label: str, open_workspace: Callable[[ReportProgress], Workspace], quick: bool = False) -> None:
+        self.label, self.quick = label, quick
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
         self._lock = Lock()
@@ -432,6 +433,11 @@ class LazyWorkspace:
     def progress(self) -> tuple[int, int]:
         """The numbers of described and of all pictures while it is being opened; (0, 0) until they are known."""
         return (0, 0) if self._job is None else (self._job.done, self._job.total)
+
+    @property
+    def asked(self) -> bool:
+        """It was opened, or its opening began."""
+        return self._job is not None
 
     @property
     def opening(self) -> bool:

@@ -75,9 +75,7 @@ class PageAddress:
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = plain_state(state, greeting.first, self._url_state.names_a_state(search))
-        if self._workspace.has_flight and self._url_state.names_only_a_workspace(search):
-            first = bool(self._workspace.about)
-            state = replace(state, flight=not first, first_screen=first)
+        state = opened_alone(self._url_state, self._workspace, search, state)
         with self._lock:
             self._views.show_state(state)
             if self._state() is before:  # otherwise the change has woken the worker
@@ -126,3 +124,11 @@ class PageAddress:
     def _stop_waiting(self) -> None:
         self.waiting = False
         self._wake()
+
+
+def opened_alone(url_state: UrlState, workspace: Workspace, search: str, state: SessionState) -> SessionState:
+    """Return what an address shows that names a workspace alone: of a flight, its window or the first screen."""
+    if not workspace.has_flight or not url_state.names_only_a_workspace(search):
+        return state
+    first = bool(workspace.about) or state.first_screen
+    return replace(state, flight=not first, first_screen=first)

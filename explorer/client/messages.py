@@ -72,6 +72,10 @@ class ShowOther(PageMessage, tag="show"):
     key: str
 
 
+class ConfirmPreview(PageMessage, tag="previewed"):
+    """The first screen of another workspace is shown."""
+
+
 class GoBack(PageMessage, tag="back"):
     """Show what an earlier address of the page's history shows."""
 

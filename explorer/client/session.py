@@ -13,7 +13,7 @@ import viser
 
 from explorer import session_state
 from explorer.client import messages
-from explorer.client.address import PageAddress
+from explorer.client.address import PageAddress, opened_alone
 from explorer.client.messages import PageMessage
 from explorer.client.services import WorkspaceServices
 from explorer.client.views import ClientViews
@@ -24,7 +24,7 @@ from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
-from explorer.workspace import StateAnalyser, StateAnalysis
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.tasks.task import Scoring, scored_key
@@ -33,6 +33,8 @@ log = logging.getLogger(__name__)
 
 # Seconds of an analysis after which the page says that it is being computed.
 _SLOW = 0.5
+# Seconds that a page may take to show the first screen of another workspace.
+_PREVIEWED = 3.0
 # Seconds between looks at the preparation of a scoring.
 _POLL = 0.5
 
@@ -46,6 +48,8 @@ class ClientSession:
         services: the workspace to show.
         show_other: replaces this session by one of another workspace, given its key and the query string of its address.
         search: a query string in place of that of the page's address.
+        on_shown: called when the first answer is shown.
+        ready: the analysis of a state that the page may open with, see `preview`.
 
     Attributes:
         views: all that the page shows.
@@ -57,17 +61,17 @@ class ClientSession:
         services: WorkspaceServices,
         show_other: Callable[[ClientSession, str, str], None],
         search: str | None = None,
+        on_shown: Callable[[], None] = lambda: None,
+        ready: StateAnalysis | None = None,
     ) -> None:
         workspace = services.workspace
+        self._on_shown, self._ready, self._previewed = on_shown, ready, threading.Event()
         self.client, self._workspace = client, workspace
         self._lock = threading.RLock()
         self._shown: StateAnalysis | None = None
         # The scoring that this page waits for.
         self._preparing: BackgroundJob[None] | None = None
-        task = next(iter(workspace.tasks))
-        scoring = workspace.default_scoring(task)
-        state = SessionState(task, workspace.contract.n_parts, query=workspace.first_query, scoring=scoring)
-        self._state = workspace.supported_state(state)
+        self._state = _opening_state(workspace)
         self._requests = RequestContext(workspace.inference)
         self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
         with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
@@ -136,6 +140,29 @@ class ClientSession:
         self.views.leave()
         self._requests.close()
 
+    def preview(self, services: WorkspaceServices, search: str) -> StateAnalysis | None:
+        """Show the first screen of another workspace, whose session is to replace this one, and return its analysis.
+
+        Building that session takes the page seconds. None if either of the two is not on its first screen.
+        """
+        workspace, shown = services.workspace, self._state
+        start = replace(_opening_state(workspace), dark=shown.dark, plain=shown.plain)
+        state = opened_alone(services.url_state, workspace, search, services.url_state.read(search, start)[0])
+        if not (shown.first_screen and state.first_screen):
+            return None
+        requests = RequestContext(workspace.inference)
+        try:
+            analysis = StateAnalyser(workspace, requests.queued(workspace.model), cancellable=False).analyse(
+                state, SHOWN
+            )
+        except LPNError:  # the other session will say it
+            return None
+        finally:
+            requests.close()
+        self.views.preview(analysis, workspace)
+        self._previewed.wait(_PREVIEWED)
+        return analysis
+
     def wait_for(self, label: str) -> viser.NotificationHandle:
         """Say that another workspace is being opened, and show this one until then."""
         self._worker.wake()
@@ -166,6 +193,8 @@ class ClientSession:
                 address.go_back(search)
             case messages.ShowOther(key):
                 address.show_other(key)
+            case messages.ConfirmPreview():
+                self._previewed.set()
             case messages.ResizeStage(width, height):
                 self.views.viewport.resize(width, height)
             case messages.FitPanels(small):
@@ -227,6 +256,8 @@ class ClientSession:
 
     def _work(self) -> float | None:
         """Analyse and draw the newest state; returns the seconds after which to try again when the server is overloaded."""
+        if self._address.waiting and self._ready is not None:
+            return None
         if self._address.waiting:
             with contextlib.suppress(LPNError):  # it is said when this state is to be drawn
                 self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
@@ -237,9 +268,15 @@ class ClientSession:
             return None
         slow = DelayedCall(_SLOW, self.views.panels.answer.show_busy)
         try:
-            analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
+            ready, self._ready = self._ready, None
+            if ready is not None and ready.state == self._state:
+                analysis = ready
+            else:
+                analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             started = time.perf_counter()
             self.views.show(analysis, slow.cancel)
+            if self._shown is None:
+                self._on_shown()
             self._shown = analysis
         except BusyError:
             slow.cancel()
@@ -264,3 +301,12 @@ class ClientSession:
         return (
             f"Browser {self.client.client_id}: answer {self.views.sequence}: {state.task}, {query}, {change}: {times}"
         )
+
+
+def _opening_state(workspace: Workspace) -> SessionState:
+    """Return the state that a page of a workspace has before its address is read."""
+    task = next(iter(workspace.tasks))
+    scoring = workspace.default_scoring(task)
+    return workspace.supported_state(
+        SessionState(task, workspace.contract.n_parts, query=workspace.first_query, scoring=scoring)
+    )

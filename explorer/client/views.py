@@ -19,7 +19,7 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.messages import FlightMessage
 from explorer.flight_window.window import FlightWindow
 from explorer.panels import answer_text, shortcuts
-from explorer.panels.first_screen import FirstScreen
+from explorer.panels.first_screen import FirstScreen, page
 from explorer.panels.glossary import Glossary
 from explorer.panels.messages import PartsMessage, StageMessage
 from explorer.panels.panels import Panels
@@ -29,12 +29,13 @@ from explorer.session_state import SessionState, StateChange
 from explorer.stage.scene import Stage
 from explorer.stage.viewport import Viewport
 from explorer.stories import tour
+from explorer.stories.library import stories_of
 from explorer.stories.messages import StoryMessage
 from explorer.stories.window import StoryWindow
 from explorer.stories.windows import WindowSources
 from explorer.web import style
 from explorer.web.bridge import PageBridge
-from explorer.workspace import StateAnalysis
+from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.errors import LPNError
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import theme
@@ -150,6 +151,11 @@ class ClientViews:
         """Replace the state, and what the laboratory shows; see `FailureLabWindow.restore`."""
         self.lab.restore(state, whole)
         self._change(lambda _: state)
+
+    def preview(self, analysis: StateAnalysis, workspace: Workspace) -> None:
+        """Show the first screen of another workspace; nothing of it can be used before a session of that workspace."""
+        with speaking(workspace.vocabulary(analysis.state.plain)):
+            self.bridge.call("preview", page(analysis, workspace, list(stories_of(workspace).by_name)))
 
     def follow(self, before: SessionState, state: SessionState) -> None:
         """Open and close what a state opens and closes at once, before its analysis."""

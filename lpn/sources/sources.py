@@ -379,11 +379,13 @@ class Flown(TaskSource):
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
         shipped: Path | None = None,
+        loaded: Model | None = None,
     ) -> OpenedSource:
         """Open the flight with windows that overlap by a share of their sides, `LocateOptions.overlap` by default.
 
         Args:
             shipped: see `lpn.locate.pipeline.locate`.
+            loaded: the model, if it is loaded already.
         """
         from lpn.flights import open_flight
         from lpn.locate.options import LocateOptions
@@ -392,7 +394,7 @@ class Flown(TaskSource):
         from lpn.maps import open_map
         from lpn.retrieval import scoring
 
-        ground, flight, model = open_map(self.map), open_flight(self.flight), self.model.load()
+        ground, flight, model = open_map(self.map), open_flight(self.flight), loaded or self.model.load()
         for view in ("satellite", "drone"):
             model.check_view(view)
         scoring.part_weights(model.n_parts, weights)

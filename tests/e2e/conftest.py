@@ -151,6 +151,7 @@ def baseline_app(data: Path, model_file: Path, one_part_model_file: Path, tmp_pa
     program = (
         "import runpy; from pathlib import Path; import lpn.core.demo as demo; "
         f"demo.DEMO = Path({str(demo)!r}); demo.DEMO_BASELINE = demo.DEMO / 'baseline.onnx'; demo.DEMO_QUERY = '0007'; "
+        "demo.DEMO_PLACE = demo.DEMO_FLIGHT = (demo.DEMO / 'none', demo.DEMO / 'none'); "
         "runpy.run_module('lpn', run_name='__main__', alter_sys=True)"
     )
     with started(demo, demo / "lpn.onnx", tmp_path / "cache", default=True, program=("-c", program)) as running:

@@ -414,6 +414,10 @@ def test_the_demo_opens_without_being_told_anything(
 ) -> None:
     explorer = ExplorerPage(new_page())
     explorer.open(demo_app.url)
+    expect(explorer.page.locator("#lpn-workspaces a.chosen")).to_have_text("a real flight")
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("caliterra-even")
+    explorer.open(f"{demo_app.url}/?task=drone-to-satellite")  # links without a place are those of the city
+    expect(explorer.page.locator("#lpn-workspaces a.chosen")).to_have_text("a rendered city")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("demo")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("within 50 m")
     expect(explorer.page.locator("#lpn-scorings a.chosen")).to_have_text("CSLS 87.0 %")

@@ -136,7 +136,10 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
         raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
 
     monkeypatch.setattr("lpn.maps.open_map", lacking)
-    flight = explorer.opening.offered_flight("a flight", tmp_path, tmp_path, tmp_path / "model.onnx")
+    files = tmp_path, tmp_path, tmp_path / "model.onnx"
+    flight = explorer.opening.offered(
+        "a flight", files, lambda report: explorer.opening.open_offered_flight(report, *files)
+    )
     assert flight.open().wait(PATIENCE)
     assert flight.error == (
         "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."
@@ -161,10 +164,9 @@ def test_the_demo_offers_its_baseline_where_the_file_is_there(
     monkeypatch.setattr(explorer.cli, "DEMO", tmp_path)
     monkeypatch.setattr(explorer.cli, "DEMO_BASELINE", baseline)
     monkeypatch.setattr(explorer.opening, "open_model", lambda *arguments: given.append(arguments))
-    monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: open_workspace())
-    Explore().run()
-    Explore(model=tmp_path / "other.onnx").run()
-    Explore(data=tmp_path, model=tmp_path / "other.onnx").run()
+    other = tmp_path / "other.onnx"
+    for options in (Explore(), Explore(model=other), Explore(data=tmp_path, model=other)):
+        options.opens_data()()
     assert [arguments[4] for arguments in given] == [baseline if there else None, None, None]
 
 

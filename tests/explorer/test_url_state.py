@@ -239,21 +239,25 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
 def test_an_address_names_its_workspace_where_there_are_several(data: Path, model_file: Path) -> None:
     workspace = open_model(data, model_file)
     state = SessionState(next(iter(workspace.tasks)), 4)
-    for key, shown in (("alone", ""), ("pairs", ""), ("flight", "flight")):
-        workspace.key, workspace.choices = key, {} if key == "alone" else {"pairs": "pairs", "flight": "a flight"}
+    for key, shown in (("alone", ""), ("data", ""), ("flight", "flight")):
+        workspace.key, workspace.choices = key, {} if key == "alone" else {"flight": "a flight", "data": "pairs"}
         links = UrlState(workspace)
         assert parse_qs(links.write(state)).get("show", [""]) == [shown]
         assert links.read(links.write(state), state) == (state, [])
         others = set(workspace.choices) - {key}
-        for name in ("pairs", "flight", "", "rubbish"):
+        for name in ("data", "flight", "", "rubbish"):
             assert links.other_workspace(f"?show={name}") == (name if name in others else None)
+        for bare in ("", "?", "?theme=dark&words=plain", "?screen=first", "?screen=all"):
+            assert links.other_workspace(bare) is None
+        assert links.other_workspace("?query=0001") == ("data" if "data" in others else None)
+        assert links.workspace_key("?query=0001") == ("data" if workspace.choices else "alone")
         assert links.other_workspace("?" + "&".join("show=flight" for _ in range(300))) is None
         assert links.read("angle=7&find=" + "x" * 20_000, state) == (
             state, ["It has more than 200 parameters or 20,000 characters."],
         )  # fmt: skip
-    assert "nothing else to show than pairs, flight" in links.read("show=rubbish", state)[1][0]
+    assert "nothing else to show than flight, data" in links.read("show=rubbish", state)[1][0]
     assert links.names_only_a_workspace("?show=flight&theme=dark")
-    assert links.names_only_a_workspace("?show=pairs&screen=first")
+    assert links.names_only_a_workspace("?show=data&screen=first")
     for text in ("", "theme=dark", "show=flight&query=0001", "&".join("show=flight" for _ in range(300))):
         assert not links.names_only_a_workspace(text)
 

@@ -53,6 +53,7 @@ interface Lpn {
   stored(storage: "local" | "session", key: string): string | null | undefined;
   store(storage: "local" | "session", key: string, text: string | null): void;
   send(kind: string, value?: unknown): void;
+  resume(): [string, unknown][];
   mouse: Point;
   cell(map: HTMLElement, event: MouseEvent): number;
   hover(map: HTMLElement, event: MouseEvent, held?: boolean): void;
@@ -125,6 +126,7 @@ interface Lpn {
   opening(): unknown;
   firstAgain(): unknown;
   northUp(link: HTMLElement): void;
+  preview(html: string): void;
   first(html: string, free: boolean, unasked: boolean): void;
   hideTip(): void;
   stageMap(ground: Ground | null): void;

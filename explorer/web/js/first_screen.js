@@ -12,6 +12,9 @@
   lpn.screen = () => shown;
   lpn.prefersFirst = () => lpn.stored("local", STORAGE_KEY) !== "all";
 
+  // What was pressed has been answered.
+  const settled = () => document.querySelectorAll("#lpn-first .waiting").forEach((one) => one.classList.remove("waiting"));
+
   const close = () => {
     document.getElementById("lpn-first")?.remove();
     document.querySelector(SELECTORS.app)?.removeAttribute("inert");
@@ -70,12 +73,19 @@
   // Show the screen at once as it was last; the server will send it again.
   lpn.firstAgain = () => newest && open(newest);
 
+  // Show the screen of another place at once; its session then takes the place of this one, and gets what is pressed meanwhile.
+  lpn.preview = (html) => {
+    open((newest = html));
+    requestAnimationFrame(() => requestAnimationFrame(() => lpn.send("previewed")));
+  };
+
   // Show the screen, or close it for an empty text; a story comes only to the plain stage (`free`), unasked only if `unasked`.
   lpn.first = (html, free, unasked) => {
     const now = html ? "first" : "all", before = shown;
     if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
-    if (html) return open((newest = html));
+    const same = html === newest && document.querySelector("#lpn-first [data-query]");
+    if (html) return same ? settled() : open((newest = html));
     close();
     if (now !== before && free) lpn.reveal("#lpn-header");
     if (free && !lpn.telling()) lpn.welcome(unasked);

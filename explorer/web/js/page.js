@@ -41,11 +41,19 @@
   // when a message is written: timers that were set in advance expire together on a page that is busy.
   const waiting = [];
   let sending = false;
+  let paused = false; // another session is about to begin, which gets the messages
   const next = () => {
-    sending = waiting.length > 0;
+    sending = waiting.length > 0 && !paused;
     if (!sending) return;
     setTimeout(next, 60); // before `write`, which may throw
-    write(...waiting.shift());
+    const [kind, value] = waiting.shift();
+    paused = kind === "previewed";
+    write(kind, value);
+  };
+  // Send messages again, and return those that waited for this session.
+  lpn.resume = () => {
+    paused = false;
+    return waiting.splice(0);
   };
   lpn.send = (kind, value) => {
     waiting.push([kind, value]);

@@ -41,6 +41,7 @@
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {
     clearInterval(greeting);
+    const held = lpn.resume();
     begun = true;
     document.getElementById("lpn-loading")?.remove(); // the page says from here on what it waits for
     const names = [...new URLSearchParams(search).keys()].filter((key) => !["theme", "words"].includes(key) && lpn.keys.includes(key));
@@ -52,6 +53,7 @@
     const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), first: first, plain: lpn.stored("local", WORDS) !== "expert", light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = lpn.every(500, hello);
     hello();
+    held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
   };
 
   lpn.address = (query, keys) => {

@@ -439,17 +439,25 @@ def test_the_demo_s_tiles_show_what_the_plan_of_the_city_says() -> None:
     assert sum(built) >= 0.95 * len(built)
 
 
+def test_what_only_the_city_has_opens_the_city(monkeypatch: pytest.MonkeyPatch) -> None:
+    for options in ({"query": "0394/06"}, {"calibrate": True}, {"beside_weather": ("fog",)}):
+        opening = Explore(**options).workspaces()
+        assert (opening.key, opening.label, [*opening.others]) == ("data", "a rendered city", ["place", "flight"])
+    monkeypatch.setattr("explorer.cli.find_spec", lambda _: None)  # without the extra `maps`
+    assert Explore().workspaces().key == "data"
+    assert Explore(data=DEMO, model=DEMO / "lpn.onnx").workspaces().others == {}
+
+
 def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rasterio")
     monkeypatch.setenv("LPN_CACHE", str(tmp_path))
-    _, others = Explore().workspaces()
-    assert {key: other.label for key, other in others.items()} == {
-        "place": "a real flight",
+    opening = Explore().workspaces()
+    assert (opening.key, opening.label) == ("place", "a real flight")
+    assert {key: other.label for key, other in opening.others.items()} == {
+        "data": "a rendered city",
         "flight": "a rendered flight",
     }
-    assert others["place"].open().wait(PATIENCE)
-    workspace = others["place"].workspace
-    assert workspace is not None
+    workspace = opening.open_workspace()
     assert workspace.registration is not None
     assert workspace.registration.wait(PATIENCE)
     state = SessionState(TASK, 4, query=workspace.first_query, first_screen=True)
