@@ -36,7 +36,7 @@ class Shot:
 
     Attributes:
         file: its name.
-        query: that is shown.
+        query: that is shown; the demo's first without one.
         keys: pressed one after the other.
         baseline: whether the baseline answers.
         beside: whether the baseline is offered for comparison.
@@ -64,7 +64,7 @@ class Shot:
 # Pictures of both models in the tab Two models.
 _BOTH = "#lpn-model-comparison .models > :nth-child(2) img"
 SHOTS = (
-    Shot("first-screen.jpg", DEMO_QUERY, address="?screen=first"),
+    Shot("first-screen.jpg", "", address="?screen=first"),
     Shot("success.jpg", DEMO_QUERY, "m"),
     Shot("twin-n1.jpg", "0447/07", baseline=True),
     Shot("twin-n4.jpg", "0447/07"),
@@ -119,8 +119,9 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
             model = Path(folder) / "net_119.pth"
             torch.save(golden("fsra_vits_b3").state, model)
         beside = DEMO_MODEL if shot.fsra else DEMO_BASELINE if shot.beside else None
-        command = [sys.executable, "-m", "lpn", "explore", "--query", shot.query, "--port", str(free_port())]
-        command += [] if shot.address.startswith("?show=") else ["--data", str(DEMO), "--model", str(model)]
+        command = [sys.executable, "-m", "lpn", "explore", "--port", str(free_port())]
+        command += ["--query", shot.query] if shot.query else []
+        command += [] if shot.address else ["--data", str(DEMO), "--model", str(model)]
         command += [] if beside is None else ["--beside", str(beside)]
         with ServerProcess(command, dict(os.environ)) as app:
             _open(browser, app.url, shot, out)
@@ -131,7 +132,7 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     context.add_init_script(_AS_OPENED)
     page = context.new_page()
     page.goto(url + (shot.address or f"?query={shot.query}"))
-    page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
+    page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=600_000)
     page.wait_for_timeout(4000)
     for key in shot.keys:
         page.keyboard.press(key)
