@@ -41,8 +41,10 @@ _LEGS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _HEADING_DEVIATION = 20.0
 # Probability that a heading has nothing to do with the one before.
 _ANY_HEADING = 0.1
-# Probability that a step is not of the motion model: a gap in the flight, or a jump of the clock.
-_JUMP = 1e-6
+# Usual steps in seconds beyond which a step may be a pause, and the probability that it is one.
+_LONG, _PAUSE = 3.0, 0.5
+# Probability that a step is not of the motion model, as between parts of a flight that lie apart, or where a clock jumps.
+_JUMP = 1e-3
 # States of each frame that Viterbi's path may take.
 _PATH_STATES = 200
 # Metres between coordinates that count as one: those of an index come from names, which are rounded to about 1 cm.
@@ -54,7 +56,8 @@ class MotionModel:
     """How the flight moves between frames.
 
     A step goes along the headings, or in any direction. Along the headings it takes a part of the time in the direction of the
-    heading before it, and the rest in that of the heading after it, where that is the only one.
+    heading before it, and the rest in that of the heading after it, where that is the only one. A step of more than three times
+    the usual seconds is a pause with a probability of a half: the drone hovers or lands, and goes on one usual step from there.
 
     Attributes:
         speed: metres a second: of a step along the headings, or one standard deviation of one in any direction.
@@ -62,6 +65,8 @@ class MotionModel:
         unknown: metres of a step whose time is unknown.
         along: probability that a step goes along the headings, 0 .. 1.
         turn_rate: degrees a second by which the heading changes, one standard deviation.
+        usual: seconds of a usual step; infinite if no step is a pause.
+        aside: degrees clockwise from the heading to the direction in which a step along the headings goes.
     """
 
     speed: float = 15.0
@@ -69,12 +74,14 @@ class MotionModel:
     unknown: float = 60.0
     along: float = 0.0
     turn_rate: float = 1.0
+    usual: float = math.inf
+    aside: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (self.speed > 0 and self.spacing > 0 and self.unknown > 0 and self.turn_rate > 0):
+        if not (self.speed > 0 and self.spacing > 0 and self.unknown > 0 and self.turn_rate > 0 and self.usual > 0):
             raise InputError(
-                f"The motion model has speed {self.speed:g}, spacing {self.spacing:g}, step {self.unknown:g}, and turn rate "
-                f"{self.turn_rate:g}; expected numbers above 0."
+                f"The motion model has speed {self.speed:g}, spacing {self.spacing:g}, step {self.unknown:g}, turn rate "
+                f"{self.turn_rate:g}, and usual seconds {self.usual:g}; expected numbers above 0."
             )
         if not 0 <= self.along < 1:
             raise InputError(
@@ -308,6 +315,13 @@ def smooth(
     )
 
 
+def usual_step(times: npt.ArrayLike) -> float:
+    """Return the median of the seconds between frames at different times, infinite if none are known."""
+    elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
+    elapsed = elapsed[elapsed > 0]
+    return float(np.median(elapsed)) if len(elapsed) else math.inf
+
+
 def fitted_frames(count: int) -> tuple[int, int]:
     """Return the first of the frames that a flight's motion is fitted to, and the one after the last."""
     start = max(count - _FITTED, 0) // 2
@@ -325,14 +339,62 @@ def fitted(
     """Return the motion model and the temperature at which scores are most probable.
 
     They are compared on the 100 frames in the middle of the flight: at the temperature 0.4 speeds in any direction and along
-    the headings, then for a motion along the headings speeds beside the best one, then temperatures.
+    the headings, then half of the spacing and, for a motion along the headings, speeds beside the best one, then temperatures.
 
     Args:
         scores: of each frame, (N, K), see `ScoreUnits`.
         headings, places, times: as for `smooth`.
-        spacing: of the motion model in metres.
+        spacing: of the motion model in metres, at most.
         speed: metres a second where it is known.
     """
+    usual = usual_step(times)
+    headed = any(not np.isnan(of_frame).any() for of_frame in headings[slice(*fitted_frames(len(headings)))])
+    likelihood = _likelihood(scores, headings, places, times)
+    speeds = SPEEDS if speed is None else (speed,)
+    motions = [
+        MotionModel(one, spacing, along=along, usual=usual)
+        for along in ((0.0, ALONG) if headed else (0.0,))
+        for one in speeds
+    ]
+    likelihoods = {motion: likelihood(motion, _FIRST_TEMPERATURE) for motion in motions}
+    motion = max(likelihoods, key=likelihoods.__getitem__)
+    factors = (1 / FINER, 1.0, FINER) if motion.along and speed is None else (1.0,)
+    finer = [
+        replace(motion, speed=motion.speed * by, spacing=each) for by in factors for each in (spacing, spacing / 2)
+    ]
+    likelihoods |= {one: likelihood(one, _FIRST_TEMPERATURE) for one in finer if one not in likelihoods}
+    motion = max(likelihoods, key=likelihoods.__getitem__)
+    return motion, max(TEMPERATURES, key=lambda one: likelihood(motion, one))
+
+
+def heading_evidence(
+    scores: OfFrame,
+    headings: Sequence[Float64Array],
+    places: Float64Array,
+    times: npt.ArrayLike,
+    motion: MotionModel,
+    temperature: float,
+) -> float:
+    """Return the log odds of steps along the headings, against the likeliest of those backwards and at right angles to them.
+
+    Over a map of another place a frame's scores know nothing of the direction of flight, so no direction is much more probable
+    than the others. The frames are those that the motion was fitted to.
+
+    Args:
+        scores, headings, places, times: as for `fitted`.
+        motion, temperature: as `fitted` returns them. Where steps go in any direction the log odds are 0.
+    """
+    if not motion.along:
+        return 0.0
+    likelihood = _likelihood(scores, headings, places, times)
+    aside = max(likelihood(replace(motion, aside=turn), temperature) for turn in (90.0, 180.0, 270.0))
+    return likelihood(motion, temperature) - aside
+
+
+def _likelihood(
+    scores: OfFrame, headings: Sequence[Float64Array], places: Float64Array, times: npt.ArrayLike
+) -> Callable[[MotionModel, float], float]:
+    """Return the log likelihood of the scores of the fitted frames, as a function of motion and temperature."""
     start, stop = fitted_frames(len(headings))
     chosen = [scores(t) for t in range(start, stop)]
     seconds = np.asarray(times, np.float64)[start:stop]
@@ -345,18 +407,7 @@ def fitted(
             total += gained
         return total
 
-    speeds = SPEEDS if speed is None else (speed,)
-    headed = any(not np.isnan(of_frame).any() for of_frame in headings[start:stop])
-    motions = [
-        MotionModel(one, spacing, along=along) for along in ((0.0, ALONG) if headed else (0.0,)) for one in speeds
-    ]
-    likelihoods = {motion: likelihood(motion, _FIRST_TEMPERATURE) for motion in motions}
-    motion = max(likelihoods, key=likelihoods.__getitem__)
-    if motion.along and speed is None:
-        finer = [replace(motion, speed=one) for one in (motion.speed / FINER, motion.speed * FINER)]
-        likelihoods |= {one: likelihood(one, _FIRST_TEMPERATURE) for one in finer}
-        motion = max(likelihoods, key=likelihoods.__getitem__)
-    return motion, max(TEMPERATURES, key=lambda one: likelihood(motion, one))
+    return likelihood
 
 
 class _Chain:
@@ -507,12 +558,16 @@ class _Step:
         self._count = len(after)
         means, deviations, weights = np.zeros((1, 1, 2)), np.array([deviation]), np.ones(1)
         if motion.along and not np.isnan(elapsed) and not np.isnan(before).any():
-            drifts = motion.speed * elapsed * _legs(before, after)
+            drifts = motion.speed * elapsed * _legs(before + motion.aside, after + motion.aside)
             along = np.hypot(motion.spacing, _ALONG_DEVIATION * motion.speed * elapsed)
             means = np.concatenate([np.zeros((len(before), 1, 2)), drifts], axis=1)
             legs = drifts.shape[1]
             deviations = np.array([deviation] + [along] * legs)
             weights = np.array([1 - motion.along] + [motion.along / legs] * legs)
+        if elapsed > _LONG * motion.usual:
+            means = np.concatenate([means, np.zeros((len(means), 1, 2))], axis=1)
+            deviations = np.append(deviations, np.hypot(motion.spacing, motion.speed * motion.usual))
+            weights = np.append((1 - _PAUSE) * weights, _PAUSE)
         self._x, self._y = (
             np.exp(-((axis[:, None] - axis - means[..., d, None, None]) ** 2) / (2 * deviations[:, None, None] ** 2))
             for d, axis in enumerate(grid.axes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import tracemalloc
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from lpn.locate.sequence import (
     _Grid,
     emissions,
     fitted,
+    heading_evidence,
     score_units,
     smooth,
 )
@@ -34,6 +36,8 @@ TOLD = [np.array([heading]) for heading in (10.0, 80.0, 260.0, 90.0)]
 MIXED = [np.array([30.0]), np.array([0.0, 120.0, 240.0]), np.array([5.0, 185.0]), np.array([90.0])]
 FLIGHTS = [ANY, TOLD, MIXED]
 MOTION = MotionModel(9.0, 15.0, along=0.7)
+# The second step, of 6 seconds, may be a pause.
+PAUSED = replace(MOTION, usual=1.9, aside=90.0)
 
 
 def _density(off: np.ndarray, deviation: float) -> np.ndarray:
@@ -53,12 +57,15 @@ def _transition(motion: MotionModel, elapsed: float, before: np.ndarray, after: 
         kernel = any_way
         if motion.along and not np.isnan([one, elapsed]).any():
             lone = len(after) == 1 and not np.isnan(after[0])
-            ways = [share * _direction(one) + (1 - share) * _direction(after[0]) for share in _LEGS] if lone else []
+            first, last = _direction(one + motion.aside), _direction(after[0] + motion.aside)
+            ways = [share * first + (1 - share) * last for share in _LEGS] if lone else []
             deviation = float(np.hypot(motion.spacing, 0.3 * motion.speed * elapsed))
             along = np.mean(
-                [_density(off - motion.speed * elapsed * way, deviation) for way in ways or [_direction(one)]], axis=0
+                [_density(off - motion.speed * elapsed * way, deviation) for way in ways or [first]], axis=0
             )
             kernel = motion.along * along + (1 - motion.along) * any_way
+        if elapsed > 3 * motion.usual:
+            kernel = (kernel + _density(off, float(np.hypot(motion.speed * motion.usual, motion.spacing)))) / 2
         turns = np.full(len(after), 1 / len(after))
         if not np.isnan([one, elapsed, *after]).any():
             deviation = float(np.hypot(20, motion.turn_rate * elapsed))
@@ -104,12 +111,12 @@ def _random(seed: int, headings: Sequence[np.ndarray], scale: float = 1.0) -> li
 
 
 @pytest.mark.parametrize("headings", FLIGHTS)
-@pytest.mark.parametrize("seed", range(2))
-def test_posteriors_and_path_are_those_of_all_paths(seed: int, headings: list[np.ndarray]) -> None:
-    emitted = [emissions(one, temperature=0.5, floor=0.01) for one in _random(seed, headings)]
-    shares, pairs, total = _brute(emitted, headings)
+@pytest.mark.parametrize("motion", [MOTION, PAUSED])
+def test_posteriors_and_path_are_those_of_all_paths(motion: MotionModel, headings: list[np.ndarray]) -> None:
+    emitted = [emissions(one, temperature=0.5, floor=0.01) for one in _random(0, headings)]
+    shares, pairs, total = _brute(emitted, headings, TIMES, motion)
     posterior = np.array([one.sum(axis=1) for one in shares])
-    found = smooth(emitted.__getitem__, headings, PLACES, TIMES, MOTION)
+    found = smooth(emitted.__getitem__, headings, PLACES, TIMES, motion)
     np.testing.assert_allclose(found.positions, posterior @ PLACES, rtol=1e-9)
     np.testing.assert_array_equal(found.likeliest, posterior.argmax(axis=1))
     np.testing.assert_allclose(found.probabilities, posterior.max(axis=1), rtol=1e-9)
@@ -231,20 +238,86 @@ def test_motion_and_temperature_are_the_most_probable_of_all_paths(headings: lis
         def likelihood(motion: MotionModel, temperature: float, scores: list[np.ndarray] = scores) -> float:
             return _brute([emissions(one, temperature) for one in scores], headings, TIMES, motion)[2]
 
-        motions = [MotionModel(speed, 20.0) for speed in SPEEDS]
-        if headings is TOLD:
-            motions += [MotionModel(speed, 20.0, along=ALONG) for speed in SPEEDS]
+        ways = (0.0, ALONG) if headings is TOLD else (0.0,)
+        motions = [MotionModel(speed, 20.0, along=along, usual=3.0) for along in ways for speed in SPEEDS]
         motion = max(motions, key=lambda one: likelihood(one, 0.4))
-        if motion.along:
-            finer = [MotionModel(motion.speed * by, 20.0, along=ALONG) for by in (1, 1 / FINER, FINER)]
-            motion = max(finer, key=lambda one: likelihood(one, 0.4))
+        factors = (1 / FINER, 1.0, FINER) if motion.along else (1.0,)
+        finer = [replace(motion, speed=motion.speed * by, spacing=each) for by in factors for each in (20.0, 10.0)]
+        motion = max(finer, key=lambda one: likelihood(one, 0.4))
         temperature = max(TEMPERATURES, key=lambda one: likelihood(motion, one))
         found = fitted(scores.__getitem__, headings, PLACES, TIMES, 20.0)
         assert found[0].speed == pytest.approx(motion.speed)
-        assert (found[0].along, found[1]) == (motion.along, temperature)
+        assert (found[0].along, found[0].spacing, found[1]) == (motion.along, motion.spacing, temperature)
         assert fitted(scores.__getitem__, headings, PLACES, TIMES, 20.0, 7.0)[0].speed == 7.0
         chosen.add((motion.speed, motion.along, temperature))
     assert len(chosen) > 1
+
+
+def _land(
+    rng: np.random.Generator, mapped: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]:
+    """Fly a lawnmower's pattern over windows 25 m apart: scores, truth, times, headings, and places.
+
+    Args:
+        mapped: the place that the windows show, 0 for that of the flight.
+    """
+    side = np.arange(20) * 25.0
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    legs = np.linspace(40, 440, 5)
+    corners = np.array([(x, y) for i, y in enumerate(legs) for x in ((20, 460), (460, 20))[i % 2]])
+    flown = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at = np.sort(rng.choice(np.linspace(0, flown[-1] - 1, 48), 40, replace=False))
+    truth = np.stack([np.interp(at, flown, corners[:, k]) for k in (0, 1)], axis=1)
+    ways = np.diff(corners, axis=0)[np.searchsorted(flown, at, "right") - 1]
+    headings = [np.array([one]) for one in np.degrees(np.arctan2(*ways.T)) % 360]
+    looks = np.exp(-((places[:, None] - places) ** 2).sum(axis=2) / (2 * 30**2)) @ rng.normal(size=(len(places), 30))
+    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
+    near = np.linalg.norm(truth[:, None] - places, axis=2).argmin(axis=1)
+    seen = looks[near] + rng.normal(size=(len(near), 30)) / 4
+    windows = (
+        looks
+        if not mapped
+        else np.random.default_rng(mapped).permutation(looks.T).T
+        @ np.linalg.qr(np.random.default_rng(mapped).normal(size=(30, 30)))[0]
+    )
+    return seen @ windows.T, truth, at / 2.5, headings, places
+
+
+def _accepted(scores: np.ndarray, headings: list[np.ndarray], places: np.ndarray, times: np.ndarray) -> SequenceResult:
+    motion, temperature = fitted(lambda t: scores[t][:, None], headings, places, times, 25.0)
+    return smooth(lambda t: emissions(scores[t][:, None], temperature), headings, places, times, motion, 75.0)
+
+
+def test_a_flight_that_pauses_is_followed_as_well_as_by_steps_of_one_length() -> None:
+    rng = np.random.default_rng(0)
+    values, truth, times, headings, places = _land(rng)
+    # The first frames are of another part, and the drone pauses twelve times for up to 799 s.
+    truth[:3], values[:3] = truth[30:33], values[30:33]
+    for pause in rng.choice(np.arange(4, 40), 12, replace=False):
+        times[pause:] += rng.uniform(100, 799)
+    scores = (values - values.mean(axis=1, keepdims=True)) / values.std(axis=1, keepdims=True)
+    found = _accepted(scores, headings, places, times)
+    shares = np.exp(scores / 0.5)
+    shares /= shares.sum(axis=1, keepdims=True)
+    step = MotionModel(100.0, 1.0)
+    plain = smooth(
+        lambda t: np.log(shares[t] + 1e-4)[:, None], [np.array([np.nan])] * 40, places, np.arange(40.0), step, 75.0
+    )
+    errors = [np.linalg.norm(one.positions - truth, axis=1) for one in (found, plain)]
+    assert (errors[0] <= 50).mean() >= (errors[1] <= 50).mean()
+    assert (found.nearby > 0.98).sum() >= 30
+    assert errors[0][found.nearby > 0.98].max() < 75
+
+
+def test_the_direction_of_flight_tells_the_flights_map_from_one_of_another_place() -> None:
+    found = []
+    for mapped in range(3):
+        values, _, times, headings, places = _land(np.random.default_rng(7), mapped)
+        scores = (values - values.mean(axis=1, keepdims=True)) / values.std(axis=1, keepdims=True)
+        motion, temperature = fitted(lambda t, s=scores: s[t][:, None], headings, places, times, 25.0, 3.0)
+        found.append(heading_evidence(lambda t, s=scores: s[t][:, None], headings, places, times, motion, temperature))
+    assert found[0] > 10
+    assert max(found[1:]) < 3
 
 
 def test_a_window_that_resembles_many_frames_does_not_draw_them() -> None:
