@@ -53,6 +53,7 @@ class StageRecord(msgspec.Struct, frozen=True):
         width: metres of ground across the picture.
         inliers: matches that agree.
         homography: from pixels to metres, 9 numbers by rows.
+        unverified: whether it is refused for one reason alone: nothing shows that the map is of this place.
     """
 
     state: State
@@ -66,6 +67,7 @@ class StageRecord(msgspec.Struct, frozen=True):
     width: float | None = None
     inliers: int | None = None
     homography: list[float] | None = None
+    unverified: bool = False
 
     @property
     def accepted(self) -> bool:

@@ -17,7 +17,7 @@ from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import IndexedWindows
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.options import LocateOptions
-from lpn.locate.ranked_stages import enter_retrieval, enter_sequence
+from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
 from lpn.locate.registered_stage import FORMAT, UNKNOWN, refuse_jumps, register_frames
 from lpn.locate.retrieval import retrieve
 from lpn.locate.shipped import ShippedAnswers
@@ -137,6 +137,8 @@ def registered(
     notes = register_frames(
         located.basemap, located.flight, frames, options, model, located.retrieval, report, located.shipped
     )
+    if located.retrieval is not None:
+        confirm_sequence(frames, float(np.median(located.retrieval.sizes)))
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

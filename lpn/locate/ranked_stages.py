@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array
@@ -11,12 +13,29 @@ from lpn.flights import Flight
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.options import LocateOptions
 from lpn.locate.retrieval import MapRetrieval
-from lpn.locate.sequence import MotionModel, SequenceResult, emissions, fitted, fitted_frames, score_units, smooth
+from lpn.locate.sequence import (
+    MotionModel,
+    SequenceResult,
+    emissions,
+    fitted,
+    fitted_frames,
+    heading_evidence,
+    score_units,
+    smooth,
+)
 from lpn.locate.tracks import State
 
 # A place is told by windows that overlap it, whose centres lie within this share of a side, and with this probability.
 _OVERLAP = 0.75
 _CONFIDENCE = 0.98
+# Log odds of steps along the headings from which the scores show that the map is of the flight's place.
+_EVIDENCE = 8.0
+# Registrations near the sequence's answers that show it, too; they are at least half of the accepted ones.
+_AGREEING = 3
+_UNVERIFIED = (
+    "Nothing shows that the map is of this place: steps along the headings are hardly more probable than others, and fewer than "
+    f"{_AGREEING} registrations agree with the sequence."
+)
 # Steps of known time between frames that can be read, from which a flight's motion is told.
 _LEAST_STEPS = 10
 # Standard deviation of a step, as a share of the distance between windows, below which it tells no direction.
@@ -69,8 +88,8 @@ def _margin(retrieval: MapRetrieval, frame: int) -> float | None:
     return float(2 * (scores[best] - scores[apart].max())) if apart.any() else None
 
 
-def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tuple[SequenceResult, MotionModel]:
-    """Run the sequence over windows and headings; return it with its motion.
+def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tuple[SequenceResult, MotionModel, float]:
+    """Run the sequence over windows and headings; return it with its motion and its `heading_evidence`.
 
     A frame whose heading is told has this one as its state, as the drone flies along it, and each window counts with the best of
     the turns that are tried. Other frames have all headings that are tried.
@@ -90,19 +109,22 @@ def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tu
         return units.standardised(i, best[i][:, None] if len(headings[i]) == 1 else retrieval.scores_by_heading(i))
 
     motion, temperature = fitted(scores, headings, retrieval.places, flight.times, step, speed)
+    evidence = heading_evidence(scores, headings, retrieval.places, flight.times, motion, temperature)
     near = _OVERLAP * side
-    return smooth(
-        lambda i: emissions(scores(i), temperature), headings, retrieval.places, flight.times, motion, near
-    ), motion
+    track = smooth(lambda i: emissions(scores(i), temperature), headings, retrieval.places, flight.times, motion, near)
+    return track, motion, evidence
 
 
 def enter_sequence(
     retrieval: MapRetrieval, flight: Flight, frames: list[LocatedFrame], options: LocateOptions
 ) -> list[str]:
-    """Enter the answers of the sequence; return sentences about it."""
+    """Enter the answers of the sequence; return sentences about it.
+
+    Where the direction of flight does not show that the map is of its place, answers are refused until `confirm_sequence`.
+    """
     side = float(np.median(retrieval.sizes))
     spacing = side * (1 - retrieval.overlap)
-    track, motion = smoothed(retrieval, flight, options.speed)
+    track, motion, evidence = smoothed(retrieval, flight, options.speed)
     for i, located in enumerate(frames):
         radius = float(np.hypot(track.radii[i], spacing / 2))
         state: State = "accepted"
@@ -126,7 +148,12 @@ def enter_sequence(
             )
         x, y = (float(value) for value in track.positions[i])
         heading = None if math.isnan(track.headings[i]) else float(track.headings[i])
-        located.stages["sequence"] = StageRecord(state, sentence, x, y, radius=radius, heading=heading)
+        answer = StageRecord(state, sentence, x, y, radius=radius, heading=heading)
+        if answer.accepted and evidence < _EVIDENCE:
+            answer = msgspec.structs.replace(
+                answer, state="refused", unverified=True, sentence=f"{_UNVERIFIED} {sentence}"
+            )
+        located.stages["sequence"] = answer
     start, stop = fitted_frames(len(frames))
     read = np.array([i not in retrieval.broken for i in range(start, stop)])
     seconds = np.diff(flight.times[start:stop])
@@ -137,3 +164,26 @@ def enter_sequence(
         "The scores are more probable where the drone moves in any direction than where it flies along its headings: it flew "
         "sideways, its headings are wrong, or the map is of another place."
     ]
+
+
+def confirm_sequence(frames: Sequence[LocatedFrame], side: float) -> None:
+    """Accept the answers that were refused because nothing showed that the map is of this place, where registrations do.
+
+    Args:
+        side: of the windows in metres. A registration agrees within three quarters of it.
+    """
+    apart = [
+        registration.distance(np.array([sequence.x, sequence.y]))
+        for located in frames
+        if (sequence := located.stages.get("sequence")) is not None
+        and sequence.x is not None
+        and (registration := located.stages["registration"]).accepted
+    ]
+    agreeing = sum(metres <= _OVERLAP * side for metres in apart)
+    if agreeing < max(_AGREEING, len(apart) / 2):
+        return
+    for located in frames:
+        if (answer := located.stages.get("sequence")) is not None and answer.unverified:
+            located.stages["sequence"] = msgspec.structs.replace(
+                answer, state="accepted", unverified=False, sentence=answer.sentence.removeprefix(_UNVERIFIED).strip()
+            )

@@ -25,6 +25,7 @@ from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowR
 from lpn.locate.matchers import Features, SiftMatcher
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
+from lpn.locate.ranked_stages import confirm_sequence
 from lpn.locate.registration import Expectation, Registration, Similarity, contested, register
 from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.maps import Map, Window, open_map
@@ -551,6 +552,20 @@ def test_steps_that_do_not_follow_the_headings_are_told(
     assert [
         note.startswith("The scores are more probable where the drone moves in any direction") for note in notes
     ] == [True] * told
+    # Without such a note, twelve steps along the headings show that the map is of the flight's place.
+    shown = turned == 0
+    accepted = sum(frame.stages["sequence"].accepted for frame in located)
+    assert (accepted > 6) == shown
+    for metres, enough in ((60.0, shown), (20.0, True)):
+        for frame in located[:3]:
+            answer = frame.stages["sequence"]
+            assert answer.x is not None
+            frame.stages["registration"] = StageRecord("accepted", "It agrees.", answer.x + metres, answer.y)
+        for frame in located[3:]:
+            frame.stages["registration"] = StageRecord("refused", "Too few.")
+        confirm_sequence(located, 40.0)
+        assert (sum(frame.stages["sequence"].accepted for frame in located) > 6) == enough
+    assert not any("Nothing shows" in frame.stages["sequence"].sentence for frame in located)
 
 
 def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
@@ -559,8 +574,8 @@ def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
     smoothed, scores = ranked_stages.smoothed, np.eye(25)[[12, 12, 12]]
 
     def through_a_corner(*given: Any) -> Any:
-        track, motion = smoothed(*given)
-        return replace(track, path=np.array([12, 24, 12])), motion
+        track, *others = smoothed(*given)
+        return replace(track, path=np.array([12, 24, 12])), *others
 
     monkeypatch.setattr(ranked_stages, "smoothed", through_a_corner)
     said = [frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {})]
@@ -571,7 +586,8 @@ def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
     assert not any("path" in frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {}))
 
 
-def test_a_sequence_refuses_what_it_cannot_place(flight: Flight) -> None:
+def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ranked_stages, "_EVIDENCE", 0.0)
     sure, lost = np.eye(25)[12], np.zeros(25)
     located = _ranked(flight, np.stack([sure, sure, sure]), {1: "The file is broken."})
     answers = [frame.stages["sequence"] for frame in located]
