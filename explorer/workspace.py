@@ -24,7 +24,9 @@ from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
 from explorer.layout import layout_for
 from explorer.session_state import POSITIVE, SessionState
+from lpn.analysis import answer_context
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
+from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError, LPNError, PictureError
@@ -128,6 +130,7 @@ class Workspace:
         self._tile_areas: SingleFlightCache[tuple[str, bool, int], PartAreas] = SingleFlightCache(TILE_AREAS)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
+        self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
         self.centre_mean = lru_cache(maxsize=None)(self._make_centre_mean)
@@ -240,6 +243,12 @@ class Workspace:
         ranked = self.rankings[task.key].result is not None
         quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
         return self._outcomes(task.key) if ranked and quick else None
+
+    def answer_distances(self, task: Task) -> AnswerDistances | None:
+        """Return how far the answers of a task are; None until it is ranked, without descriptors, and where it takes long."""
+        ranked = self.rankings[task.key].result is not None
+        quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
+        return self._answer_distances(task.key) if ranked and quick else None
 
     @property
     def has_flight(self) -> bool:
@@ -382,6 +391,11 @@ class Workspace:
             return outcomes, task.tabulate(outcomes, self.part_names)
         except LPNError:  # damaged metadata, which the failure laboratory tells
             return None
+
+    def _measure_answer_distances(self, name: str) -> AnswerDistances:
+        job = self.rankings[name]
+        assert job.result is not None
+        return answer_context.answer_distances(*job.task.sides(), job.result.ranking, job.task.known)
 
     def _make_card(self, name: str, index: int) -> UInt8Array:
         task = self.rankings[name].task

@@ -36,7 +36,8 @@ def page(
     margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
     names, name = workspace.part_names, f"the {say('positive')}" if followed.true else f"this {say('tile')}"
     without = comparison.without
-    cells = lead_cells(analysis, followed.index, comparison.other.index)
+    of_parts = lead_cells(analysis, followed.index, comparison.other.index)
+    cells = None if of_parts is None else of_parts.sum(axis=0)
     colours = lead_colours(followed.true is True)
     return render(
         "explain/comparison",

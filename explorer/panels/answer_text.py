@@ -63,7 +63,7 @@ class Lead:
         return self.other if self.of_answer else _ANSWER
 
 
-def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None, str, str]:
+def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
     first, depth = analysis.matches[0], analysis.ranking.depth
     if analysis.ranking.relevant is None:
@@ -71,23 +71,30 @@ def verdict(analysis: StateAnalysis, part_names: list[str]) -> tuple[bool | None
         if analysis.state.upload is None:
             return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
         place = "Its true place is not known here"
+        far = _far(analysis, workspace)
         if analysis.errors_m is not None and math.isfinite(error := float(analysis.errors_m[first.index])):
             place = _elsewhere(analysis) or f"Its GPS tag lies {distance(error)} from the middle of this tile"
-        return None, f"Your picture: {'best match' if words.plain() else 'nearest tile'}", f"{place}; {gap}."
+        match = "best match" if words.plain() else "nearest tile"
+        headline = f"Your picture: {'probably none of these' if far is not None and far[0] else match}"
+        return None, headline, " ".join((f"{place}; {gap}.", *(() if far is None else far[1:])))
     if analysis.positive is None and depth is not None:
         return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)
-    return verdicts.verdict(first, analysis.positive, hardest_negative, part_names, _error_m(analysis))
+    return verdicts.verdict(first, analysis.positive, hardest_negative, workspace.part_names, _error_m(analysis))
 
 
-def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
+def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), one word for it, and one sentence without a technical term."""
     first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
     pictures = f"{analysis.task.tiles:,} {_pictures(analysis.task)}"
     if analysis.ranking.relevant is None:
+        far = _far(analysis, workspace)
         place = _elsewhere(analysis) or "The true place is not known here, so it is not graded"
         text = f"This is the most similar of {pictures}. {place}."
-        return None, "Best match", text
+        if far is None:
+            unknown = " How far right answers are is not measured here." if analysis.state.upload else ""
+            return None, "Best match", f"{text}{unknown}"
+        return None, "Probably none of these" if far[0] else "Best match", f"{text} {far[1]}"
     if positive is None and analysis.ranking.depth is None:
         return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."
     if first.true:
@@ -96,6 +103,21 @@ def plain_verdict(analysis: StateAnalysis) -> tuple[bool | None, str, str]:
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
+
+
+def _far(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool, str] | None:
+    """Say if the user's own picture probably shows none of the places here, see `answer_context.describe_distance`.
+
+    None where that is not measured: under other part weights or for a region no right answer was measured so.
+    """
+    state, ranking = analysis.state, analysis.ranking
+    if not state.upload or state.region or state.altered_weights:
+        return None
+    measured = workspace.answer_distances(analysis.task)
+    if measured is None:
+        return None
+    distance2 = 2.0 - 2.0 * float(ranking.cosines[analysis.matches[0].index] @ ranking.weights)
+    return answer_context.describe_distance(measured, distance2)
 
 
 def _pictures(task: Task) -> str:

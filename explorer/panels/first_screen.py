@@ -29,7 +29,7 @@ from lpn.core.errors import PictureError
 from lpn.core.numbers import distance
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
-from lpn.drawing import overlays, theme, verdicts, words
+from lpn.drawing import overlays, theme, verdicts
 from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
@@ -131,11 +131,12 @@ def page(
     """
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
-    right, headline, sentence = answer_text.plain_verdict(analysis)
+    right, headline, sentence = answer_text.plain_verdict(analysis, workspace)
     if right is False and _lies_on_answer(analysis, workspace):
         right, headline, sentence = None, "Its GPS tag and the map disagree", _DISPUTED
     lead = answer_text.lead(analysis) if state.why else None
-    cells = None if lead is None else _lead_cells(analysis, lead)
+    cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
+    cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
     colours = lead_colours(lead is not None and lead.sure)
     alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
@@ -160,7 +161,7 @@ def page(
         headline=headline,
         sentence=sentence,
         lead=lead,
-        because=_because(analysis, workspace, lead, cells),
+        because=_because(analysis, workspace, lead, cells_of_parts),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         trust=answer_text.trust(analysis, workspace),
         gap=analysis.matches[0].gap,
@@ -202,7 +203,7 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, alte
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:
-    """Return each cell's share of the lead, so that cells and bars agree; None where the answer is not what is compared."""
+    """Return each cell's share of the lead, part by part; None where the answer is not what is compared."""
     if analysis.chosen.rank != 1:
         return None
     answer = analysis.chosen.index
@@ -212,7 +213,13 @@ def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array
 def _because(
     analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
 ) -> list[str]:
-    """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does."""
+    """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does.
+
+    Parts are ranked by their cells, as these are painted. What comes from no cell gets a sentence of its own where it decides.
+
+    Args:
+        cells: each cell's share of the lead, part by part.
+    """
     query, tile, task = analysis.query.trace, analysis.tile.trace, analysis.task
     if lead is None or cells is None or query is None or tile is None:
         return []
@@ -222,28 +229,36 @@ def _because(
     whose = "your picture" if analysis.state.upload else "the picture"
     tiles = [(_ANSWER, analysis.chosen.index), (lead.other, lead.index)]
     sentences = []
-    for side, parts in ((sign, lead.decisive), (-sign, _against(sign * lead.terms))):
+    for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
-        if not parts:
-            sentences.append(f"No {words.say('part')} speaks for {ahead[0]}.")
+        speaking = np.maximum(side * cells, 0.0).sum(axis=(1, 2))
+        if not speaking.any():
+            sentences.append(f"No place speaks for {ahead[0]}.")
             continue
+        parts = verdicts.leading_parts(speaking)
         grounds = tuple(workspace.ground_of(task, index) for _, index in (ahead, behind))
         place = lead_place(
-            side * lead.terms,
+            speaking,
             parts,
-            side * cells,
+            side * cells.sum(axis=0),
             areas,
             (grounds[0], grounds[1]),
             None if turn is None else turn.degrees,
         )
         names = workspace.part_names
         sentences.append(verdicts.describe_lead_place(place, names, task.query_view, (ahead[0], behind[0]), whose))
-    return sentences
+    return [*sentences, *_besides_places(lead, float(cells.sum()), task.gallery_view)]
 
 
-def _against(terms: FloatingArray) -> list[int]:
-    """Return the part that speaks most for the other tile, with those alike; none if no part does."""
-    return verdicts.leading_parts(-terms) if float(terms.min()) < 0 else []
+def _besides_places(lead: answer_text.Lead, places: float, gallery_view: View) -> list[str]:
+    """Say what comes from no place of the picture, where the places alone would tell another story than the answer."""
+    itself = f"what the model gives the two {gallery_view} pictures themselves, wherever it looks"
+    if places * lead.total < 0:
+        ahead = lead.leader if places > 0 else lead.follower
+        return [f"All places together speak for {ahead}; what decides is {itself}."]
+    if abs(lead.total - places) > abs(places):
+        return [f"The places make less of the difference than {itself}."]
+    return []
 
 
 def _picture(

@@ -101,7 +101,7 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
 
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the analysis in words."""
-    right, headline, reason = answer_text.verdict(analysis, workspace.part_names)
+    right, headline, reason = answer_text.verdict(analysis, workspace)
     all_parts_off = not analysis.state.parts_left()
     note = analysis.query_note
     return render(

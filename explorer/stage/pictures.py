@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from explorer.workspace import StateAnalysis, Workspace
 from lpn import explain
 from lpn.core import images
@@ -48,7 +50,7 @@ def draw_parts(
 
 
 def lead_cells(analysis: StateAnalysis, leader: int, follower: int) -> Float64Array | None:
-    """Return each cell's share, on the query's side, of the lead of one tile over another in d²: (h, w).
+    """Return each cell's share, on the query's side, of the lead of one tile over another in d², part by part: (n, h, w).
 
     With the constants of both tiles the cells add up to the lead. None without a network, and while only some cells of the query
     are searched by.
@@ -59,12 +61,10 @@ def lead_cells(analysis: StateAnalysis, leader: int, follower: int) -> Float64Ar
     if analysis.state.region or analysis.query.trace is None:
         return None
     ahead, behind = (
-        explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index)).score_map(
-            analysis.ranking.weights
-        )
+        explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index)).cells
         for index in (leader, follower)
     )
-    return 2 * (ahead - behind)
+    return 2 * analysis.ranking.weights.astype(np.float64)[:, None, None] * (ahead - behind)
 
 
 def lead_colours(sure: bool) -> tuple[Colour, Colour]:

@@ -125,7 +125,7 @@ def _go_on() -> None:
 def _slide(sources: WindowSources, step: Step, analysis: StateAnalysis, wait: Callable[[], None]) -> Slide:
     workspace = sources.workspace
     state, task = analysis.state, analysis.task
-    right, headline, reason = answer_text.verdict(analysis, workspace.part_names)
+    right, headline, reason = answer_text.verdict(analysis, workspace)
     cells = math.prod(workspace.map_sizes[task.query_view])
     pair, map_picture = analysis.pair_evidence, ground.draw(workspace, analysis) if state.map else None
     window = Markup()

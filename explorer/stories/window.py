@@ -211,7 +211,7 @@ class StoryWindow:
             return
         caption = ""
         if analysis is not None and session_state.with_windows(analysis.state, state) == state:
-            _, headline, _ = answer_text.verdict(analysis, self._workspace.part_names)
+            _, headline, _ = answer_text.verdict(analysis, self._workspace)
             caption = f"{analysis.name}. {headline}."
         address = self._url_state.write(state)
         recorded = story.add(draft.story, story.step_of(address, caption))

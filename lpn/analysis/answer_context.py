@@ -1,4 +1,4 @@
-"""One answer among all answers of its task: how often those of a like gap are right, how large its lead is, which kind fails."""
+"""One answer among all of its task: how often those of a like gap are right, its distance, its lead, and which kind fails."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from lpn.analysis import breakdown
 from lpn.analysis.breakdown import Rate
-from lpn.core.arrays import BoolArray
+from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, Int64Array
 from lpn.core.tables import Column, Table
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks.query_outcomes import Outcomes, picture_columns
@@ -20,6 +20,10 @@ _ALIKE, _ALIKE_SHARE = 50, 0.1
 _FEWEST_GRADED = 2 * _ALIKE
 # A share of fewer right answers says little.
 _FEWEST = 20
+# An answer farther than this share of right answers is probably none.
+_TOO_FAR = 0.95
+# Queries whose distances are computed at once.
+_BLOCK = 4096
 # From each share on, the words for it.
 _SHARES = (
     (0.97, "almost all"),
@@ -29,6 +33,28 @@ _SHARES = (
 )
 # Columns that tell of the answer, or of one picture alone.
 _NOT_OF_A_KIND = ("latitude", "longitude", "overlap", "semi")
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerDistances:
+    """How far the nearest tile was from the queries of a task, under equal part weights and before CSLS.
+
+    Attributes:
+        right: d² of each right answer, (H,).
+        absent: d² of each graded query's nearest wrong tile, (Q,): of its answer if its place were not in the gallery.
+    """
+
+    right: FloatingArray
+    absent: FloatingArray
+
+    def farther(self, distance2: float) -> tuple[float, float] | None:
+        """Return the shares of right answers that are nearer, and of absent places' answers at least as far, each 0 .. 1.
+
+        None where there are too few of either.
+        """
+        if min(len(self.right), len(self.absent)) < _FEWEST:
+            return None
+        return float((self.right < distance2).mean()), float((self.absent >= distance2).mean())
 
 
 @dataclass(frozen=True)
@@ -77,6 +103,53 @@ def answers_alike(
     count = max(_ALIKE, int(_ALIKE_SHARE * len(rows)))
     alike = rows[distance <= np.partition(distance, count - 1)[count - 1]]
     return AlikeAnswers(len(alike), int(np.count_nonzero(ranking.first[alike] == 0)))
+
+
+def answer_distances(
+    queries: Float32Array, gallery: Float32Array, ranking: Retrieval, known: BoolArray | None = None
+) -> AnswerDistances:
+    """Measure how far right answers are, and how far the nearest tiles would be if a query's place were not in the gallery.
+
+    Args:
+        queries, gallery: descriptors with parts of norm 1/sqrt(n), (Q, n, D) and (G, n, D).
+        ranking: of all queries.
+        known: the queries whose truth is known, (Q,); None for all.
+    """
+    graded = np.ones(len(queries), bool) if known is None else known
+    hits = np.flatnonzero(graded & (ranking.first == 0))
+    others = np.flatnonzero(graded & (ranking.false >= 0))
+
+    def distances(rows: Int64Array, tiles: Int64Array) -> FloatingArray:
+        blocks = np.split(np.arange(len(rows)), range(_BLOCK, len(rows), _BLOCK))
+        scores = [np.einsum("qnd,qnd->q", queries[rows[block]], gallery[tiles[block]]) for block in blocks]
+        return 2.0 - 2.0 * np.concatenate(scores)
+
+    return AnswerDistances(distances(hits, ranking.true[hits]), distances(others, ranking.false[others]))
+
+
+def describe_distance(distances: AnswerDistances, distance2: float) -> tuple[bool, str] | None:
+    """Say if an answer is so far from its query that the query's place is probably not in the gallery, and what was measured.
+
+    None where nothing is measured.
+
+    Args:
+        distance2: d² of the answer, under equal part weights and before CSLS.
+    """
+    measured = distances.farther(distance2)
+    if measured is None:
+        return None
+    nearer, absent = measured
+    text = (
+        f"The answer is farther from your picture than {_percent(nearer)} of the {len(distances.right):,} right answers are "
+        f"from theirs. Were the right pictures taken away, {_percent(absent)} of the answers would be as far."
+    )
+    return nearer >= _TOO_FAR, text
+
+
+def _percent(share: float) -> str:
+    """Return "97 %"; all and none only where it is all or none."""
+    rounded = 100 if share == 1 else 0 if share == 0 else min(max(round(100 * share), 1), 99)
+    return f"{rounded} %"
 
 
 def describe_lead(outcomes: Outcomes, lead: float) -> str:

@@ -148,7 +148,7 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     task, known = workspace.tasks[TASK], len(FLOWN_PLACES) + 1 - len(UNKNOWN)
     assert f"{known} queries are graded" in " ".join(pages.header(workspace, task).split())
     analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
-    assert answer_text.verdict(analysis, workspace.part_names)[:2] == (None, "Nearest tile")
+    assert answer_text.verdict(analysis, workspace)[:2] == (None, "Nearest tile")
     assert [right is None for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5])].count(False) == 1
     assert all(workspace.thumbnail_file(task.queries[query])[:2] == b"\xff\xd8" for query in (0, 2, 5))
     with pytest.raises(PictureError, match="is not a picture"):

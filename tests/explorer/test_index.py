@@ -263,7 +263,7 @@ def test_a_flight_is_searched_for_among_windows(
     assert (east - west, north - south) == pytest.approx((200, 200), abs=1)
     unknown = analyser.analyse(_state(0), 10)
     assert unknown.ranking.relevant is None
-    assert answer_text.verdict(unknown, workspace.part_names)[0] is None
+    assert answer_text.verdict(unknown, workspace)[0] is None
 
 
 def test_windows_without_their_map_are_placeholders(

@@ -42,7 +42,7 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
         analysis = StateAnalyser(workspace).analyse(shown, 4)
         expected = np.argsort(-(cosines @ np.array(weights, float)), kind="stable")[:4]
         assert [match.index for match in analysis.matches] == expected.tolist()
-        assert answer_text.verdict(analysis, workspace.part_names)
+        assert answer_text.verdict(analysis, workspace)
     assert workspace.areas(task.query_view) is None
     assert workspace.mosaic(task).shape[2] == 3
     pairs = breakdown.confusions(task.outcomes, task.query_labels, task.gallery_labels, task.table.rows())

@@ -47,7 +47,7 @@ def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data:
             assert match.true == expected.true
         assert one.tile.activation is None
         np.testing.assert_array_equal(one.tile.picture, other.tile.picture)
-        assert answer_text.verdict(one, workspace.part_names)[:2] == answer_text.verdict(other, live.part_names)[:2]
+        assert answer_text.verdict(one, workspace)[:2] == answer_text.verdict(other, live)[:2]
 
 
 def test_what_needs_a_network_cannot_be_asked_for(workspace: Workspace, data: Path, model_file: Path) -> None:

@@ -269,12 +269,10 @@ def test_a_position_tells_the_distance_to_each_tile(page: Page, workspace: Works
     expected = geo.metres_between(geo.radians([Position(46, 7)]), geo.radians([tile]))
     assert analysis.errors_m is not None
     np.testing.assert_allclose(analysis.errors_m[analysis.matches[0].index], expected)
-    assert (
-        f"Its GPS tag lies {float(expected[0]):,.0f} m from" in answer_text.verdict(analysis, workspace.part_names)[2]
-    )
+    assert f"Its GPS tag lies {float(expected[0]):,.0f} m from" in answer_text.verdict(analysis, workspace)[2]
     page.own.take("far.jpg", photo(3, (52, 7)))
     analysis = StateAnalyser(workspace).analyse(page.state, 3)
-    for text in (answer_text.verdict(analysis, workspace.part_names)[2], answer_text.plain_verdict(analysis)[2]):
+    for text in (answer_text.verdict(analysis, workspace)[2], answer_text.plain_verdict(analysis, workspace)[2]):
         assert "km from the nearest of them, so no answer can be right" in text
     nowhere: Callable[[], None] = lambda: page.own.take("there.jpg", photo(3))  # noqa: E731
     nowhere()

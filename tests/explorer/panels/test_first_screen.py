@@ -26,7 +26,7 @@ from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core.numbers import rounded_to_sum
 from lpn.datasets import rendered
 from lpn.datasets.geo import Position
-from lpn.drawing import theme
+from lpn.drawing import theme, verdicts
 from lpn.drawing.words import speaking
 from lpn.sources import Published
 from lpn.tasks.gallery_geometry import GalleryGeometry
@@ -68,13 +68,13 @@ def test_the_first_screen_has_two_pictures_one_sentence_and_one_button(workspace
     html = first_screen.page(analysis, workspace)
     assert html.count("<img") == (2 if found else 3)
     assert html.count("<button") == 1
-    right, headline, sentence = answer_text.plain_verdict(analysis)
+    right, headline, sentence = answer_text.plain_verdict(analysis, workspace)
     assert (right, headline) == (found, "Right" if found else "Wrong")
     assert sentence in text(html)
     assert sentence.startswith(f"The model compared {len(analysis.task.gallery)} satellite pictures")
     if found:
         placed = replace(analysis, errors_m=np.full(len(analysis.task.gallery), 3.2))
-        assert "Its middle lies 3 m from the place photographed." in answer_text.plain_verdict(placed)[2]
+        assert "Its middle lies 3 m from the place photographed." in answer_text.plain_verdict(placed, workspace)[2]
     else:
         assert analysis.positive is not None
         assert re.search(rf"the right one came {analysis.positive.rank}(st|nd|rd|th)\.$", sentence)
@@ -145,13 +145,57 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert re.findall(r'src="([^"]+)"', html)[:2] != re.findall(r'src="([^"]+)"', plain)[:2], "parts are not drawn"
 
 
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        (0.3, []),  # of a lead of 0.4
+        (0.1, ["The places make less of the difference than itself."]),
+        (-0.1, ["All places together speak for the best wrong picture; what decides is itself."]),
+    ],
+)
+def test_what_comes_from_no_place_is_said_where_it_decides(places: float, said: list[str]) -> None:
+    lead = answer_text.Lead(np.array([0.5, -0.1]), "the best wrong picture", 3)
+    itself = "what the model gives the two satellite pictures themselves, wherever it looks"
+    told = first_screen._besides_places(lead, places, "satellite")
+    assert [one.replace(itself, "itself") for one in told] == said
+
+
 def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analyse(workspace, replace(query(workspace, True).state, why=True))
-    lead = answer_text.Lead(np.array([0.1, 0.312, 0.05, 0.309]), "the best wrong picture", 3)
-    monkeypatch.setattr(answer_text, "lead", lambda _: lead)
+    cells = np.zeros((4, *workspace.map_sizes["drone"]))
+    cells[:, 0, 0] = 0.1, 0.312, 0.05, 0.309
+    monkeypatch.setattr(first_screen, "_lead_cells", lambda *_: cells)
     assert workspace.part_names[3] == "4 outer"
     shown = text(first_screen.page(analysis, workspace))
     assert "Parts 2 and 4 (outer) speak most, alike, for this answer (81 % of all)" in shown
+
+
+def test_a_picture_that_is_farther_than_right_answers_is_said_to_be_none_of_these(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = OwnPicture("mine.png", np.random.default_rng(5).integers(0, 255, (64, 64, 3)).astype(np.uint8))
+    own = analyse(workspace, SessionState(TASK, 4, upload=picture, first_screen=True))
+    assert "How far right answers are is not measured here." in text(first_screen.page(own, workspace)), (
+        "14 are too few"
+    )
+    monkeypatch.setattr("lpn.analysis.answer_context._FEWEST", 2)
+    measured = workspace.answer_distances(own.task)
+    assert measured is not None
+    result = workspace.rankings[TASK].result
+    assert result is not None
+    queries, gallery = own.task.sides()
+    hits = np.flatnonzero(result.ranking.first == 0)
+    right = [float(((queries[i] - gallery[result.ranking.true[i]]) ** 2).sum()) for i in hits]
+    np.testing.assert_allclose(measured.right, right, atol=1e-5)
+    for shift, headline in ((3.0, "Best match."), (-3.0, "Probably none of these.")):
+        moved = replace(measured, right=measured.right + shift)
+        monkeypatch.setattr(workspace, "answer_distances", lambda _, moved=moved: moved)
+        shown = text(first_screen.page(own, workspace))
+        assert headline in shown
+        far = "0 %" if shift > 0 else "100 %"
+        assert f"The answer is farther from your picture than {far} of the {len(hits)} right answers are" in shown
+    weighted = analyse(workspace, replace(own.state, weights=(2.0, 1.0, 1.0, 1.0)))
+    assert "is not measured here" in text(first_screen.page(weighted, workspace))
 
 
 def test_a_lead_is_set_beside_those_of_all_answers(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -379,7 +423,7 @@ def test_the_workbench_speaks_plain_words_until_everything_is_shown(workspace: W
     for word in ("part ", "d²", "R@1", "AP ", "cosine", "top match", "level", "gap"):
         assert word in expert
         assert word not in plain
-    for word in ("ring ", "right at once", "Found: the answer is right", "ahead by", "likeness"):
+    for word in ("ring ", "right at once", "Found: the answer is right", "how far the next one is behind", "likeness"):
         assert word in plain
     state = SessionState(TASK, 4, first_screen=True, plain=True)
     everything = session_state.show_everything(state)
@@ -422,7 +466,14 @@ def test_on_the_demo_what_comes_from_no_place_is_what_the_constants_of_both_tile
     said = first_screen._because(analysis, demo, lead, first_screen._lead_cells(analysis, lead))
     assert said[0] in shown
     assert re.match(r"(Part|Only part|Parts) .* speaks? (most )?.*for this answer", said[0])
-    assert re.search("show|No part", said[0] + said[1]), "the plan of the city tells what lies there"
+    cells = first_screen._lead_cells(analysis, lead)
+    assert cells is not None
+    # The part that is named is the one with most of what is painted for the answer.
+    painted = np.maximum((1 if found else -1) * cells, 0).sum(axis=(1, 2))
+    assert f"{int(painted.argmax()) + 1}" in said[0].partition("speak")[0]
+    assert f"({100 * painted[verdicts.leading_parts(painted)].sum() / painted.sum():.0f} % of all)" in said[0]
+    assert ("what decides is" in "".join(said[2:])) == (float(cells.sum()) * lead.total < 0)
+    assert re.search("show|No place", said[0] + said[1]), "the plan of the city tells what lies there"
     places, further = rounded_to_sum([lead.total - rest, rest])
     assert round(places + further, 3) == round(lead.total, 3), "what is shown adds up"
     assert f"A further {further:+.3f} comes from no place".replace("-", "−") in shown

@@ -48,7 +48,7 @@ def test_the_longest_bar_of_the_losing_side_is_the_part_that_the_verdict_names(
     wrong = 0
     for analysis in analyses:
         bars, lead, _ = part_bars(analysis, workspace.part_names)
-        true, _, reason = answer_text.verdict(analysis, workspace.part_names)
+        true, _, reason = answer_text.verdict(analysis, workspace)
         assert lead is not None
         losing = [(bar.lead or ("", 0.0))[1] * (1 if lead.of_answer else -1) for bar in bars]
         longest = bars[int(np.argmax(losing))]

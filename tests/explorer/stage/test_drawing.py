@@ -89,7 +89,7 @@ def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
     seen = set()
     for query in range(len(task.queries)):
         analysis = analyser.analyse(SessionState(task.name, 4, query=query), 10)
-        true, headline, reason = answer_text.verdict(analysis, workspace.part_names)
+        true, headline, reason = answer_text.verdict(analysis, workspace)
         assert true == (workspace.rankings[task.name].ranks[query] == 0)
         decisive = reason[reason.index("; part") :]
         assert any(name in decisive for name in workspace.part_names)
@@ -97,7 +97,7 @@ def test_words_name_the_part_that_decides(workspace: Workspace) -> None:
         if not true:
             assert verdicts.ordinal(int(workspace.rankings[task.name].ranks[query]) + 1) in headline
     own = analyser.analyse(SessionState(task.name, 4, upload=OwnPicture("own", small_worlds.place(50))), 10)
-    assert answer_text.verdict(own, workspace.part_names)[0] is None
+    assert answer_text.verdict(own, workspace)[0] is None
     assert [verdicts.ordinal(i) for i in (1, 2, 3, 4, 11, 12, 13, 21, 102, 111)] == [
         *("1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "102nd", "111th")
     ]

@@ -96,3 +96,30 @@ def test_too_few_answers_have_none_alike() -> None:
     assert answer_context.answers_alike(ranking, None) is None, "there is no second tile"
     assert answer_context.answers_alike(ranking, 0.5, np.arange(120) < 99) is None
     assert answer_context.answers_alike(retrieval(ranking.first, np.full(120, np.nan)), 0.5) is None
+
+
+def test_an_answer_s_distance_is_set_beside_those_of_right_answers_and_of_absent_places() -> None:
+    rng = np.random.default_rng(1)
+    queries, gallery = (rng.normal(size=(count, 2, 3)).astype(np.float32) for count in (30, 40))
+    queries, gallery = (side / np.linalg.norm(side, axis=2, keepdims=True) / np.sqrt(2) for side in (queries, gallery))
+    first = np.where(np.arange(30) < 24, 0, 5)
+    true, false = np.arange(30), np.arange(10, 40)
+    known = np.arange(30) != 3
+    gap = np.zeros(30)
+    measured = answer_context.answer_distances(queries, gallery, Retrieval(first, true, false, gap, gap, 40), known)
+    kept = [i for i in range(24) if i != 3]
+    expected = ((queries[kept] - gallery[kept]) ** 2).sum(axis=(1, 2))
+    np.testing.assert_allclose(measured.right, expected, atol=1e-5)
+    assert len(measured.absent) == 29
+    middle = float(np.median(expected)) + 1e-4
+    assert measured.farther(middle) == (
+        float((measured.right < middle).mean()),
+        float((measured.absent >= middle).mean()),
+    )
+    told = answer_context.describe_distance(measured, 4.1)
+    assert told == (
+        True,
+        "The answer is farther from your picture than 100 % of the 23 right answers are from theirs. Were the right "
+        "pictures taken away, 0 % of the answers would be as far.",
+    )
+    assert answer_context.describe_distance(replace(measured, right=expected[:5]), 4.1) is None
