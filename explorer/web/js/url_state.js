@@ -10,12 +10,28 @@
   let ready = false;
   let begun = false; // a session of the server has begun, and has not answered yet
 
-  // A change of these is a step of the browser's history, which Back undoes; other changes replace the address.
+  // What a person does is a step of the browser's history, which Back undoes. A drag, which changes one thing many times, is one
+  // step; what changes by itself, such as the frame of a flight that plays, is none. A change of these is always a step.
   const STEPS = ["show", "task", "query", "screen", "why"];
-  // In a flight, which plays, a frame is none: Back leaves the flight.
-  const step = (text) => {
-    const found = new URLSearchParams(text);
-    return (found.has("flight") ? [...STEPS.filter((key) => key !== "query"), "flight"] : STEPS).map((key) => found.get(key)).join("\n");
+  // Back keeps these as they are.
+  const KEPT = ["theme", "words"];
+  let acts = 0; // what the person has done so far
+  let last = { act: 0, changed: "" }; // the last step: the act that it was made by, and what it changed
+  window.addEventListener("pointerdown", ({ isTrusted }) => isTrusted && acts++, { capture: true, passive: true });
+  window.addEventListener("keydown", ({ isTrusted, repeat, key, target }) => {
+    const types = key !== "Enter" && target.matches?.("textarea, input:not([type=range], [type=checkbox])");
+    if (isTrusted && !repeat && !types) acts++;
+  }, { capture: true, passive: true });
+  /** Tell if the page's next address is a step of its history. */
+  const isStep = (next) => {
+    const [before, after] = [location.search, next].map((text) => new URLSearchParams(text));
+    const changed = [...new Set([...before.keys(), ...after.keys()])].filter((key) => !KEPT.includes(key) && before.get(key) !== after.get(key));
+    // In a flight, which plays, a frame is none: Back leaves the flight.
+    const left = before.has("flight") && after.has("flight") ? changed.filter((key) => key !== "query") : changed;
+    if (!left.length || (!left.some((key) => STEPS.includes(key)) && acts === last.act && left.join() === last.changed)) return false;
+    if (!acts && !left.some((key) => STEPS.includes(key))) return false;
+    last = { act: acts, changed: left.join() };
+    return true;
   };
   let quiet = false; // the page itself goes back
   window.addEventListener("popstate", () => {
@@ -66,7 +82,7 @@
     clearTimeout(writing); // browsers limit how often the address may change
     const first = !ready;
     writing = setTimeout(() => {
-      const write = lpn.storyAddress() || (first || step(search) === step(location.search) ? "replaceState" : "pushState");
+      const write = lpn.storyAddress() || (first || !isStep(search) ? "replaceState" : "pushState");
       history[write](history.state, "", location.pathname + search + location.hash);
     }, 200);
     lpn.watch();
