@@ -12,6 +12,7 @@ from explorer.web.render import render, send
 from explorer.workspace import StateAnalysis
 from lpn.drawing import charts, verdicts
 from lpn.drawing.verdicts import ordinal
+from lpn.drawing.words import capitalised, plain, say
 from lpn.explain.sweeps import SweepPoint, SweepResult, SweptProperty, signed_value, swept_label
 
 CHOICES: dict[SweptProperty, str] = {
@@ -83,7 +84,7 @@ def _attributes(point: SweepPoint) -> Markup:
 
 
 def _followed(profile: SweepResult) -> str:
-    return "the true tile" if profile.best.true else "the compared tile"
+    return f"the {say('positive')}" if profile.best.true else f"the compared {say('tile')}"
 
 
 def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
@@ -94,13 +95,13 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
     ]
     if (depth := analysis.task.depth) is not None:
         sentences.append(
-            f"The index returns the {depth} nearest tiles; a tile beyond them is plotted at rank {depth + 1}."
+            f"The index returns the {depth} nearest {say('tile', 2)}; one beyond them is plotted at {say('rank')} {depth + 1}."
         )
     if ranked.rank < best.rank:
-        sentences.append(f"Its best rank is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
+        sentences.append(f"Its best {say('rank')} is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
     if best.true is not None and over not in ("rotation", "weather"):
         place = _place(over, blind)
-        sentences.append(f"The nearest of all tiles is at {place} ({_figures(blind.top_score)}).")
+        sentences.append(f"The nearest of all {say('tile', 2)} is at {place} ({_figures(blind.top_score)}).")
     if guess := verdicts.describe_heading(profile, analysis.task.views, _known_heading(analysis)):
         sentences.append(guess)
     if over in ("shift", "shift-down"):
@@ -119,7 +120,8 @@ def _weathers(profile: SweepResult, names: Sequence[str]) -> list[str]:
     part = int(np.argmin(worst.cosines - clear.cosines))
     return [
         f"{_followed(profile).capitalize()} suffers most {worst.change.weather.describe()}: {_figures(worst.score)}, "
-        f"{ordinal(worst.rank)}. Part {names[part]} loses most there: its cosine falls from {clear.cosines[part]:.3f} to "
+        f"{ordinal(worst.rank)}. {capitalised(say('part'))} {names[part]} loses most there: its {say('part cosine')} "
+        f"falls from {clear.cosines[part]:.3f} to "
         f"{worst.cosines[part]:.3f}."
     ]
 
@@ -137,7 +139,8 @@ def _before(profile: SweepResult, point: SweepPoint) -> str:
 
 
 def _figures(score: float) -> str:
-    return f"d² {verdicts.distance2(score):.3f} (score {score:.3f})"
+    distance2 = f"{say('d²')} {verdicts.distance2(score):.3f}"
+    return distance2 if plain() else f"{distance2} ({say('score')} {score:.3f})"
 
 
 def _known_heading(analysis: StateAnalysis) -> float | None:

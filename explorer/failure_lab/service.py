@@ -187,10 +187,14 @@ class FailureLab:
             return SecondProgress(f"rank B: none. {ranking.error}")
         return SecondProgress(f"rank B: ranking {job.done:,} of {len(ranking.task.queries):,} queries", True)
 
-    def open_second(self, beside: int = 0) -> None:
-        """Open the second model in the background, if there is one that is not open."""
+    def open_second(self, beside: int = 0, again: bool = True) -> None:
+        """Open the second model in the background, if there is one that is not open.
+
+        Args:
+            again: try again after a failure.
+        """
         second = self._second(beside)
-        if second is not None and second.workspace is None:
+        if second is not None and second.workspace is None and (again or not second.error):
             second.open()
 
     def leave_second(self, client: object) -> None:

@@ -338,6 +338,8 @@ class FailureLabWindow:
             self._body.show(breakdown_page.page(findings, lab, self._workspace))
         else:
             offered = bool(self._workspace.beside)
+            if lab.both_maps and lab.map != "ground":
+                self._service.open_second(self._beside, again=False)
             drawn = self._map.page(findings, lab, view.query, rows, self._size, self._beside, offered)
             controls = drawn.controls
             self._controls.show(controls)  # before the script that fills them

@@ -253,8 +253,13 @@ def lists(view: FlightView) -> dict[str, str]:
         notes.append(f"Corrections are left out: {view.corrections_error}")
     audit = "" if flight.audit is None else flight.audit.sentence
     return {
-        "refused": _list(refused, "", "Every frame is placed."),
-        "audit": _list(apart, audit, "Registration, sequence, and tags agree within their radii."),
+        "refused": _list(refused, "", "Every frame is placed.", ("support", "registration") if refused else ()),
+        "audit": _list(
+            apart,
+            audit,
+            "Registration, sequence, and tags agree within their radii.",
+            ("tag", "median", "time lag", "offset") if audit else (),
+        ),
         "notes": render("flight/notes", notes=notes),
         "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
     }
@@ -275,13 +280,17 @@ def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float
     return _list(entries, sentence, "")
 
 
-def _list(entries: Sequence[tuple[int, str, Sequence[str]]], sentence: str, empty: str) -> str:
+def _list(
+    entries: Sequence[tuple[int, str, Sequence[str]]], sentence: str, empty: str, terms: Sequence[str] = ()
+) -> str:
+    """Return a list of frames; the page explains its `terms`, see `explorer.web.terms.term`."""
     return render(
         "flight/list",
         entries=entries[:_MAX_LISTED],
         total=len(entries),
         sentence=sentence,
         empty="" if entries else empty,
+        terms=terms,
     )
 
 

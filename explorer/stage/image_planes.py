@@ -7,10 +7,11 @@ from typing import Literal
 
 import numpy as np
 import viser
+from PIL import ImageDraw
 
 from explorer.layout import CAPTION, Box
 from lpn.core.arrays import UInt8Array
-from lpn.drawing import captions, theme
+from lpn.drawing import captions, theme, words
 from lpn.drawing.theme import Palette
 from lpn.retrieval import Match
 
@@ -64,7 +65,12 @@ class Plane:
 
 def rank_title(match: Match) -> str:
     """Return the rank of a compared tile as a headline."""
-    return match.rank_text.upper() if match.missed else f"RANK {match.rank_text}"
+    return match.rank_text.upper() if match.missed else f"{'MATCH' if words.plain() else 'RANK'} {match.rank_text}"
+
+
+def query_title() -> str:
+    """Return what the query is called as a headline."""
+    return words.say("query").upper()
 
 
 def title(
@@ -91,7 +97,21 @@ def title(
         x += 1.3 * size
     right = width - 2.0
     if distance2 is not None:
-        right = captions.draw_squared(draw, right, middle, f"{distance2:.3f}", size, palette.text) - size / 2
+        right = _draw_distance(draw, (x, right), middle, distance2, palette) - size / 2
     text = captions.fitted(draw, texts[0], size, right - x, *texts[1:])
     draw.text((x, middle + 1), text, palette.dim, captions.font(size), anchor="lm")
     return np.asarray(image)
+
+
+def _draw_distance(
+    draw: ImageDraw.ImageDraw, room: tuple[float, float], middle: float, distance2: float, palette: Palette
+) -> float:
+    """Draw a distance d² at the right of a room, by its plain word where that is spoken and fits; return where it begins."""
+    left, right = room
+    if not words.plain():
+        return captions.draw_squared(draw, right, middle, f"{distance2:.3f}", _CAPTION_TEXT, palette.text)
+    text, font = f"{words.say('d²')} {distance2:.3f}", captions.font(_CAPTION_TEXT)
+    if draw.textlength(text, font=font) > right - left:
+        text = f"{distance2:.3f}"
+    draw.text((right, middle), text, palette.text, font, anchor="rm")
+    return right - draw.textlength(text, font=font)

@@ -11,7 +11,7 @@ import viser
 
 from explorer.session_state import SessionState
 from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_CAPTION, SIGN_PICTURE, Viewpoint, oblique_view
-from explorer.stage.image_planes import Plane, Rotation, rank_title
+from explorer.stage.image_planes import Plane, Rotation, query_title, rank_title
 from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
@@ -275,7 +275,7 @@ class GalleryMap:
         head, step = max(30, size), max(36, round(1.1 * size))
         source = "your picture" if analysis.state.upload else analysis.task.query_view
         draw.text((18, 30), "‹", palette.dim, captions.font(34), anchor="lm")
-        draw.text((44, 30), "QUERY", palette.text, captions.font(head), anchor="lm")
+        draw.text((44, 30), query_title(), palette.text, captions.font(head), anchor="lm")
         draw.text(
             (44, 30 + step),
             captions.fitted(draw, f"{source} {analysis.name}", size, 394),

@@ -15,7 +15,7 @@ from explorer.session_state import SessionState
 from explorer.stage import pair_picture
 from explorer.stage.camera import FOV, Viewpoint
 from explorer.stage.cards import SHOWN, Cards
-from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, rank_title, title
+from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, query_title, rank_title, title
 from explorer.stage.lettering import Lettering
 from explorer.stage.map_view import GalleryMap
 from explorer.stage.viewport import Viewport
@@ -295,7 +295,7 @@ class Stage:
         source = "your picture" if own else analysis.task.query_view
         notes = [note for note in (analysis.query_note, analysis.state.change.describe()) if note]
         texts = ", ".join([f"{source} {analysis.name}", *notes]), source if own else analysis.name
-        return title("QUERY", texts, None, analysis.state.palette, self._caption_width)
+        return title(query_title(), texts, None, analysis.state.palette, self._caption_width)
 
     @property
     def _caption_width(self) -> float:

@@ -87,7 +87,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th title="Switch a track on or off">hollow: refused</th><th title="Frames whose answer this stage accepts by itself">alone</th><th title="1-sigma radius of the chosen frame">± here</th><th title="Distance of the chosen frame's answer from its tag">off tag</th></tr>${rows.join("")}</table>`,
+      `<table class="num"><tr class="dim"><th title="Switch a track on or off">hollow: refused</th><th title="Frames whose answer this stage accepts by itself">alone</th><th title="1-sigma radius of the chosen frame">± here</th><th title="Distance of the chosen frame's answer from its tag">off tag</th></tr>${rows.join("")}</table><p class="dim">Frame on the map: the ground that the photo shows; its thick side is the photo’s top. Dotted: the piece of the map that looks most like it.</p>`,
     );
   };
   const refresh = () => {
@@ -148,6 +148,7 @@
     play: () => flight.play.turn(),
     skip: () => (flight.play.skips = !flight.play.skips),
     save: () => flight.photo.save(),
+    cancel: () => flight.photo.use("off"),
     forget: () => flight.photo.forget(),
   };
   const onClick = (event) => {
