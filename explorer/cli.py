@@ -310,6 +310,8 @@ class StoryCommand:
     """Trained LPN, as of lpn explore; by default the demo's."""
     kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
     """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    pooling: str | None = None
+    """Pooling of the model's tokens, as of lpn explore."""
     calibrate: bool = False
     """Rank with calibration, as lpn explore --calibrate does."""
     size: tuple[int, int] = (1280, 800)
@@ -331,7 +333,10 @@ class StoryCommand:
             raise InputError("--record needs the name of a story; lpn story alone lists them.")
         if self.seconds is not None and not 0.1 <= self.seconds <= 60:
             raise InputError(f"--seconds is {self.seconds:g}; expected 0.1 to 60.")
-        workspace = Explore(data=self.data, model=self.model, kind=self.kind, calibrate=self.calibrate).opens_data()()
+        explore = Explore(
+            data=self.data, model=self.model, kind=self.kind, pooling=self.pooling, calibrate=self.calibrate
+        )
+        workspace = explore.opens_data()()
         stories = stories_of(workspace)
         for problem in stories.errors:
             print(f"lpn: {problem}", file=sys.stderr)

@@ -84,7 +84,7 @@ def open_model(
     _check_different(
         [] if isinstance(model, Model) else [(model, kind, pooling)], zip(beside, kinds, poolings, strict=True)
     )
-    name, names = _names(model, pooling, beside, poolings)
+    name, names = _names(model, (kind, pooling), beside, kinds, poolings)
     _check_weathers(beside_weathers)
     if beside_weathers and not isinstance(model, Model):
         model = lpn.load(model, provider, kind=kind, pooling=pooling)
@@ -215,12 +215,17 @@ def _offer_scorings(workspace: Workspace, model: Model, model_name: str, dataset
 
 
 def _names(
-    model: Path | Model, pooling: str | None, beside: Sequence[Path], poolings: Sequence[str | None]
+    model: Path | Model,
+    options: tuple[Kind | None, str | None],
+    beside: Sequence[Path],
+    kinds: Sequence[Kind | None],
+    poolings: Sequence[str | None],
 ) -> tuple[str, list[str]]:
-    """Return the display names of a model and of those beside it."""
+    """Return the display names of a model with its kind and pooling, and of those beside it."""
     if isinstance(model, Model):
-        return printable(model.contract.method), model_names(beside, poolings)
-    own, *others = model_names([model, *beside], [pooling, *poolings])
+        return printable(model.contract.method), model_names(beside, poolings, kinds)
+    kind, pooling = options
+    own, *others = model_names([model, *beside], [pooling, *poolings], [kind, *kinds])
     return own, others
 
 
@@ -315,7 +320,7 @@ def open_flight_over(
     """
     kinds, poolings = beside_kinds or [None] * len(beside), beside_poolings or [None] * len(beside)
     _check_different([(model, kind, pooling)], zip(beside, kinds, poolings, strict=True))
-    name, names = _names(model, pooling, beside, poolings)
+    name, names = _names(model, (kind, pooling), beside, kinds, poolings)
     options = ModelOptions(model=model, kind=kind, pooling=pooling, provider=provider)
     source = Flown(map=map_path, flight=flight_path, model=options)
     opened = _open_flown(source, name, overlap, report, shipped)

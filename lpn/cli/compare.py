@@ -100,11 +100,7 @@ class ComparedModels:
         count = len(self.models)
         kinds = cast("list[Kind | None]", of_each("--kind", self.kind, count, "models"))
         poolings = of_each("--pooling", self.pooling, count, "models")
-        names = model_names(self.models, poolings)
-        names = [
-            f"{name}, {kind}" if kind and names.count(name) > 1 else name
-            for name, kind in zip(names, kinds, strict=True)
-        ]
+        names = model_names(self.models, poolings, kinds)
         if twice := next((name for name in names if names.count(name) > 1), None):
             raise InputError(
                 f"{twice} is compared with itself; give each model once, or by another --kind or --pooling."

@@ -29,13 +29,22 @@ def no_progress(stage: str, done: int, total: int) -> None:
     """Report nothing."""
 
 
-def model_names(files: Sequence[Path], poolings: Sequence[str | None]) -> list[str]:
-    """Return printable names of models that tell them apart: those of their files, and how their tokens are pooled."""
+def model_names(
+    files: Sequence[Path], poolings: Sequence[str | None], kinds: Sequence[str | None] | None = None
+) -> list[str]:
+    """Return printable names of models that tell them apart.
+
+    They are those of their files, how their tokens are pooled, and, where that is not enough, the kinds that were named.
+    """
     distinct = list(dict.fromkeys(files))
     names = dict(
         zip(distinct, [file.name for file in distinct] if len(distinct) == 1 else distinct_names(distinct), strict=True)
     )
-    return [names[file] + (f", {pooling}" if pooling else "") for file, pooling in zip(files, poolings, strict=True)]
+    named = [names[file] + (f", {pooling}" if pooling else "") for file, pooling in zip(files, poolings, strict=True)]
+    return [
+        f"{name}, {kind}" if kind and named.count(name) > 1 else name
+        for name, kind in zip(named, kinds or [None] * len(named), strict=True)
+    ]
 
 
 def of_each(option: str, values: Sequence[str], count: int, models: str) -> list[str | None]:

@@ -13,7 +13,7 @@ import explorer.app
 import explorer.cli
 import explorer.opening
 import lpn
-from explorer.cli import Explore
+from explorer.cli import Explore, StoryCommand
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
@@ -183,6 +183,7 @@ def test_the_kinds_of_both_models_may_be_named(
     (workspace,) = opened
     assert workspace.contract.method == "CAMP"
     (second,) = workspace.beside
+    assert (workspace.model_name, second.label) == ("weights.pth, camp", "weights.pth, dac")
     wait_until(lambda: second.workspace is not None)
     assert second.workspace is not None
     assert second.workspace.contract.method == "DAC"
@@ -190,6 +191,8 @@ def test_the_kinds_of_both_models_may_be_named(
         Explore(data=data, model=model_file, beside=(weights,)).run()
     with pytest.raises(InputError, match="--kind needs --model"):
         Explore(data=tmp_path, kind="camp").run()
+    with pytest.raises(InputError, match="--pooling needs --model"):
+        StoryCommand(pooling="mean").run()
     source = Data(data=data, model=ModelOptions(model=model_file))
     with pytest.raises(
         InputError, match="There are 1 kinds for 2 models of --beside; give one for each in their order, or auto"
