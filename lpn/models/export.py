@@ -29,7 +29,7 @@ from lpn.models.checkpoints import TorchModel
 from lpn.models.contract_metadata import to_metadata
 from lpn.models.network import weigh
 from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
-from lpn.models.onnx_tokens import pooled_graph
+from lpn.models.onnx_tokens import TOKENS, pooled_graph
 from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
 from lpn.models.timm_files import timm_file
@@ -122,12 +122,20 @@ def export(
     if out.suffix != ".onnx":
         raise InputError(f"The output is named {out.name}; expected a name ending in .onnx.")
     if model.suffix == ".onnx":
-        if pooled is None or network is not None or storage != "float32":
-            raise InputError(f"{model.name} is exported already; give the .safetensors or .pth it was made from.")
+        if pooled is None or network is not None:
+            raise InputError(
+                f"{model.name} is exported already; give the .safetensors or .pth it was made from, or, if it returns tokens, "
+                "their --pooling."
+            )
         if out.resolve() == model.resolve():
             raise InputError(f"{out.name} is the model itself; give another name for the exported one.")
         check_writable(out)
-        write_atomic(out, pooled_graph(model, pooled))
+        graph = pooled_graph(model, pooled)
+        if storage != "float32":
+            proto = onnx.load_model_from_string(graph)
+            _shrink(proto, storage, TOKENS)
+            graph = _sealed(proto, {entry.key: entry.value for entry in proto.metadata_props})
+        write_atomic(out, graph)
         return [out]
     check_writable(out)
     loaded = load_file(model, kind=kind, pooling=pooled, network=network)
@@ -188,6 +196,10 @@ def _graph(model: Model, view: View, metadata: dict[str, str], storage: WeightTy
     _remove_origin(proto)
     if storage != "float32":
         _shrink(proto, storage)
+    return _sealed(proto, metadata)
+
+
+def _sealed(proto: onnx.ModelProto, metadata: dict[str, str]) -> bytes:
     onnx.helper.set_model_props(proto, metadata | {SEAL: UNSEALED})
     buffer = io.BytesIO()
     onnx.save_model(proto, buffer)
@@ -202,13 +214,17 @@ def _remove_origin(proto: onnx.ModelProto) -> None:
         part.doc_string = ""
 
 
-def _shrink(proto: onnx.ModelProto, storage: WeightType) -> None:
-    """Store weights in fewer bits, behind nodes that convert them to the float32 of the graph."""
+def _shrink(proto: onnx.ModelProto, storage: WeightType, prefix: str = "") -> None:
+    """Store weights in fewer bits, behind nodes that convert them to the float32 of the graph.
+
+    Args:
+        prefix: of the names of the weights; others stay as they are.
+    """
     graph = proto.graph
     widening: list[onnx.NodeProto] = []
     for weight in list(graph.initializer):
         values = onnx.numpy_helper.to_array(weight)
-        if values.dtype != np.float32:
+        if values.dtype != np.float32 or not weight.name.startswith(prefix):
             continue
         name, stored = weight.name, f"{weight.name}.stored"
         narrow: npt.NDArray[np.float16] | Int8Array

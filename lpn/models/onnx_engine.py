@@ -279,7 +279,8 @@ def _metadata(session: ort.InferenceSession, path: Path) -> dict[str, str]:
     if not ours or not {*OUTPUTS, *extra_outputs(ModelSpec.from_json(metadata["spec"]))} <= names:
         raise ModelFileError(
             f"{path.name} is an ONNX model, but not one written by `lpn export`, and has no contract in its metadata; export "
-            "your LPN, name the pooling of the tokens that it returns with --pooling, or see docs/contract.md."
+            "your LPN, name the pooling of the tokens that it returns with --pooling (lpn export writes it into a file), or see "
+            "docs/contract.md."
         )
     return metadata
 

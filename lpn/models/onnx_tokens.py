@@ -32,6 +32,10 @@ _SIZE = (224, 224)
 # Tokens in front of the cells, beyond which a number of tokens fits no map.
 _MOST_IN_FRONT = 16
 _PATCHES = range(4, 65)
+# Copies with a pooling in the user's cache; those that were used last stay.
+_COPIES = 8
+# The prefix of the names of a file's own graph beneath its pooling.
+TOKENS = "network/"
 # The first opset whose operators take the inputs that are written here.
 _OPSET = 13
 
@@ -57,6 +61,8 @@ class _Tokens(NamedTuple):
 def pooled_file(path: Path, pooling: TokenPooling) -> Path:
     """Return the file of `pooled_graph` in the user's cache, which is written if it is not there.
 
+    The cache keeps the eight files that were used last.
+
     Raises:
         ModelFileError, InputError, MissingPackageError: as for `pooled_graph`.
         OutputError: if the cache cannot be written.
@@ -67,7 +73,17 @@ def pooled_file(path: Path, pooling: TokenPooling) -> Path:
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, graph)
+    file.touch()
+    for old in sorted(file.parent.glob("*.onnx"), key=_last_used)[:-_COPIES]:
+        old.unlink(missing_ok=True)
     return file
+
+
+def _last_used(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except OSError:  # another process removed it
+        return 0.0
 
 
 def pooled_graph(path: Path, pooling: TokenPooling) -> bytes:
@@ -222,7 +238,7 @@ def _append(
     import onnx
     from onnx import TensorProto, compose, helper, numpy_helper
 
-    graph = compose.add_prefix_graph(proto.graph, "network/")
+    graph = compose.add_prefix_graph(proto.graph, TOKENS)
     nodes: list[Any] = []
 
     def add(kind: str, *inputs: str, output: str, **attributes: Any) -> str:
@@ -243,7 +259,7 @@ def _append(
         return add("Reshape", turned, shape, output="features")
 
     height, width = tokens.grid
-    count, own = height * width, f"network/{tokens.name}"
+    count, own = height * width, f"{TOKENS}{tokens.name}"
     if tokens.is_map:
         flat = add("Reshape", own, constant("flat/shape", [0, tokens.channels, count], np.int64), output="flat")
         own = add("Transpose", flat, output="cell_tokens", perm=[0, 2, 1])
@@ -276,7 +292,7 @@ def _append(
         else:
             add("MatMul", shares, cells, output="parts")
             as_map(cells, tokens.channels)
-    front = helper.make_node("Identity", ["images"], [f"network/{picture}"])
+    front = helper.make_node("Identity", ["images"], [f"{TOKENS}{picture}"])
     given = list(graph.node)
     del graph.node[:], graph.input[:], graph.output[:]
     graph.node.extend([front, *given, *nodes])

@@ -44,6 +44,8 @@ _ACTIVATIONS = {
     "silu": "silu",
 }
 _HEADS = {1152: 16, 1280: 16, 1408: 16, 1664: 16, 4096: 32}
+# OpenAI's widest image encoder has 1,024 numbers, and OpenCLIP's ViT-H, ViT-g, and ViT-bigG have more.
+_LAION_WIDTH = 1280
 # The size of pictures of a network without positions.
 _ROTARY_SIZE = (256, 256)
 
@@ -113,14 +115,17 @@ def network_of_entries(
     pictures: dict[str, Any] = {} if folder is None else read_configuration(folder, PICTURES)
     configuration = cast("dict[str, Any]", configuration.get("vision_config") or configuration)
     form, own = vit.format, vit.entries
-    activation = configuration.get("hidden_act") or configuration.get("hidden_activation") or form.activation
+    width, _, patch, _ = own.shape("patch_embed.proj.weight", 4)
+    stated = configuration.get("hidden_act") or configuration.get("hidden_activation")
+    activation = stated or form.activation
+    if stated is None and form.title == "CLIP":
+        activation = _activation_of_clip(entries, width)
     if activation not in _ACTIVATIONS:
         raise ModelFileError(
             f"The config.json beside {entries.name} says hidden_act: {printable(str(activation))[:40]}; expected one of "
             f"{', '.join(_ACTIVATIONS)}."
         )
     epsilon = stated_number(configuration, "layer_norm_eps", form.epsilon)
-    width, _, patch, _ = own.shape("patch_embed.proj.weight", 4)
     size = _size(entries, vit, stated_size(pictures) or default_size, patch)
     grid = size[0] // patch, size[1] // patch
     depth, heads = own.count("blocks.{}.norm1.weight"), _heads(entries, configuration, width, form.rotary)
@@ -172,6 +177,20 @@ def network_of_entries(
     trunk = CellsAndClass(network, grid, prefix, class_norm=class_norm)
     title = f"{form.title} {NAMES.get(width, 'ViT')}/{patch}".replace("ViT ViT", "ViT")
     return TokenNetwork(trunk, title, width, size, normalisation, norm)
+
+
+def _activation_of_clip(entries: Entries, width: int) -> str:
+    """Return the activation of a CLIP whose file does not tell it, by the width that OpenAI's networks do not have; log it."""
+    own, other = ("quick_gelu", "gelu") if width < _LAION_WIDTH else ("gelu", "quick_gelu")
+    log.warning(
+        "%s does not say whether its CLIP is of OpenAI (QuickGELU) or of OpenCLIP (most have GELU), whose entries have the same "
+        'names; %s is taken by its width of %d. If it is the other one, write {"hidden_act": "%s"} into a config.json beside it.',
+        printable(entries.name),
+        own,
+        width,
+        other,
+    )
+    return own
 
 
 def _held_norm(entries: Entries, named: tuple[str, float] | None, width: int) -> HeldNorm | None:

@@ -98,6 +98,27 @@ def test_an_export_and_its_eight_bits_keep_the_account(tmp_path: Path) -> None:
     assert model.precision == "int8"
 
 
+def test_an_export_in_fewer_bits_keeps_the_account(tmp_path: Path) -> None:
+    file, pictures = token_file(tmp_path / "tokens.onnx"), seeded.pictures(53, 1, *SIZE)
+    expected = lpn.load(file, pooling="rings:2").part_embeddings(pictures, "drone")
+    for storage in ("float16", "int8"):
+        export(file, tmp_path / "small.onnx", storage, pooling="rings:2")
+        model = lpn.load(tmp_path / "small.onnx")
+        assert 0 < np.abs(model.part_embeddings(pictures, "drone") - expected).max() < 2e-2
+        assert Trace.from_pass(model, model.run(pictures, "drone"), "drone").errors().max() < 1e-5
+
+
+def test_the_cache_keeps_the_pooled_copies_that_were_used_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+    file = token_file(tmp_path / "tokens.onnx")
+    for power in range(2, 12):
+        lpn.load(file, pooling=f"gem:{power}")
+    copies = set((tmp_path / "cache" / "pooled").iterdir())
+    assert len(copies) == 8
+    lpn.load(file, pooling="gem:11")
+    assert set((tmp_path / "cache" / "pooled").iterdir()) == copies
+
+
 def test_a_graph_of_any_size_takes_that_of_the_options(tmp_path: Path) -> None:
     file = token_file(tmp_path / "tokens.onnx", size=("height", "width"))
     assert lpn.load(file, pooling="mean").input_size == (224, 224)

@@ -188,3 +188,16 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path) -> None:
     torch.save(lpn_state, tmp_path / "lpn.pth")
     with pytest.raises(InputError, match=r"lpn\.pth is a checkpoint of LPN, which has its own parts; leave --pooling"):
         lpn.load(tmp_path / "lpn.pth", pooling="rings:4")
+
+
+def test_the_activation_that_a_clip_does_not_tell_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    file = SMALL_VITS["CLIP of transformers"].write(tmp_path, (4 * PATCH, 4 * PATCH))
+    config = json.loads((tmp_path / "config.json").read_text())
+    pictures, found = seeded.pictures(9, 1, 4 * PATCH, 4 * PATCH), {}
+    for stated in (None, "quick_gelu", "gelu"):
+        (tmp_path / "config.json").write_text(json.dumps(config | ({"hidden_act": stated} if stated else {})))
+        caplog.clear()
+        found[stated] = lpn.load(file, "cpu", pooling="mean").part_embeddings(pictures, "drone")
+        assert (f"quick_gelu is taken by its width of {WIDTH}" in caplog.text) == (stated is None)
+    np.testing.assert_array_equal(found[None], found["quick_gelu"])
+    assert np.abs(found["gelu"] - found["quick_gelu"]).max() > 1e-4
