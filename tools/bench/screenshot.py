@@ -27,7 +27,7 @@ _AS_OPENED = (
     "localStorage.removeItem('lpn-panels'); localStorage.removeItem('lpn-open');"
     "sessionStorage.setItem('lpn-software-webgl', 'seen')"
 )
-QUALITY, _WORST = 84, 60
+QUALITY, _WORST = 84, 46
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ SHOTS = (
     Shot(
         "flight.jpg",
         DEMO_QUERY,
-        address="?show=flight&flight=1&query=LPN_0117.webp",
+        address="?show=flight&flight=1&query=LPN_0100.webp",
         choose="[data-photo=swipe]",
         wait="#lpn-flight .status:empty",
         part="#lpn-flight",
