@@ -124,6 +124,28 @@ def test_a_page_changes_its_workspace_and_back(
 
 
 @pytest.mark.slow
+def test_the_first_screen_of_another_place_is_there_before_its_session_and_loses_no_press(
+    offer: Offer, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build, may_build = ClientSession.__init__, threading.Event()
+
+    def late(session: ClientSession, client: Any, services: WorkspaceServices, *rest: Any) -> None:
+        assert services.workspace.key != "whole" or may_build.wait(PATIENCE)
+        build(session, client, services, *rest)
+
+    monkeypatch.setattr(ClientSession, "__init__", late)
+    offer.may_open.set()
+    page = new_page()
+    page.goto(f"{offer.url}/?screen=first")
+    page.locator("#lpn-first .choice", has_text="whole pictures").click()
+    expect(page.locator("#lpn-first .choice.chosen")).to_have_text("whole pictures")
+    page.locator("#lpn-first [data-act=why]").click()
+    may_build.set()
+    expect(page.locator("#lpn-first .reason")).to_be_visible()
+    expect(page).to_have_url(re.compile("(?=.*show=whole)(?=.*why=1)"))
+
+
+@pytest.mark.slow
 def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
     offer: Offer, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
 ) -> None:
