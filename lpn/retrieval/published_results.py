@@ -2,7 +2,7 @@
 
 gallery_f, query_f            (G, F) and (Q, F): part embeddings (512, n), each part of norm 1/sqrt(n), flattened in row-major
                               order
-gallery_label, query_label    (1, G) and (1, Q) integers
+gallery_label, query_label    (1, G) and (1, Q) integers; -1 for a gallery picture that is taken out of the ranking
 gallery_path, query_path      (G,) and (Q,) texts, padded with spaces; may be absent
 """
 
@@ -270,7 +270,10 @@ def _pictures_of_rows(
 ) -> list[Picture] | None:
     """Return the picture of each row, or None if a picture is missing."""
     if paths is None:
-        same = len(pictures) == len(labels) and all(p.label == label for p, label in zip(pictures, labels, strict=True))
+        # Code of Sample4Geo's family labels distractors with -1.
+        same = len(pictures) == len(labels) and all(
+            label in (-1, picture.label) for picture, label in zip(pictures, labels, strict=True)
+        )
         return pictures if same else None
     named = {"/".join(picture.path.parts[-2:]): picture for picture in pictures}
     of_rows = [named.get("/".join(path.split("/")[-2:])) for path in paths]

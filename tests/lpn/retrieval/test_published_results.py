@@ -86,6 +86,11 @@ def test_its_pictures_are_found_by_path_or_by_label(data: Path, model_file: Path
     saved = load_saved(tmp_path / "r.mat")
     assert saved.task == "saved"
     assert saved.pictures(dataset)[2] == dataset.gallery("satellite")
+    values["gallery_label"] = np.where(
+        np.isin(values["gallery_label"], values["query_label"]), values["gallery_label"], -1
+    )
+    savemat(tmp_path / "r.mat", {key: value for key, value in values.items() if "path" not in key})
+    assert load_saved(tmp_path / "r.mat").pictures(dataset)[2] == dataset.gallery("satellite")
     values["query_label"] = np.array(values["query_label"]) + 1
     savemat(tmp_path / "r.mat", {key: value for key, value in values.items() if "path" not in key})
     with pytest.raises(DataError, match="in the order of their labels"):
