@@ -311,18 +311,20 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
         return None
     west, south, east, north = flight.basemap.bounds
     picture, valid = flight.basemap.overview(OVERVIEW)
-    scale = _SIZE[0] / picture.shape[0]
-    drawn = images.resize(picture, _SIZE[0], round(picture.shape[1] * scale)).copy()
-    known = cv2.resize(valid.astype(np.uint8), drawn.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-    drawn[~known] = _NOTHING
+    # The map lies in the middle of a square, as large as the pictures beside it.
+    height, width = (round(_SIZE[0] * side / max(picture.shape[:2])) for side in picture.shape[:2])
+    top, left = (_SIZE[0] - height) // 2, (_SIZE[0] - width) // 2
+    drawn = np.full((_SIZE[0], _SIZE[0], 3), _NOTHING, np.uint8)
+    known = cv2.resize(valid.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    drawn[top : top + height, left : left + width][known] = images.resize(picture, height, width)[known]
 
     def pixels(points: FloatingArray) -> NDArray[np.int32]:
         shares = (np.asarray(points).reshape(-1, 2) - (west, north)) / (east - west, south - north)
-        cells: NDArray[np.int32] = np.rint(shares * drawn.shape[1::-1]).astype(np.int32)
+        cells: NDArray[np.int32] = np.rint(shares * (width, height) + (left, top)).astype(np.int32)
         return cells
 
-    for colour, width in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
-        cv2.polylines(drawn, [pixels(ground.corners)], True, colour, width, cv2.LINE_AA)
+    for colour, thickness in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
+        cv2.polylines(drawn, [pixels(ground.corners)], True, colour, thickness, cv2.LINE_AA)
     sentence = f"By its details, the photo fits the map where the frame is, to ± {answer.radius or 0:.1f} m"
     if located.tag is not None:
         at, tag = pixels(np.array([(answer.x, answer.y), located.tag]))
