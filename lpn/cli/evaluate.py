@@ -268,6 +268,8 @@ class EvaluationOfFlight:
     """Metres around each frame's own position that it is registered in without --model; by default the whole map."""
     map_error: float | None = None
     """1-sigma error of the map's places in metres, part of the radii; by default 3 pixels, at least 1 m."""
+    tags: Literal["told", "corrected"] = "told"
+    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds."""
     register: bool = True
     """Lay each photo over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
     corrections: bool = True
@@ -284,7 +286,7 @@ class EvaluationOfFlight:
         if self.json is not None:
             check_writable(self.json)
         console = wide_console()
-        options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error)
+        options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error, tags=self.tags)
         located = locate_files(
             self.map,
             self.flight,
@@ -305,6 +307,11 @@ class EvaluationOfFlight:
                 "frames": len(located.frames),
                 "corrected": sum(frame.by_hand is not None for frame in located.frames),
                 "stages": stages,
+                "stages_without_lag": {
+                    stage: asdict(summary) for stage, summary in located.without_lag().summaries().items()
+                }
+                if located.tags_without_lag is not None
+                else None,
                 "retrieval": located.field_measures(),
                 "tags": audit,
                 "notes": located.notes,

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.locate.located import LocatedFlight
+    from lpn.locate.measures import ErrorSummary
     from lpn.locate.options import LocateOptions
 
 
@@ -59,6 +60,8 @@ class LocateCommand:
     """Subtract the mean descriptor of each view, and whiten, which helps a model that has not seen the place."""
     corrections: bool = True
     """Take a frame's position from corrections.csv in the flight's folder where a person corrected it."""
+    tags: Literal["told", "corrected"] = "told"
+    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds."""
     limit: int | None = None
     """Number of frames, the first ones of the flight; by default all."""
 
@@ -107,6 +110,7 @@ class LocateCommand:
             self.size,
             centre=self.centre,
             speed=self.speed,
+            tags=self.tags,
         )
 
 
@@ -158,6 +162,18 @@ def locate_files(
         return locate(basemap, flight, network, options, report, kept, indexed)
 
 
+def _shares(calibration: dict[int, float]) -> str:
+    return ", ".join(f"{share:.0f} %" for share in calibration.values())
+
+
+def _without_lag(summary: ErrorSummary) -> str:
+    """Return median, 90th percentile, and shares within radii in words."""
+    return (
+        f"a median of {summary.median:.1f} m, 90 % within {summary.p90:.1f} m, and {_shares(summary.calibration)} of its errors "
+        f"within 1, 2, and 3 radii, of {summary.frames} frames whose tags can be moved"
+    )
+
+
 def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, and the findings below it."""
     from rich.table import Table
@@ -200,22 +216,25 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         if corrected
         else "the tags of the flight"
     )
+    if located.audit is not None and located.audit.has_lag:
+        truth += ", which are no exact truth, as the registration finds a lag in them"
     console.print(
         f"Errors are against {truth}; shares are of all frames with such a truth; 'no false' is the share that can be "
         "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
         "ranks windows and verifies none.",
         soft_wrap=True,
     )
+    right = _shares(RIGHT_CALIBRATION)
     for stage, summary in summaries.items():
         if summary.calibration:
-            inside, right = (
-                ", ".join(f"{share:.0f} %" for share in of.values()) for of in (summary.calibration, RIGHT_CALIBRATION)
-            )
             console.print(
-                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {inside}; right radii, against an exact truth, "
-                f"have {right}.",
+                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {_shares(summary.calibration)}; right radii, "
+                f"against an exact truth, have {right}.",
                 soft_wrap=True,
             )
+    if located.tags_without_lag is not None:
+        summary = located.without_lag().summaries()["registration"]
+        console.print(f"Without the lag of the tags, the registration has {_without_lag(summary)}.", soft_wrap=True)
     if measured := located.field_measures():
         console.print(
             "Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()), soft_wrap=True

@@ -41,15 +41,20 @@ class TagAudit:
     ahead: float | None = None
 
     @property
+    def has_lag(self) -> bool:
+        """True if the tags have a constant lag: one that is larger than its error, and explains their differences."""
+        if self.lag is None or self.lag_error is None or self.without_lag is None:
+            return False
+        # A lag that is as small as its error, or explains nothing, is none.
+        return abs(self.lag) >= max(3 * self.lag_error, 0.3) and self.without_lag <= 0.9 * self.median
+
+    @property
     def sentence(self) -> str:
         """The finding in one sentence."""
         if not self.frames:
             return "No frame has both a tag and a registered position, so the tags were not checked."
         off = f"up to {self.largest:.0f} m off, {self.median:.1f} m in the median"
-        if self.lag is None or self.lag_error is None or self.without_lag is None:
-            return f"The tags of {self.frames} frames are {off}, against registered positions; the lag cannot be estimated."
-        # A lag that is as small as its error, or explains nothing, is none.
-        if abs(self.lag) < 3 * self.lag_error or abs(self.lag) < 0.3 or self.without_lag > 0.9 * self.median:
+        if self.lag is None or not self.has_lag:
             return f"The tags of {self.frames} frames are {off}, against registered positions; the lag cannot be estimated."
         word = "lag" if self.lag > 0 else "are early"
         tilted = ""
@@ -57,8 +62,8 @@ class TagAudit:
             side = "ahead" if self.ahead > 0 else "behind"
             tilted = f", or the camera looks {abs(self.ahead):.1f} m {side}; they"
         return (
-            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error:.1f}){tilted or ' and'} are {off}, against registered "
-            f"positions of {self.frames} frames; without the lag, {self.without_lag:.1f} m remain in the median."
+            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted or ' and'} are {off}, against "
+            f"registered positions of {self.frames} frames; without the lag, {self.without_lag:.1f} m remain in the median."
         )
 
 
@@ -107,6 +112,30 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
         float(np.median(remaining)),
         float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
     )
+
+
+def corrected_tags(times: Float64Array, tags: Float64Array, lag: float) -> Float64Array:
+    """Return tags without a constant lag, (N, 2): the place at a time is the one that the tags show `lag` seconds later.
+
+    Tags are interpolated linearly. The result is NaN where the two that are needed are missing, or more than 30 seconds apart.
+    The offset that the audit estimates beside the lag is not taken out, as it may be the map's.
+
+    Args:
+        times: seconds, (N,); NaN where unknown.
+        tags: metres east and north, (N, 2); NaN rows where there is none.
+        lag: seconds by which tags are late.
+    """
+    moved = np.full(tags.shape, np.nan)
+    known = np.flatnonzero(~np.isnan(times) & ~np.isnan(tags).any(axis=1))
+    known = known[np.argsort(times[known], kind="stable")]
+    if len(known) < 2:
+        return moved
+    at = times[known]
+    after = np.clip(np.searchsorted(at, at + lag), 1, len(known) - 1)
+    inside = (at + lag >= at[0]) & (at + lag <= at[-1]) & (at[after] - at[after - 1] <= _GAP)
+    for axis in (0, 1):
+        moved[known[inside], axis] = np.interp(at + lag, at, tags[known, axis])[inside]
+    return moved
 
 
 def track_velocities(times: Float64Array, positions: Float64Array) -> Float64Array:

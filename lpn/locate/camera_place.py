@@ -42,11 +42,21 @@ def camera_place(frame: Frame, size: tuple[int, int], registration: Registration
     depth, there = (float(registration.homography[2] @ (*pixel, 1.0)) for pixel in (middle, middle + moved))
     if not 0.5 < there / depth < 2:
         return None
-    height = down * registration.width / 2 / math.tan(math.radians(frame.fov or 0.0) / 2)
     spread = registration.radius * math.sqrt(1 + 12 * float(((moved / size) ** 2).sum()))
-    error = _AIRCRAFT_TILT_ERROR if frame.heading_source == "aircraft" else _TILT_ERROR
-    radius = math.hypot(spread, height * math.tan(math.radians(error)))
+    height = height_of_width(frame, registration.width)
+    radius = math.hypot(spread, height * math.tan(math.radians(told_tilt_error(frame))))
     return registration.to_metres((middle + moved)[None])[0], radius
+
+
+def told_tilt_error(frame: Frame) -> float:
+    """Return the 1-sigma error in degrees that a frame's tilt counts with before the flight tells more."""
+    return _AIRCRAFT_TILT_ERROR if frame.heading_source == "aircraft" else _TILT_ERROR
+
+
+def height_of_width(frame: Frame, width: float) -> float:
+    """Return the height in metres from which a camera of known tilt and field of view sees ground of a width in metres."""
+    down = float(rotation(0.0, frame.pitch or 0.0, frame.roll or 0.0)[2, 2])
+    return down * width / 2 / math.tan(math.radians(frame.fov or 0.0) / 2)
 
 
 def nadir_pixel(frame: Frame, size: tuple[int, int]) -> tuple[float, float] | None:

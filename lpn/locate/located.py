@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import numpy as np
@@ -146,6 +146,8 @@ class LocatedFlight:
         audit: of the tags against registered positions; None without registration.
         notes: sentences about the run.
         retrieval: scores of all windows; None without a model.
+        tags_without_lag: positions of the tags in metres without the constant lag that the audit finds, (N, 2), NaN where they
+            are not known; None if it finds none.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
     """
 
@@ -156,6 +158,7 @@ class LocatedFlight:
     notes: list[str]
     retrieval: MapRetrieval | None
     shipped: Mapping[str, StageRecord] = field(default_factory=dict)
+    tags_without_lag: Float64Array | None = None
 
     @property
     def stages(self) -> list[str]:
@@ -189,6 +192,14 @@ class LocatedFlight:
             answer.heading,
             located.error(stage),
         )
+
+    def without_lag(self) -> LocatedFlight:
+        """Return the flight with the tags of `tags_without_lag`; itself if there are none."""
+        if self.tags_without_lag is None:
+            return self
+        pairs = zip(self.frames, self.tags_without_lag, strict=True)
+        frames = [replace(located, tag=None if np.isnan(tag).any() else tag) for located, tag in pairs]
+        return replace(self, frames=frames)
 
     def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
         """Return the errors of each stage against `LocatedFrame.truth`; frames without one are left out, refused positions do

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 from lpn.core.errors import InputError
 from lpn.locate.matchers import MatcherName
 
 TOP = 5
+# Tags as the flight's files have them, or without the constant lag that the audit finds.
+TagsName = Literal["told", "corrected"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,8 @@ class LocateOptions:
         overlap: of neighbouring windows, 0 to below 1.
         centre: whether descriptors are centred by view, and whitened.
         speed: of the motion model, metres a second; None takes the one at which the flight's scores are most probable.
+        tags: those that errors are measured against: as the flight's files have them, or without the constant lag that the
+            registration finds, see `lpn.locate.audit.corrected_tags`.
         top: windows that are kept for each frame, of places apart.
     """
 
@@ -37,6 +42,7 @@ class LocateOptions:
     centre: bool = True
     speed: float | None = None
     top: int = TOP
+    tags: TagsName = "told"
 
     def __post_init__(self) -> None:
         if self.prior is not None and not 0 < self.prior < math.inf:

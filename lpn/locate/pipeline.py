@@ -12,7 +12,7 @@ import numpy as np
 from lpn.core.errors import DataError, InputError
 from lpn.core.progress import Progress
 from lpn.flights import Flight
-from lpn.locate.audit import audit_tags
+from lpn.locate.audit import audit_tags, corrected_tags
 from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import IndexedWindows
 from lpn.locate.located import LocatedFlight, LocatedFrame
@@ -147,7 +147,21 @@ def registered(
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
     if any(answer.accepted and answer.radius is not None for answer in answers):
         notes.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself.")
-    return replace(located, frames=frames, audit=audit, notes=[*located.notes, *notes, *_turn_notes(frames)])
+    moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
+    if options.tags == "corrected":
+        notes.append(
+            "Tags were left as they are, because the registration finds no constant lag of them."
+            if moved is None
+            else f"Errors are against the tags without their lag of {audit.lag:.1f} s (--tags corrected)."
+        )
+    found = replace(
+        located,
+        frames=frames,
+        audit=audit,
+        notes=[*located.notes, *notes, *_turn_notes(frames)],
+        tags_without_lag=moved,
+    )
+    return found.without_lag() if options.tags == "corrected" else found
 
 
 def default_map_error(basemap: Map) -> float:

@@ -21,7 +21,7 @@ from lpn.core.files import cache_folder
 from lpn.core.progress import Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
-from lpn.locate.camera_place import camera_place
+from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
@@ -35,6 +35,7 @@ from lpn.locate.registration import (
     register,
 )
 from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
+from lpn.locate.tilts import tilt_error
 from lpn.maps import Map
 from lpn.models.base import Model
 
@@ -72,13 +73,14 @@ def register_frames(
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
-    searched = replace(options, top=TOP, map_error=None)
+    searched = replace(options, top=TOP, map_error=None, tags="told")
     side = None if retrieval is None else float(np.median(retrieval.sizes))
     key = [FORMAT, basemap.digest(), names, asdict(searched), model and model.fingerprint, side]
     records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
     widths: list[float] = []
     ratios: list[float] = []
     trail = _digest(key)
+    answers: list[StageRecord] = []
     for i, located in enumerate(frames):
         # An answer depends on the frames before it, whose widths it takes over.
         trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), _candidates(located, options)])
@@ -86,6 +88,7 @@ def register_frames(
         if answer is None:
             answer = register_frame(basemap, features, located, options, widths, ratios, retrieval)
             records.append(trail, answer)
+        answers.append(answer)
         located.stages["registration"] = _with_map_error(answer, options.map_error or 0.0)
         if answer.accepted and answer.width is not None:
             widths.append(answer.width)
@@ -93,7 +96,44 @@ def register_frames(
                 ratios.append(answer.width / expected)
         if on_progress is not None:
             on_progress("registration", i + 1, len(frames))
-    return refuse_jumps(frames, options.map_error or 0.0)
+    notes = refuse_jumps(frames, options.map_error or 0.0)
+    return notes + correct_radii(frames, answers, options.map_error or 0.0)
+
+
+def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], map_error: float) -> list[str]:
+    """Give the radii of accepted cameras the error of the tilts that the flight itself shows; return sentences about it.
+
+    Args:
+        answers: of the registration of each frame, before the map's error was added.
+    """
+    notes = []
+    for told in sorted({told_tilt_error(located.frame) for located in frames}):
+        of_cameras = [
+            (located, answer, located.frame.time, height_of_width(located.frame, answer.width))
+            for located, answer in zip(frames, answers, strict=True)
+            if located.stages["registration"].accepted
+            and answer.camera
+            and answer.radius is not None
+            and answer.width is not None
+            and located.frame.time is not None
+            and told_tilt_error(located.frame) == told
+        ]
+        of_cameras.sort(key=lambda one: one[2])
+        times, heights = (np.array([one[k] for one in of_cameras], np.float64) for k in (2, 3))
+        places = np.array([(answer.x, answer.y) for _, answer, *_ in of_cameras], np.float64).reshape(-1, 2)
+        radii = np.array([answer.radius for _, answer, *_ in of_cameras], np.float64)
+        spreads = np.sqrt(np.maximum(radii**2 - (heights * math.tan(math.radians(told))) ** 2, 0))
+        degrees = tilt_error(times, places, spreads, heights, told)
+        if degrees >= told:
+            continue
+        for (located, answer, *_), spread, height in zip(of_cameras, spreads, heights, strict=True):
+            radius = math.hypot(spread, height * math.tan(math.radians(degrees)))
+            located.stages["registration"] = _with_map_error(msgspec.structs.replace(answer, radius=radius), map_error)
+        notes.append(
+            f"Neighbouring places of the camera scatter as an error of {degrees:.1f} degrees in the tilts would have it, so "
+            f"radii count with that, in place of {told:g} degrees."
+        )
+    return notes
 
 
 def _with_map_error(answer: StageRecord, map_error: float) -> StageRecord:

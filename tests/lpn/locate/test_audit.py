@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import InputError
-from lpn.locate.audit import audit_tags, track_velocities
+from lpn.locate.audit import audit_tags, corrected_tags, track_velocities
 
 
 def _flown(times: np.ndarray) -> np.ndarray:
@@ -63,3 +63,21 @@ def test_missing_positions_and_times_are_left_out() -> None:
     assert audit_tags(times, np.full_like(positions, np.nan), positions).sentence.startswith("No frame has both")
     with pytest.raises(InputError, match="expected"):
         audit_tags(times, positions[:4], positions)
+
+
+def test_tags_without_their_lag_are_where_they_were_taken() -> None:
+    times = np.arange(0, 120, 3.0)
+    tags = _flown(times - 2.0)
+    moved = corrected_tags(times, tags, 2.0)
+    assert np.isnan(moved[-1]).all()
+    assert (
+        np.linalg.norm(moved - _flown(times), axis=1)[:-1].max()
+        < 2.5
+        < np.linalg.norm(tags - _flown(times), axis=1).max()
+    )
+    times[20:] += 100
+    moved = corrected_tags(times, tags, 2.0)
+    assert np.flatnonzero(np.isnan(moved).any(axis=1)).tolist() == [19, 39]
+    found = audit_tags(np.arange(0, 120, 3.0), tags, _flown(np.arange(0, 120, 3.0)))
+    assert found.has_lag
+    assert not audit_tags(times[:5], tags[:5], tags[:5]).has_lag

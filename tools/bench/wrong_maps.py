@@ -1,0 +1,185 @@
+"""Flights over maps of other places, where nothing may be accepted: `python -m tools.bench.wrong_maps FOLDER [NAME ...]`.
+
+FOLDER holds real flights as for `tools.bench.flights`; the rendered flight in `assets` is added. Each flight is located over
+the maps of the other flights, and over the mirror image of its own map, which has the right land and no right place.
+`--side` cuts the maps to so many metres, `--every 3` takes every third photo, `--own` adds the flight's own map, and `--changed`
+adds it at 1 and 2 m a pixel and with its channels swapped, so that vegetation is red as in near infrared. Descriptors and
+registrations are kept in the user's cache, so a run that was killed goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+import lpn
+from lpn.core.arrays import BoolArray, UInt8Array
+from lpn.core.errors import LPNError
+from lpn.core.files import write_atomic
+from lpn.flights import Flight, open_flight
+from lpn.locate.options import LocateOptions
+from lpn.locate.pipeline import locate
+from lpn.maps import Map, Window, open_map
+from lpn.models.base import Model
+
+RENDERED = "rendered"
+_ASSETS = Path(__file__).parents[2] / "assets" / "demo-flight"
+# Metres per pixel below which a map is read no finer.
+_FINEST = 0.1
+
+
+@dataclass(frozen=True)
+class Row:
+    """Answers for one flight over one map: photos, accepted ones by stage, and accepted ones beyond 50 m of the tag.
+
+    Over the map of another place all accepted answers are false, and `beyond` counts them all.
+    """
+
+    flight: str
+    map: str
+    photos: int
+    accepted: dict[str, int]
+    beyond: dict[str, int]
+
+
+def open_pair(name: str, folder: Path) -> tuple[Flight, Map]:
+    """Open a flight and its own map."""
+    if name == RENDERED:
+        return open_flight(_ASSETS / "flight-in-autumn"), open_map(_ASSETS / "map-in-spring")
+    maps = (folder / name / "map.tif", folder / name / "map.jpg")
+    return open_flight(folder / name / "photos"), open_map(next(file for file in maps if file.is_file()))
+
+
+def cut(basemap: Map, side: float, pixel: float = 0.0) -> tuple[UInt8Array, BoolArray, float]:
+    """Return the middle of a map with its pixels with data, and its metres per pixel.
+
+    Args:
+        side: largest side in metres.
+        pixel: metres per pixel; by default the map's own, and at least 0.1.
+    """
+    west, south, east, north = basemap.bounds
+    metres = pixel or max(basemap.resolution, _FINEST)
+    pixels = int(min(side, max(east - west, north - south)) / metres)
+    window = Window((west + east) / 2, (south + north) / 2, pixels * metres)
+    picture, valid = basemap.read(window, pixels)
+    return picture, valid, metres
+
+
+def write_map(file: Path, picture: UInt8Array, valid: BoolArray, metres: float, middle: tuple[float, float]) -> Map:
+    """Write a north-up picture about a place (latitude, longitude) as a GeoTIFF, and open it."""
+    import rasterio
+
+    height, width = picture.shape[:2]
+    crs = f"+proj=aeqd +lat_0={middle[0]} +lon_0={middle[1]} +datum=WGS84 +units=m"
+    place = rasterio.Affine(metres, 0, -width * metres / 2, 0, -metres, height * metres / 2)
+    bands = np.dstack([picture, np.where(valid, 255, 0).astype(np.uint8)]).transpose(2, 0, 1)
+    with rasterio.open(
+        file, "w", driver="GTiff", width=width, height=height, count=4, dtype="uint8", crs=crs, transform=place,
+        compress="deflate", photometric="RGB", alpha="YES",
+    ) as out:  # fmt: skip
+        out.write(bands)
+    return open_map(file)
+
+
+def foreign_maps(own: str, maps: dict[str, Map], side: float, folder: Path) -> Iterator[tuple[str, Map]]:
+    """Yield the maps of other places, and the mirror image of a flight's own one, with their names."""
+    for i, (name, basemap) in enumerate(maps.items()):
+        picture, valid, metres = cut(basemap, side)
+        mirrored = name == own
+        if mirrored:
+            picture, valid = (np.ascontiguousarray(values[:, ::-1]) for values in (picture, valid))
+        label = f"{name}, mirrored" if mirrored else name
+        # All lie elsewhere than the flights, whose positions are left out then.
+        yield label, write_map(folder / f"{own}-over-{name}.tif", picture, valid, metres, (5.0 + i, 20.0))
+
+
+def changed_maps(own: Map, side: float, folder: Path) -> Iterator[tuple[str, Map]]:
+    """Yield a flight's own map at coarser resolutions, and with red, green, and blue as green, red, and blue."""
+    west, south, east, north = own.bounds
+    latitude, longitude = (float(value) for value in own.frame.degrees([((west + east) / 2, (south + north) / 2)])[0])
+    for pixel in (1.0, 2.0):
+        picture, valid, metres = cut(own, side, pixel)
+        yield (
+            f"own, {pixel:g} m a pixel",
+            write_map(folder / f"coarse-{pixel:g}.tif", picture, valid, metres, (latitude, longitude)),
+        )
+    picture, valid, metres = cut(own, side)
+    swapped = np.ascontiguousarray(picture[..., [1, 0, 2]])
+    yield "own, channels swapped", write_map(folder / "swapped.tif", swapped, valid, metres, (latitude, longitude))
+
+
+def measured(
+    flight: Flight, name: str, map_name: str, basemap: Map, model: Model | None, options: LocateOptions
+) -> Row:
+    """Locate a flight over a map, and count the accepted answers."""
+    located = locate(basemap, flight, model, options)
+    stages = [stage for stage in located.stages if stage != "retrieval"]
+    answers = {stage: [one for one in located.frames if one.stages[stage].accepted] for stage in stages}
+    beyond = {
+        stage: sum(one.tag is None or (one.error(stage) or 0.0) > 50 for one in accepted)
+        for stage, accepted in answers.items()
+    }
+    return Row(
+        name, map_name, len(flight.frames), {stage: len(accepted) for stage, accepted in answers.items()}, beyond
+    )
+
+
+def sentence(row: Row) -> str:
+    """Return one line of the table."""
+    cells = (f"{stage} {count} ({row.beyond[stage]} beyond 50 m)" for stage, count in row.accepted.items())
+    return f"{row.flight:10s} over {row.map:24s} {row.photos:3d} photos, accepted: {', '.join(cells)}"
+
+
+def main() -> None:
+    """Measure the flights that the command line names."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("LPN_FLIGHTS"))
+    parser.add_argument("names", nargs="*", default=["brighton", "caliterra", "seneca", RENDERED])
+    parser.add_argument("--over", nargs="*", help="maps to lay below, by their flights; all by default")
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--side", type=float, default=360.0)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--own", action="store_true")
+    parser.add_argument("--changed", action="store_true")
+    parser.add_argument("--no-register", action="store_true")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    if given.folder is None:
+        raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
+    options = LocateOptions(register=not given.no_register)
+    model = None if given.model is None else lpn.load(given.model)
+    names = dict.fromkeys([*given.names, *(given.over or ["brighton", "caliterra", "seneca", RENDERED])])
+    pairs = {name: open_pair(name, Path(given.folder)) for name in names}
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as temporary:
+        for name in given.names:
+            flight, own = pairs[name]
+            flight = replace(flight, name=name, frames=flight.frames[:: given.every])
+            folder = Path(temporary) / name
+            folder.mkdir()
+            below = {other: pairs[other][1] for other in given.over or pairs}
+            tried = [*foreign_maps(name, below, given.side, folder)]
+            if given.own:
+                tried.append(("its own", own))
+            if given.changed:
+                tried += changed_maps(own, given.side, folder)
+            for map_name, basemap in tried:
+                try:
+                    rows.append(measured(flight, name, map_name, basemap, model, options))
+                except LPNError as error:  # a map smaller than a window
+                    print(f"{name:10s} over {map_name:24s} {error}", flush=True)
+                    continue
+                print(sentence(rows[-1]), flush=True)
+                if given.json is not None:
+                    write_atomic(given.json, (json.dumps([asdict(row) for row in rows], indent=1) + "\n").encode())
+
+
+if __name__ == "__main__":
+    main()
