@@ -29,7 +29,7 @@ from lpn.locate.tracks import State
 _OVERLAP = 0.75
 _CONFIDENCE = 0.98
 # Log odds of steps along the headings from which the scores show that the map is of the flight's place.
-_EVIDENCE = 8.0
+_EVIDENCE = 4.0
 # Registrations near the sequence's answers that show it, too; they are at least half of the accepted ones.
 _AGREEING = 3
 _UNVERIFIED = (
