@@ -94,7 +94,7 @@ def foreign_maps(own: str, maps: dict[str, Map], side: float, folder: Path) -> I
         picture, valid, metres = cut(basemap, side)
         mirrored = name == own
         if mirrored:
-            picture, valid = (np.ascontiguousarray(values[:, ::-1]) for values in (picture, valid))
+            picture, valid = np.ascontiguousarray(picture[:, ::-1]), np.ascontiguousarray(valid[:, ::-1])
         label = f"{name}, mirrored" if mirrored else name
         # All lie elsewhere than the flights, whose positions are left out then.
         yield label, write_map(folder / f"{own}-over-{name}.tif", picture, valid, metres, (5.0 + i, 20.0))

@@ -32,14 +32,15 @@ def _flown(count: int, degrees: float, rng: np.random.Generator) -> tuple[np.nda
 @pytest.mark.parametrize("degrees", [0.3, 0.8])
 def test_the_scatter_tells_the_tilts_error_and_radii_cover_as_they_should(degrees: float) -> None:
     rng = np.random.default_rng(1)
-    within, tilts = {k: [] for k in RIGHT_CALIBRATION}, []
+    within: dict[int, list[float]] = {k: [] for k in RIGHT_CALIBRATION}
+    tilts = []
     for _ in range(12):
         times, places, errors = _flown(60, degrees, rng)
         places[17] += 40.0  # one false place
         tilts.append(tilt_error(times, places, np.full(60, SPREAD), np.full(60, HEIGHT), 1.5))
         radius = math.hypot(SPREAD, HEIGHT * math.tan(math.radians(tilts[-1])))
         for k, shares in within.items():
-            shares.append(100 * np.mean(errors <= k * radius))
+            shares.append(100 * float(np.mean(errors <= k * radius)))
     assert np.mean(tilts) == pytest.approx(degrees, rel=0.15)
     for k, right in RIGHT_CALIBRATION.items():
         assert np.mean(within[k]) == pytest.approx(right, abs=7)
@@ -50,7 +51,7 @@ def test_what_the_flight_cannot_tell_keeps_the_prior() -> None:
     times, places, _ = _flown(60, 0.3, rng)
     values = np.full(60, SPREAD), np.full(60, HEIGHT)
     assert tilt_error(times * 20, places, *values, 1.5) == 1.5  # a minute apart
-    assert tilt_error(times[:14], places[:14], *(one[:14] for one in values), 1.5) == 1.5
+    assert tilt_error(times[:14], places[:14], values[0][:14], values[1][:14], 1.5) == 1.5
     assert tilt_error(times, rng.permutation(places), *values, 1.5) == 1.5
 
 
