@@ -10,6 +10,8 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 
+# A position that is not known.
+UNKNOWN = (float("nan"), float("nan"))
 # Frames that a lag is estimated from, at least.
 MIN_FRAMES = 8
 # A gap of more seconds between neighbours gives no velocity.

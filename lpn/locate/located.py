@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -13,7 +14,7 @@ from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, middle_pixel
 from lpn.flights import Flight, Frame
 from lpn.locate import measures
-from lpn.locate.audit import TagAudit
+from lpn.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
 from lpn.locate.options import TOP
 from lpn.locate.retrieval import MapRetrieval
 from lpn.locate.tracks import State, TrackPoint
@@ -105,7 +106,11 @@ class LocatedFrame:
             return self.tag
         if camera:
             return np.array([self.by_hand.x, self.by_hand.y])
-        matrix = np.array(self.by_hand.homography).reshape(3, 3)
+        return self.middle(self.by_hand)
+
+    def middle(self, answer: StageRecord) -> Float64Array:
+        """Return the ground at the picture's middle, (2,), by an answer that lays the picture over the map."""
+        matrix = np.array(answer.homography).reshape(3, 3)
         return apply_homography(matrix, middle_pixel(self.frame.width, self.frame.height))
 
     def error(self, stage: str) -> float | None:
@@ -164,6 +169,34 @@ class LocatedFlight:
     def stages(self) -> list[str]:
         """The stages that ran."""
         return [stage for stage in STAGES if any(stage in located.stages for located in self.frames)]
+
+    @cached_property
+    def late_tags(self) -> TagAudit | None:
+        """The audit of the tags against the registrations that ship with the flight; None unless these show a constant lag."""
+        answers = [self.shipped.get(located.frame.name) for located in self.frames]
+        places = np.array([UNKNOWN if a is None or not a.accepted or a.x is None else (a.x, a.y) for a in answers])
+        tags = np.array([UNKNOWN if located.tag is None else located.tag for located in self.frames])
+        audit = audit_tags(self.flight.times, tags.astype(np.float64), places.astype(np.float64), middles=True)
+        return audit if audit.has_lag else None
+
+    @cached_property
+    def photographed(self) -> list[Float64Array | None]:
+        """The place of each photo's middle, (2,), that its ranking is graded by; None where that is not known.
+
+        It is the tag, unless the tags are late (`late_tags`): then it is the registration that ships with the flight, and for a
+        frame without one the tag without the lag.
+        """
+        if (audit := self.late_tags) is None or audit.lag is None:
+            return [located.tag for located in self.frames]
+        tags = np.array([UNKNOWN if located.tag is None else located.tag for located in self.frames], np.float64)
+        moved = corrected_tags(self.flight.times, tags, audit.lag)
+        places: list[Float64Array | None] = []
+        for located, tag in zip(self.frames, moved, strict=True):
+            answer = self.shipped.get(located.frame.name)
+            registered = answer is not None and answer.accepted and answer.homography is not None
+            known = None if np.isnan(tag).any() else tag
+            places.append(located.middle(answer) if registered and answer is not None else known)
+        return places
 
     def track(self) -> list[TrackPoint]:
         """Return the track's points, stage by stage; a correction takes the place of its frame's registration."""

@@ -12,13 +12,13 @@ import numpy as np
 from lpn.core.errors import DataError, InputError
 from lpn.core.progress import Progress
 from lpn.flights import Flight
-from lpn.locate.audit import audit_tags, corrected_tags
+from lpn.locate.audit import UNKNOWN, audit_tags, corrected_tags
 from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import IndexedWindows
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
-from lpn.locate.registered_stage import FORMAT, UNKNOWN, refuse_jumps, register_frames
+from lpn.locate.registered_stage import FORMAT, refuse_jumps, register_frames
 from lpn.locate.retrieval import retrieve
 from lpn.locate.shipped import ShippedAnswers
 from lpn.locate.tags import enter_corrections, tags_on_map

@@ -21,6 +21,7 @@ from lpn.core.files import cache_folder
 from lpn.core.progress import Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
+from lpn.locate.audit import UNKNOWN
 from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.located import LocatedFrame, StageRecord
@@ -51,7 +52,6 @@ _AROUND = 0.75
 _BEYOND = 0.05
 # How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
 _SWAY = 0.1
-UNKNOWN = (math.nan, math.nan)
 # Each model of a registration in words: the matches agree on it.
 _AGREED = {"similarity": "one place, turn, and scale", "homography": "one place, turn, scale, and tilt"}
 

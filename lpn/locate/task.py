@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lpn.core.arrays import Float32Array, Int64Array
+from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.tables import Column, number_column, text_column
@@ -22,7 +22,7 @@ from lpn.datasets.geo import Position
 from lpn.flights import Frame
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.belief import beliefs, disagreements
-from lpn.locate.located import STAGES, LocatedFlight, LocatedFrame
+from lpn.locate.located import STAGES, LocatedFlight
 from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import WindowCut, describe_place
@@ -49,9 +49,10 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     (`Model.centred`). Where a frame was described at several headings, the query is the frame at the heading of its best
     window; its ranking below that window is the one at this heading.
 
-    The true tiles of a frame are the windows that hold its tag, among those of its own size where its width on the ground is
-    known; windows of other sizes are junk then, as the retrieval does not rank them either. The truth of a frame without a
-    tag, or that cannot be read, is not known.
+    The true tiles of a frame are the windows that hold the place that it is graded by (`LocatedFlight.photographed`: its tag, or
+    its registration where the tags are late), among those of its own size where its width on the ground is known; windows of
+    other sizes are junk then, as the retrieval does not rank them either. The truth of a frame without such a place, or that
+    cannot be read, is not known.
 
     Args:
         model_name: the model's name to display.
@@ -130,17 +131,17 @@ def _truth(located: LocatedFlight, retrieval: MapRetrieval) -> list[Truth]:
     none = np.zeros(0, np.int64)
     others: dict[float, Int64Array] = {}
     truth = []
-    for i, frame in enumerate(located.frames):
+    for i, place in enumerate(located.photographed):
         level = float(retrieval.levels[i])
         if math.isnan(level):
             eligible, junk = np.ones(len(retrieval.windows), bool), none
         else:
             eligible = retrieval.sizes == level
             junk = others.setdefault(level, np.flatnonzero(~eligible))
-        if frame.tag is None or i in retrieval.broken:
+        if place is None or i in retrieval.broken:
             truth.append(Truth(none, junk, known=False))
             continue
-        holds = np.all(np.abs(retrieval.places - frame.tag) <= retrieval.sizes[:, None] / 2, axis=1)
+        holds = np.all(np.abs(retrieval.places - place) <= retrieval.sizes[:, None] / 2, axis=1)
         truth.append(Truth(np.flatnonzero(eligible & holds), junk))
     return truth
 
@@ -154,18 +155,20 @@ def _geometry(located: LocatedFlight, retrieval: MapRetrieval) -> GalleryGeometr
     middle = (retrieval.places.min(axis=0) + retrieval.places.max(axis=0)) / 2
     latitude, longitude = (float(value) for value in degrees([middle])[0])
     positions = [
-        _position(located, frame, float(level)) for frame, level in zip(located.frames, retrieval.levels, strict=True)
+        _position(located, frame.frame, place, float(level))
+        for frame, place, level in zip(located.frames, located.photographed, retrieval.levels, strict=True)
     ]
     width = float(np.median(retrieval.sizes))
     return GalleryGeometry(positions, tiles, Position(latitude, longitude), retrieval.places - middle, width)
 
 
-def _position(located: LocatedFlight, frame: LocatedFrame, level: float) -> Position | None:
-    """Return the camera's position; its picture is north-up, and as wide as the windows that it is compared with."""
-    if frame.tag is None:
+def _position(located: LocatedFlight, frame: Frame, place: Float64Array | None, level: float) -> Position | None:
+    """Return a position above the place photographed; its picture is north-up, and as wide as the windows that it is compared
+    with."""
+    if place is None:
         return None
-    latitude, longitude = (float(value) for value in located.basemap.frame.degrees([frame.tag])[0])
-    height = frame.frame.flying_height
+    latitude, longitude = (float(value) for value in located.basemap.frame.degrees([place])[0])
+    height = frame.flying_height
     if height is None or height <= 0 or math.isnan(level):
         return Position(latitude, longitude)
     fov = 2 * math.degrees(math.atan(level / 2 / height))
