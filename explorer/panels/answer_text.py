@@ -21,6 +21,7 @@ _ELSEWHERE_M = 10_000.0
 _PRESSED = 1.05
 OWN_KEPT = "Your picture stays in this server's memory until you close this page, and goes nowhere else."
 _ANSWER = "this answer"
+_ANY = "Every picture gets an answer, and nothing measured here tells if yours shows one of these places."
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 
 
@@ -92,7 +93,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         place = _elsewhere(analysis) or "The true place is not known here, so it is not graded"
         text = f"This is the most similar of {pictures}. {place}."
         if far is None:
-            unknown = " How far right answers are is not measured here." if analysis.state.upload else ""
+            unknown = f" {_ANY}" if analysis.state.upload else ""
             return None, "Best match", f"{text}{unknown}"
         return None, "Probably none of these" if far[0] else "Best match", f"{text} {far[1]}"
     if positive is None and analysis.ranking.depth is None:

@@ -29,7 +29,7 @@ from lpn.core.errors import PictureError
 from lpn.core.numbers import distance
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
-from lpn.drawing import overlays, theme, verdicts
+from lpn.drawing import overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
@@ -42,9 +42,11 @@ from lpn.retrieval import DescribedPicture
 _ANSWER = "this answer"
 # The figure of a flight is that of retrieval alone.
 _ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
-_DISPUTED = (
-    "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece: the tag is off."
-)
+# What the tag of a flight's photo and its registration say of the answer where they contradict each other.
+_DISPUTED = {
+    False: "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece.",
+    True: "By its GPS tag the photo lies on this piece. Laid over the map by its details, it lies elsewhere.",
+}
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.
@@ -132,8 +134,9 @@ def page(
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
     right, headline, sentence = answer_text.plain_verdict(analysis, workspace)
-    if right is False and _lies_on_answer(analysis, workspace):
-        right, headline, sentence = None, "Its GPS tag and the map disagree", _DISPUTED
+    disputed = right is not None and _lies_on_answer(analysis, workspace) is (not right)
+    if disputed:
+        headline, sentence, right = "Its GPS tag and the map disagree", _DISPUTED[bool(right)], None
     lead = answer_text.lead(analysis) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
@@ -156,7 +159,9 @@ def page(
         laid=laid,
         turn=_turn(analysis, workspace),
         turned_by=_TURNED_BY,
-        third=_third_tile(analysis, workspace, third) if third is not None and analysis.chosen.rank == 1 else None,
+        third=_third_tile(analysis, workspace, third, disputed)
+        if third is not None and analysis.chosen.rank == 1
+        else None,
         right=right,
         headline=headline,
         sentence=sentence,
@@ -192,12 +197,15 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, alte
     """Say how often the model is right, and if it is calibrated; of the user's own picture, what becomes of it."""
     if not analysis.state.upload:
         text = answer_text.overall(workspace.rankings[analysis.task.key].result, altered)
-        if text and workspace.has_flight:
-            text = f"{text[:-1]}, {_ALONE}."
+        if text and workspace.flight is not None:
+            late = " Its GPS tags are late, so each photo counts where its details fit the map."
+            text = f"{text[:-1]}, {_ALONE}.{late if workspace.flight.late_tags else ''}"
+        if not text or not analysis.task.calibration:
+            return text
+        if words.plain():
+            return f"{text} The model is adjusted to these pictures."
         csls = ", and its answers are re-ranked by CSLS" if analysis.task.neighbours else ""
-        return (
-            f"{text} The model is calibrated on these pictures{csls}." if text and analysis.task.calibration else text
-        )
+        return f"{text} The model is calibrated on these pictures{csls}."
     city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
     return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace), answer_text.OWN_KEPT)))
 
@@ -278,15 +286,19 @@ def _picture(
     return overlays.data_uri(picture, 85)
 
 
-def _third_tile(analysis: StateAnalysis, workspace: Workspace, index: int) -> tuple[str, str, bool | None]:
+def _third_tile(
+    analysis: StateAnalysis, workspace: Workspace, index: int, disputed: bool
+) -> tuple[str, str, bool | None]:
     """Return the tile beside the answer: its picture as a data URI, its caption, and whether it is true.
 
-    Parts that differ from picture to picture are not drawn, as they would take a forward pass.
+    Where the tag is disputed, that is not known. Parts that differ from picture to picture are not drawn, as they would take a forward pass.
     """
     task, lead = analysis.task, answer_text.lead(analysis)
-    known = analysis.ranking.relevant is not None
-    right = analysis.positive is not None and analysis.positive.index == index
+    known = analysis.ranking.relevant is not None and not disputed
+    right = not disputed and analysis.positive is not None and analysis.positive.index == index
     caption = "The right one" if right or lead is None else lead.other.capitalize()
+    if disputed and analysis.positive is not None and analysis.positive.index == index:
+        caption = "The one of its GPS tag"
     if not analysis.state.why:
         return overlays.data_uri(workspace.card(task, index), 85), caption, right
     try:
@@ -334,18 +346,22 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
     return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
 
 
-def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool:
-    """Return True if the details of a flight's photo place its middle on the answer, whatever its GPS tag says."""
+def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool | None:
+    """Return whether the details of a flight's photo place its middle on the answer, whatever its GPS tag says.
+
+    None without an accepted registration, and where its 1-sigma radius leaves it open.
+    """
     flight, state = workspace.flight, analysis.state
     if flight is None or state.upload:
-        return False
+        return None
     answer, cut = (
         flight.frames[state.query].stages.get("registration"),
         analysis.task.gallery[analysis.chosen.index].cut,
     )
     if answer is None or not answer.accepted or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
-        return False
-    return max(abs(answer.x - cut.window.x), abs(answer.y - cut.window.y)) <= cut.window.size / 2
+        return None
+    off = max(abs(answer.x - cut.window.x), abs(answer.y - cut.window.y)) - cut.window.size / 2
+    return None if abs(off) < (answer.radius or 0.0) else off <= 0
 
 
 def _turn(analysis: StateAnalysis, workspace: Workspace, least: float = _LEVEL) -> MatchingTurn | None:

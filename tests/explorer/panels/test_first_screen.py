@@ -8,6 +8,7 @@ from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -28,6 +29,7 @@ from lpn.datasets import rendered
 from lpn.datasets.geo import Position
 from lpn.drawing import theme, verdicts
 from lpn.drawing.words import speaking
+from lpn.maps.named_window import WindowCut
 from lpn.sources import Published
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from tools.fixtures import small_worlds
@@ -175,9 +177,9 @@ def test_a_picture_that_is_farther_than_right_answers_is_said_to_be_none_of_thes
 ) -> None:
     picture = OwnPicture("mine.png", np.random.default_rng(5).integers(0, 255, (64, 64, 3)).astype(np.uint8))
     own = analyse(workspace, SessionState(TASK, 4, upload=picture, first_screen=True))
-    assert "How far right answers are is not measured here." in text(first_screen.page(own, workspace)), (
-        "14 are too few"
-    )
+    assert "nothing measured here tells if yours shows one of these places." in text(
+        first_screen.page(own, workspace)
+    ), "14 are too few"
     monkeypatch.setattr("lpn.analysis.answer_context._FEWEST", 2)
     measured = workspace.answer_distances(own.task)
     assert measured is not None
@@ -195,7 +197,7 @@ def test_a_picture_that_is_farther_than_right_answers_is_said_to_be_none_of_thes
         far = "0 %" if shift > 0 else "100 %"
         assert f"The answer is farther from your picture than {far} of the {len(hits)} right answers are" in shown
     weighted = analyse(workspace, replace(own.state, weights=(2.0, 1.0, 1.0, 1.0)))
-    assert "is not measured here" in text(first_screen.page(weighted, workspace))
+    assert "nothing measured here" in text(first_screen.page(weighted, workspace))
 
 
 def test_a_lead_is_set_beside_those_of_all_answers(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -521,8 +523,25 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert page.count("data:image/jpeg") == 3
     assert "On the map laid" not in text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
     assert "compared 224 pieces of the map" in said
-    disputed = next(i for i, query in enumerate(workspace.tasks[TASK].queries) if "IMG_9393" in query.name)
-    assert "Its GPS tag and the map disagree" in text(
-        first_screen.page(analyse(workspace, replace(state, query=disputed)), workspace)
-    )
+    # Its tags are late, so the registrations that ship with it say what is right.
+    flight = workspace.flight
+    assert flight is not None
+    assert flight.late_tags is not None
+    assert flight.late_tags.lag == pytest.approx(2.67, abs=0.01)
+    assert "right 25 times (83.3 %)" in said
+    assert "Its GPS tags are late, so each photo counts where its details fit the map." in said
+    ranking = workspace.rankings[TASK].result
+    assert ranking is not None
+    right = [bool(first == 0) for first in ranking.ranking.first]
+    for query, sentence in ((right.index(True), "it lies elsewhere"), (right.index(False), "it lies on this piece")):
+        shown = analyse(workspace, replace(state, query=query))
+        assert "disagree" not in text(first_screen.page(shown, workspace))
+        cut = shown.task.gallery[shown.matches[0].index].cut
+        assert isinstance(cut, WindowCut)
+        record = flight.frames[query].stages["registration"]
+        x = cut.window.x + (2 * cut.window.size if right[query] else 0)
+        flight.frames[query].stages["registration"] = msgspec.structs.replace(record, x=x, y=cut.window.y)
+        said = text(first_screen.page(shown, workspace))
+        assert "Its GPS tag and the map disagree" in said
+        assert sentence in said
     assert list(tmp_path.rglob("*.npy")) == []
