@@ -197,9 +197,10 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, alte
     """Say how often the model is right, and if it is calibrated; of the user's own picture, what becomes of it."""
     if not analysis.state.upload:
         text = answer_text.overall(workspace.rankings[analysis.task.key].result, altered)
-        if text and workspace.flight is not None:
-            late = " Its GPS tags are late, so each photo counts where its details fit the map."
-            text = f"{text[:-1]}, {_ALONE}.{late if workspace.flight.late_tags else ''}"
+        if text and workspace.has_flight:
+            text = f"{text[:-1]}, {_ALONE}."
+            if workspace.flight is not None and workspace.flight.late_tags:
+                text += " Its GPS tags are late, so each photo counts where its details fit the map."
         if not text or not analysis.task.calibration:
             return text
         if words.plain():
@@ -291,7 +292,8 @@ def _third_tile(
 ) -> tuple[str, str, bool | None]:
     """Return the tile beside the answer: its picture as a data URI, its caption, and whether it is true.
 
-    Where the tag is disputed, that is not known. Parts that differ from picture to picture are not drawn, as they would take a forward pass.
+    Where the tag is disputed, that is not known. Parts that differ from picture to picture are not drawn, as they would take a
+    forward pass.
     """
     task, lead = analysis.task, answer_text.lead(analysis)
     known = analysis.ranking.relevant is not None and not disputed
