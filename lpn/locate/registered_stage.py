@@ -36,7 +36,7 @@ from lpn.locate.registration import (
     register,
 )
 from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
-from lpn.locate.tilts import tilt_error
+from lpn.locate.tilts import COMMON, tilt_error
 from lpn.maps import Map
 from lpn.models.base import Model
 
@@ -103,6 +103,9 @@ def register_frames(
 def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], map_error: float) -> list[str]:
     """Give the radii of accepted cameras the error of the tilts that the flight itself shows; return sentences about it.
 
+    An error that frames have in common, such as a camera mounted askew, moves them alike along a leg and does not scatter. So
+    the squares of the scatter and of a share `COMMON` of the told error add up, and radii never grow.
+
     Args:
         answers: of the registration of each frame, before the map's error was added.
     """
@@ -123,15 +126,17 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
         places = np.array([(answer.x, answer.y) for _, answer, *_ in of_cameras], np.float64).reshape(-1, 2)
         radii = np.array([answer.radius for _, answer, *_ in of_cameras], np.float64)
         spreads = np.sqrt(np.maximum(radii**2 - (heights * math.tan(math.radians(told))) ** 2, 0))
-        degrees = tilt_error(times, places, spreads, heights, told)
+        scatter = tilt_error(times, places, spreads, heights, told)
+        degrees = math.hypot(scatter, COMMON * told)
         if degrees >= told:
             continue
         for (located, answer, *_), spread, height in zip(of_cameras, spreads, heights, strict=True):
             radius = math.hypot(spread, height * math.tan(math.radians(degrees)))
             located.stages["registration"] = _with_map_error(msgspec.structs.replace(answer, radius=radius), map_error)
         notes.append(
-            f"Neighbouring places of the camera scatter as an error of {degrees:.1f} degrees in the tilts would have it, so "
-            f"radii count with that, in place of {told:g} degrees."
+            f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "
+            f"{COMMON * told:.2g} degrees for an error that frames have in common, which scatter does not show, radii count with "
+            f"{degrees:.1f} in place of {told:g} degrees."
         )
     return notes
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 
+# Share of the error told of a tilt that radii keep for what frames have in common.
+COMMON = 0.5
 # Neighbours whose places are compared with a parabola in time, groups of them at least, and seconds between two at most.
 _NEIGHBOURS = 4
 _LEAST_GROUPS = 12
@@ -27,7 +29,7 @@ def tilt_error(
     A drone flies smoothly, so its place is nearly a parabola in time over four neighbouring frames. Their third divided
     difference is then error alone. Its variance is that of the places, spread^2 + (height tan(tilt))^2, times the squared
     coefficients. The tilt is Huber's second proposal: the squares over their variances, cut at 4, have the mean of normal
-    errors. An error that all frames have in common is not seen.
+    errors. An error that the frames of a leg have in common, such as that of a camera mounted askew, is not seen.
 
     Args:
         times: seconds, ascending, (N,).
