@@ -29,7 +29,9 @@ class TagAudit:
         median, largest: metres between tag and registered position.
         lag: seconds by which tags are late; None if it cannot be estimated.
         lag_error: its standard error in seconds.
-        without_lag: median of the metres that remain without the lag and a constant offset.
+        without_lag: median of the metres that remain without the lag and the constant offset beside it.
+        offset: metres of that offset, which may be the map's.
+        without_offset: median of the metres that remain without the constant offset that explains most if there is no lag.
         ahead: metres flown in the lag at the median speed, which a tilted camera may look ahead instead (behind, if negative);
             None if the positions are the camera's.
     """
@@ -40,15 +42,17 @@ class TagAudit:
     lag: float | None = None
     lag_error: float | None = None
     without_lag: float | None = None
+    offset: float | None = None
+    without_offset: float | None = None
     ahead: float | None = None
 
     @property
     def has_lag(self) -> bool:
         """True if the tags have a constant lag: one that is larger than its error, and explains their differences."""
-        if self.lag is None or self.lag_error is None or self.without_lag is None:
+        if self.lag is None or self.lag_error is None or self.without_lag is None or self.without_offset is None:
             return False
-        # A lag that is as small as its error, or explains nothing, is none.
-        return abs(self.lag) >= max(3 * self.lag_error, 0.3) and self.without_lag <= 0.9 * self.median
+        # A lag that is as small as its error, or explains nothing beyond a constant offset, is none.
+        return abs(self.lag) >= max(3 * self.lag_error, 0.3) and self.without_lag <= 0.9 * self.without_offset
 
     @property
     def sentence(self) -> str:
@@ -65,7 +69,8 @@ class TagAudit:
             tilted = f", or the camera looks {abs(self.ahead):.1f} m {side}; they"
         return (
             f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted or ' and'} are {off}, against "
-            f"registered positions of {self.frames} frames; without the lag, {self.without_lag:.1f} m remain in the median."
+            f"registered positions of {self.frames} frames; without the lag and a constant offset of {self.offset:.1f} m, "
+            f"{self.without_lag:.1f} m remain in the median."
         )
 
 
@@ -102,16 +107,19 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
     # Unknowns: minus the lag, and the offset east and north.
     design = np.concatenate(
         [np.column_stack([v[:, i], np.full(len(v), i == 0), np.full(len(v), i == 1)]) for i in (0, 1)]
-    )
-    solution, errors = _robust_fit(design.astype(np.float64), np.concatenate([d[:, 0], d[:, 1]]))
-    remaining = np.linalg.norm(d - solution[0] * v - solution[1:], axis=1)
+    ).astype(np.float64)
+    values = np.concatenate([d[:, 0], d[:, 1]])
+    solution, errors = _robust_fit(design, values)
+    constant, _ = _robust_fit(design[:, 1:], values)
     return TagAudit(
         audit.frames,
         audit.median,
         audit.largest,
         float(-solution[0]),
         float(errors[0]),
-        float(np.median(remaining)),
+        float(np.median(np.linalg.norm(d - solution[0] * v - solution[1:], axis=1))),
+        float(np.linalg.norm(solution[1:])),
+        float(np.median(np.linalg.norm(d - constant, axis=1))),
         float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
     )
 
