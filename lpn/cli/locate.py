@@ -166,7 +166,7 @@ def _shares(calibration: dict[int, float]) -> str:
     return ", ".join(f"{share:.0f} %" for share in calibration.values())
 
 
-def _without_lag(summary: ErrorSummary) -> str:
+def _in_words(summary: ErrorSummary) -> str:
     """Return median, 90th percentile, and shares within radii in words."""
     return (
         f"a median of {summary.median:.1f} m, 90 % within {summary.p90:.1f} m, and {_shares(summary.calibration)} of its errors "
@@ -217,7 +217,12 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         else "the tags of the flight"
     )
     if located.audit is not None and located.audit.has_lag:
-        truth += ", which are no exact truth, as the registration finds a lag in them"
+        lag = "a lag in them" + (f" (or {located.audit.looks_ahead})" if located.audit.looks_ahead else "")
+        truth += (
+            ", moved by their lag"
+            if located.tags_corrected
+            else f", which are no exact truth, as the registration finds {lag}"
+        )
     console.print(
         f"Errors are against {truth}; shares are of all frames with such a truth; 'no false' is the share that can be "
         "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
@@ -232,9 +237,12 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
                 f"against an exact truth, have {right}.",
                 soft_wrap=True,
             )
-    if located.tags_without_lag is not None:
+    if located.tags_without_lag is not None and not located.tags_corrected:
         summary = located.without_lag().summaries()["registration"]
-        console.print(f"Without the lag of the tags, the registration has {_without_lag(summary)}.", soft_wrap=True)
+        console.print(
+            f"Against the tags moved by that lag (a constant offset stays), the registration has {_in_words(summary)}.",
+            soft_wrap=True,
+        )
     if measured := located.field_measures():
         console.print(
             "Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()), soft_wrap=True

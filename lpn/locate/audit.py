@@ -55,6 +55,13 @@ class TagAudit:
         return abs(self.lag) >= max(3 * self.lag_error, 0.3) and self.without_lag <= 0.9 * self.without_offset
 
     @property
+    def looks_ahead(self) -> str:
+        """What may be the case in place of a lag, in words; "" if the positions are the camera's."""
+        if self.ahead is None:
+            return ""
+        return f"the camera looks {abs(self.ahead):.1f} m {'ahead' if self.ahead > 0 else 'behind'}"
+
+    @property
     def sentence(self) -> str:
         """The finding in one sentence."""
         if not self.frames:
@@ -63,12 +70,9 @@ class TagAudit:
         if self.lag is None or not self.has_lag:
             return f"The tags of {self.frames} frames are {off}, against registered positions; the lag cannot be estimated."
         word = "lag" if self.lag > 0 else "are early"
-        tilted = ""
-        if self.ahead is not None:
-            side = "ahead" if self.ahead > 0 else "behind"
-            tilted = f", or the camera looks {abs(self.ahead):.1f} m {side}; they"
+        tilted = f", or {self.looks_ahead}; they" if self.looks_ahead else " and"
         return (
-            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted or ' and'} are {off}, against "
+            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted} are {off}, against "
             f"registered positions of {self.frames} frames; without the lag and a constant offset of {self.offset:.1f} m, "
             f"{self.without_lag:.1f} m remain in the median."
         )

@@ -153,6 +153,7 @@ class LocatedFlight:
         retrieval: scores of all windows; None without a model.
         tags_without_lag: positions of the tags in metres without the constant lag that the audit finds, (N, 2), NaN where they
             are not known; None if it finds none.
+        tags_corrected: whether the frames have these as their tags.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
     """
 
@@ -164,6 +165,7 @@ class LocatedFlight:
     retrieval: MapRetrieval | None
     shipped: Mapping[str, StageRecord] = field(default_factory=dict)
     tags_without_lag: Float64Array | None = None
+    tags_corrected: bool = False
 
     @property
     def stages(self) -> list[str]:
@@ -227,12 +229,12 @@ class LocatedFlight:
         )
 
     def without_lag(self) -> LocatedFlight:
-        """Return the flight with the tags of `tags_without_lag`; itself if there are none."""
-        if self.tags_without_lag is None:
+        """Return the flight with the tags of `tags_without_lag`; itself if there are none, or it has them already."""
+        if self.tags_without_lag is None or self.tags_corrected:
             return self
         pairs = zip(self.frames, self.tags_without_lag, strict=True)
         frames = [replace(located, tag=None if np.isnan(tag).any() else tag) for located, tag in pairs]
-        return replace(self, frames=frames)
+        return replace(self, frames=frames, tags_corrected=True)
 
     def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
         """Return the errors of each stage against `LocatedFrame.truth`; frames without one are left out, refused positions do

@@ -12,7 +12,7 @@ import numpy as np
 from lpn.core.errors import DataError, InputError
 from lpn.core.progress import Progress
 from lpn.flights import Flight
-from lpn.locate.audit import UNKNOWN, audit_tags, corrected_tags
+from lpn.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
 from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import IndexedWindows
 from lpn.locate.located import LocatedFlight, LocatedFrame
@@ -150,9 +150,9 @@ def registered(
     moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
     if options.tags == "corrected":
         notes.append(
-            "Tags were left as they are, because the registration finds no constant lag of them."
-            if moved is None
-            else f"Errors are against the tags without their lag of {audit.lag:.1f} s (--tags corrected)."
+            _corrected_note(audit)
+            if audit.has_lag
+            else "Tags were left as they are, because the registration finds no constant lag of them."
         )
     found = replace(
         located,
@@ -167,6 +167,16 @@ def registered(
 def default_map_error(basemap: Map) -> float:
     """Return the 1-sigma error in metres along each axis that a map's places count with: 3 pixels, and at least 1 m."""
     return max(_MAP_METRES, _MAP_PIXELS * basemap.resolution)
+
+
+def _corrected_note(audit: TagAudit) -> str:
+    """Return a sentence about errors against tags without their lag."""
+    note = f"Errors are against the tags without their lag of {audit.lag:.1f} s (--tags corrected)."
+    if audit.looks_ahead:
+        note += (
+            f" If {audit.looks_ahead} instead, these are the places of the pictures' middles, and not of the camera."
+        )
+    return note
 
 
 def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 import lpn
 from explorer.opening import OFFERED_OVERLAP
+from lpn.cli.locate import print_summary
 from lpn.core.demo import DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.flights import open_flight
+from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate, registered
 from lpn.locate.registered_stage import FORMAT
@@ -82,3 +86,31 @@ def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pyt
     with pytest.raises(StopError):
         locate(basemap, flight, model, OPTIONS, stop, shipped=folder)
     assert described == ["windows"]
+
+
+def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_be_the_case_instead(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+    basemap, flight = open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
+    answers = ShippedAnswers.open(DEMO_PLACE[0].with_name(DEMO_ANSWERS), FORMAT, lpn.load(DEMO_MODEL), basemap, flight)
+    assert answers is not None
+    frames = [
+        LocatedFrame(frame, tag) for frame, tag in zip(flight.frames, basemap.frame.xy(*flight.degrees.T), strict=True)
+    ]
+    bare = LocatedFlight(flight, basemap, frames, None, [], None, answers.registration)
+    assert bare.late_tags is not None
+    printed = {}
+    for tags in ("told", "corrected"):
+        located = registered(bare, None, LocateOptions(matcher="sift", tags=tags))
+        print_summary(located, Console(file=(written := io.StringIO()), width=140))
+        printed[tags] = written.getvalue()
+        assert ("If the camera looks 8.0 m ahead instead" in printed[tags]) == (tags == "corrected")
+    assert (
+        "which are no exact truth, as the registration finds a lag in them (or the camera looks 8.0 m"
+        in printed["told"]
+    )
+    assert "Against the tags moved by that lag (a constant offset stays), the registration" in printed["told"]
+    assert "Errors are against the tags of the flight, moved by their lag" in printed["corrected"]
+    assert "no exact truth, as" not in printed["corrected"]
+    assert "Against the tags moved" not in printed["corrected"]
