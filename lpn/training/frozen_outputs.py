@@ -49,7 +49,10 @@ class FrozenOutputs:
         Raises:
             InputError: if the outputs of all variants need more memory than is free.
         """
-        fresh = [(variant, pictures) for variant, pictures in rows if pictures is not None]
+        # A worker may have drawn a variant again before its outputs were computed.
+        fresh = [
+            (variant, pictures) for variant, pictures in rows if pictures is not None and variant not in self._outputs
+        ]
         if fresh:
             self._compute(fresh, network_input)
         device = next(self.network.parameters()).device

@@ -497,10 +497,11 @@ def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path,
     assert "24 places in satellite, drone: 2 steps of 12 places an epoch, 1 epoch, so 2 updates." in said.getvalue()
 
 
-def test_each_variant_of_a_place_passes_the_frozen_blocks_once(places: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("workers", [1, 40], ids=["few drawn ahead", "all drawn ahead"])
+def test_each_variant_of_a_place_passes_the_frozen_blocks_once(places: Path, tmp_path: Path, workers: int) -> None:
     """Its output is that of the pictures drawn then, so the losses are those of the whole network on them."""
     recipe = replace(TIMM, sampling="places", adapted_blocks=2, variants=2, epochs=3, batch=8)
-    run, _ = trainer(places, tmp_path / "run", recipe)
+    run, _ = trainer(places, tmp_path / "run", recipe, workers=workers)
     computed, whole = [], []
     branch = run.network.branch("satellite")
     run.network.get_submodule("model_1.model.network.patch_embed").register_forward_hook(
