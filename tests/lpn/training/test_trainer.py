@@ -93,6 +93,21 @@ RELEASED = replace(
 TIMM = replace(QUICK, backbone="timm:test_vit", n_parts=2)
 
 
+def _run_one_epoch(run: Trainer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupt a run at the beginning of its second epoch."""
+    original = Trainer._epoch
+
+    def killed(self: Trainer, epoch: int, *rest: object) -> dict[str, float]:
+        if epoch == 1:
+            raise KeyboardInterrupt
+        return original(self, epoch, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Trainer, "_epoch", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run.run()
+
+
 @pytest.mark.parametrize(
     "recipe",
     [
@@ -107,17 +122,7 @@ def test_a_resumed_run_has_the_losses_of_an_uninterrupted_one(
 ) -> None:
     trainer(places, tmp_path / "whole", recipe)[0].run()
     run, _ = trainer(places, tmp_path / "cut", recipe)
-    original = Trainer._epoch
-
-    def killed(self: Trainer, epoch: int, *rest: object) -> dict[str, float]:
-        if epoch == 1:
-            raise KeyboardInterrupt
-        return original(self, epoch, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Trainer, "_epoch", killed)
-        with pytest.raises(KeyboardInterrupt):
-            run.run()
+    _run_one_epoch(run, monkeypatch)
     assert len(losses(tmp_path / "cut")) == 1
     resumed, said = trainer(places, tmp_path / "cut", recipe, resume=True)
     resumed.run()
@@ -519,12 +524,19 @@ def test_each_variant_of_a_place_passes_the_frozen_blocks_once(places: Path, tmp
             assert torch.allclose(values, branch.frozen_output(pictures[name]), rtol=2e-3, atol=2e-3)
 
 
-def test_a_run_with_variants_trains_adapters_and_is_resumed(places: Path, tmp_path: Path) -> None:
-    recipe = replace(TIMM, sampling="places", adapted_blocks=1, variants=1, epochs=1, size=32, batch=8)
-    run, _ = trainer(places, tmp_path / "run", recipe, test=False)
-    model = lpn.load(run.run(), "cpu")
-    assert (recipe_of(tmp_path / "run/last.safetensors")["variants"], model.contract.level) == (1, "exact")
-    trainer(places, tmp_path / "run", recipe, resume=True, test=False)[0].run()
+def test_a_run_with_variants_trains_adapters_and_is_resumed(
+    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = replace(TIMM, sampling="places", adapted_blocks=1, variants=2, epochs=3, size=32, batch=8)
+    whole = trainer(places, tmp_path / "whole", recipe, test=False)[0].run()
+    run, _ = trainer(places, tmp_path / "cut", recipe, test=False)
+    _run_one_epoch(run, monkeypatch)
+    first = load_torch(tmp_path / "cut" / "last.safetensors").network.state_dict()
+    cut = trainer(places, tmp_path / "cut", recipe, resume=True, test=False)[0].run()
+    assert (recipe_of(cut)["variants"], lpn.load(cut, "cpu").contract.level) == (2, "exact")
+    one, two = (load_torch(file).network.state_dict() for file in (cut, whole))
+    assert all(torch.equal(one[key], two[key]) for key in one)
+    assert any(not torch.equal(one[key], first[key]) for key in one if key.endswith("adapter.up.weight"))
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:
