@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -65,17 +67,19 @@ def pooled_file(path: Path, pooling: TokenPooling) -> Path:
 
     Raises:
         ModelFileError, InputError, MissingPackageError: as for `pooled_graph`.
-        OutputError: if the cache cannot be written.
+        OutputError: if the file is missing, and the cache cannot be written.
     """
     graph = pooled_graph(path, pooling)
     digest = hashlib.sha256(graph).hexdigest()[:24]
     file = cache_folder() / "pooled" / f"{digest}.onnx"
-    if not file.is_file():
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(file, graph)
-    file.touch()
+    try:
+        os.utime(file)
+    except OSError:  # the file is missing, or the cache cannot be written
+        if not file.is_file():
+            write_atomic(file, graph)
     for old in sorted(file.parent.glob("*.onnx"), key=_last_used)[:-_COPIES]:
-        old.unlink(missing_ok=True)
+        with suppress(OSError):
+            old.unlink()
     return file
 
 

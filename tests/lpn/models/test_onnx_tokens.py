@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.datasets import open_dataset
 from lpn.models.export import export
+from lpn.models.onnx_tokens import pooled_file
 from lpn.models.partition import Partition
 from lpn.models.quantize import quantize
+from lpn.models.token_pooling import TokenPooling
 from lpn.models.trace import Trace
 from tools.fixtures import seeded, small_worlds
 
@@ -117,6 +120,35 @@ def test_the_cache_keeps_the_pooled_copies_that_were_used_last(tmp_path: Path, m
     assert len(copies) == 8
     lpn.load(file, pooling="gem:11")
     assert set((tmp_path / "cache" / "pooled").iterdir()) == copies
+
+
+def test_a_pooled_copy_that_another_process_removes_is_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+    file, utime = token_file(tmp_path / "tokens.onnx"), os.utime
+    copy = pooled_file(file, TokenPooling("mean"))
+    graph = copy.read_bytes()
+
+    def removed(path: Path, times: None = None) -> None:
+        Path(path).unlink()
+        utime(path, times)
+
+    monkeypatch.setattr(os, "utime", removed)
+    assert pooled_file(file, TokenPooling("mean")).read_bytes() == graph
+
+
+def test_a_cache_that_cannot_be_written_still_gives_its_copies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+    file = token_file(tmp_path / "tokens.onnx")
+    copy = pooled_file(file, TokenPooling("mean"))
+
+    def refused(*_: object, **__: object) -> None:
+        raise PermissionError
+
+    for function in ("utime", "open"):
+        monkeypatch.setattr(os, function, refused)
+    assert pooled_file(file, TokenPooling("mean")) == copy
 
 
 def test_a_graph_of_any_size_takes_that_of_the_options(tmp_path: Path) -> None:
