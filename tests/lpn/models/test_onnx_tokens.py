@@ -114,12 +114,12 @@ def test_an_export_in_fewer_bits_keeps_the_account(tmp_path: Path) -> None:
 def test_the_cache_keeps_the_pooled_copies_that_were_used_last(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     file = token_file(tmp_path / "tokens.onnx")
-    for power in range(2, 12):
-        lpn.load(file, pooling=f"gem:{power}")
-    copies = set((tmp_path / "cache" / "pooled").iterdir())
-    assert len(copies) == 8
-    lpn.load(file, pooling="gem:11")
-    assert set((tmp_path / "cache" / "pooled").iterdir()) == copies
+    copies = [pooled_file(file, TokenPooling("gem", power)) for power in range(2, 10)]
+    for used, copy in enumerate(copies):
+        os.utime(copy, (used, used))
+    assert pooled_file(file, TokenPooling("gem", 2)) == copies[0]
+    added = pooled_file(file, TokenPooling("gem", 10))
+    assert set(copies[0].parent.iterdir()) == {*copies, added} - {copies[1]}
 
 
 def test_a_pooled_copy_that_another_process_removes_is_written_again(
