@@ -420,6 +420,9 @@ def test_the_demo_opens_without_being_told_anything(
     expect(explorer.page.locator("#lpn-workspaces a.chosen")).to_have_text("a rendered city")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("demo")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("within 50 m")
+    # A link that names a state without a scoring means the plain one; one that names the place alone, the best.
+    expect(explorer.page.locator("#lpn-scorings a.chosen")).to_contain_text("plain")
+    explorer.open(f"{demo_app.url}/?show=data")
     expect(explorer.page.locator("#lpn-scorings a.chosen")).to_have_text("CSLS 87.0 %")
     assert_shows(explorer, demo_app, expected_under_csls(demo_app, DEMO_QUERY))
     explorer.key("m")
