@@ -445,6 +445,8 @@ def test_nothing_to_do_and_wrong_numbers_are_refused(town: Map, flight: Flight) 
         locate(town, flight, None, replace(SIFT, register=False))
     with pytest.raises(InputError, match="prior is -1"):
         LocateOptions(prior=-1)
+    with pytest.raises(InputError, match="leave --tags corrected or --no-register out"):
+        LocateOptions(register=False, tags="corrected")
 
 
 def test_the_nadir_is_where_the_footprint_has_the_camera() -> None:
