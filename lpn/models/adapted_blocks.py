@@ -114,22 +114,46 @@ def frozen_output(backbone: nn.Module, images: Tensor, count: int) -> Tensor:
 
 
 def map_behind(backbone: nn.Module, values: Tensor, size: tuple[int, int], count: int) -> Tensor:
-    """Return the last map (B, C, h, w) of what `frozen_output` returned.
+    """Return the last map (B, C, h, w) of what `frozen_output` returned, for a backbone that passes `check_divisible`.
 
     Args:
         size: (height, width) of the pictures in pixels.
         count: of the blocks with adapters.
-
-    Raises:
-        InputError: if the blocks take positions beside the tokens, as those of DINOv3 do.
     """
-    if isinstance(backbone, TimmMap) and getattr(backbone.network, "rope", None) is not None:
-        raise InputError("The blocks of this backbone take rotary positions beside the tokens; leave --variants out.")
     for block in blocks_of(backbone)[-count:]:
         values = block(values)
     if isinstance(backbone, TimmMap):
         return backbone.on_grid(cast(Tensor, cast(Any, backbone.network).norm(values)), size)
     return values
+
+
+def check_divisible(backbone: nn.Module, name: str, size: tuple[int, int], count: int) -> None:
+    """Check on a random picture that `map_behind` of `frozen_output` is the map of the whole backbone.
+
+    Args:
+        backbone: in evaluation mode, on the CPU.
+        name: of the backbone, for the message.
+        size: (height, width) of the pictures in pixels.
+        count: of the blocks with adapters.
+
+    Raises:
+        InputError: if it is not, as where the blocks take rotary positions beside the tokens (DINOv3).
+    """
+    picture = torch.rand(1, 3, *size, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        whole = backbone(picture)
+        try:
+            divided = map_behind(backbone, frozen_output(backbone, picture, count), size, count)
+            same = torch.allclose(divided, whole, rtol=1e-3, atol=1e-3 * float(whole.abs().max()))
+        except Exception:  # blocks that lack an argument, or a map of another shape, raise anything
+            same = False
+    # In an untrained network positions may have no effect yet.
+    rotary = isinstance(backbone, TimmMap) and getattr(backbone.network, "rope", None) is not None
+    if rotary or not same:
+        raise InputError(
+            f"The map of {name} does not follow from the tokens that enter its adapted blocks alone, which --variants stores; "
+            "leave --variants out, or use a ResNet or a vision transformer such as timm:vit_small_patch14_dinov2."
+        )
 
 
 class _ReachedError(Exception):

@@ -23,6 +23,7 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.maps import Map
 from lpn.models import checkpoints
+from lpn.models.adapted_blocks import check_divisible
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
@@ -67,7 +68,8 @@ class Trainer:
 
     Raises:
         DataError: when the data set cannot be trained on.
-        InputError: when `out` holds another run, there is nothing to resume, or `compiled` and torch finds no compiler.
+        InputError: when `out` holds another run, there is nothing to resume, `compiled` and torch finds no compiler, or the
+            recipe has variants and its backbone cannot be divided for them.
         ModelFileError: when `init` cannot be used.
         OutputError: when `out` cannot be written.
     """
@@ -140,6 +142,9 @@ class Trainer:
         torch.manual_seed(recipe.seed)
         network = LPN(_spec(recipe, self.places))
         initialise_heads(network, recipe)
+        if recipe.variants:
+            backbone = network.branch(network.spec.views[0]).model.eval()
+            check_divisible(backbone, recipe.backbone, recipe.input_size, recipe.adapted_blocks)
         if init is not None and not resume:
             self._load_init(network, init)
         self.learner = Learner(network, recipe, self.group, compiled)

@@ -10,11 +10,12 @@ from torch import nn
 
 import lpn
 from lpn.core.errors import InputError
-from lpn.models.adapted_blocks import is_adapters
+from lpn.models.adapted_blocks import check_divisible, is_adapters
 from lpn.models.checkpoints import load_backbone, save
 from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
+from lpn.models.timm_networks import TimmMap
 from lpn.models.trace import Trace
 from lpn.training.optimizer import build_optimizer
 from lpn.training.recipes import RECIPES
@@ -80,6 +81,7 @@ def test_adapters_and_heads_alone_learn_and_statistics_stay(spec: ModelSpec) -> 
 @torch.inference_mode()
 def test_the_frozen_part_and_what_is_behind_it_are_the_whole(spec: ModelSpec) -> None:
     made, pictures = trained(spec), torch.from_numpy(seeded.pictures(6, 2, 64, 96))
+    check_divisible(made.branch("drone").model, spec.backbone, spec.input_size, spec.adapted_blocks)
     frozen = made.branch("drone").frozen_output(pictures)
     assert relative(made(frozen, "drone", True)[0].numpy(), made(pictures, "drone")[0].numpy()) < 1e-6
 
@@ -107,6 +109,13 @@ def _without_adapters(spec: ModelSpec, folder: Path, pictures: np.ndarray) -> np
             nn.init.zeros_(module.bias)
     save(made, folder / "without.safetensors")
     return lpn.load(folder / "without.safetensors", "cpu").descriptors(pictures, "drone")
+
+
+@pytest.mark.parametrize("name", ["cait_xxs24_224", "eva02_tiny_patch14_224"])
+def test_a_transformer_whose_last_blocks_take_more_than_tokens_is_not_divided(name: str) -> None:
+    size = (28, 28) if "patch14" in name else (32, 32)
+    with pytest.raises(InputError, match=f"map of {name} does not follow from the tokens .*; leave --variants out"):
+        check_divisible(TimmMap(name, size).eval(), name, size, 2)
 
 
 def test_a_model_without_adapters_keeps_its_description() -> None:

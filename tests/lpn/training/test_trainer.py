@@ -539,6 +539,14 @@ def test_a_run_with_variants_trains_adapters_and_is_resumed(
     assert any(not torch.equal(one[key], first[key]) for key in one if key.endswith("adapter.up.weight"))
 
 
+def test_variants_of_a_transformer_that_cannot_be_divided_are_refused_at_the_start(
+    places: Path, tmp_path: Path
+) -> None:
+    recipe = replace(TIMM, backbone="timm:xcit_nano_12_p16_224", adapted_blocks=1, variants=2)
+    with pytest.raises(InputError, match="map of timm:xcit_nano_12_p16_224 does not follow from the tokens"):
+        trainer(places, tmp_path / "run", recipe)
+
+
 def test_the_paper_s_recipe_is_the_default() -> None:
     recipe = RECIPES["paper"]
     assert recipe == Recipe()
