@@ -26,7 +26,7 @@ class FrozenOutputs:
 
     Args:
         network: with adapted blocks; it is in training.
-        variants: number of all variants of all places, to estimate the memory.
+        variants: number of variants that all processes on this machine will store at most, to estimate the memory.
         autocast: context of the forward pass.
     """
 
@@ -47,7 +47,7 @@ class FrozenOutputs:
             network_input: makes a batch of pictures the input of the network, on its device.
 
         Raises:
-            InputError: if the outputs of all variants need more memory than is free.
+            InputError: if the outputs that will be stored on this machine need more memory than is free.
         """
         # A worker may have drawn a variant again before its outputs were computed.
         fresh = [
@@ -81,6 +81,6 @@ class FrozenOutputs:
         needed, known = bytes_each * self.variants, memory()
         if known is not None and needed > (free := known[1]):
             raise InputError(
-                f"The frozen blocks' outputs for all variants need {needed / 1e9:.1f} GB of memory, and {free / 1e9:.1f} GB are "
-                "free; give fewer --variants, or leave them out."
+                f"The frozen blocks' outputs for {self.variants:,} variants of places need {needed / 1e9:.1f} GB of memory, and "
+                f"{free / 1e9:.1f} GB are free; give fewer --variants, or leave them out."
             )

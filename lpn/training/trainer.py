@@ -149,8 +149,10 @@ class Trainer:
             self._load_init(network, init)
         self.learner = Learner(network, recipe, self.group, compiled)
         if recipe.variants:
-            every = recipe.variants * len(self.places)
-            self.loader.frozen = FrozenOutputs(network, every, self.learner.mixed_precision.autocast)
+            # A process stores the variants that it draws, and no more than its share of all epochs.
+            most = min(recipe.variants, math.ceil(recipe.epochs / self.group.size))
+            stored = most * len(self.places) * self.group.local_size
+            self.loader.frozen = FrozenOutputs(network, stored, self.learner.mixed_precision.autocast)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         self.test_split: TestSplit | None = None

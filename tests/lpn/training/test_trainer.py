@@ -23,8 +23,9 @@ from lpn.datasets import open_dataset
 from lpn.models.backbones import build_backbone
 from lpn.models.checkpoints import load_torch, recipe_of, save
 from lpn.retrieval.evaluate import evaluate
-from lpn.training import optimizer
+from lpn.training import frozen_outputs, optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
+from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tests.conftest import RealRun
@@ -537,6 +538,32 @@ def test_a_run_with_variants_trains_adapters_and_is_resumed(
     one, two = (load_torch(file).network.state_dict() for file in (cut, whole))
     assert all(torch.equal(one[key], two[key]) for key in one)
     assert any(not torch.equal(one[key], first[key]) for key in one if key.endswith("adapter.up.weight"))
+
+
+@pytest.mark.parametrize(
+    ("variants", "epochs", "processes", "stored"), [(2, 3, 1, 2), (9, 3, 1, 3), (2, 30, 2, 4), (9, 6, 2, 6)]
+)
+def test_variants_that_need_more_memory_than_is_free_are_refused(
+    places: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    variants: int,
+    epochs: int,
+    processes: int,
+    stored: int,
+) -> None:
+    """Every process stores what it draws: at most all variants, and at most its share of all epochs."""
+    recipe = replace(TIMM, adapted_blocks=1, variants=variants, epochs=epochs)
+    group = ProcessGroup(torch.device("cpu"), 0, processes, processes)
+    run, _ = trainer(places, tmp_path / "run", recipe, group=group, test=False, workers=1)
+    # Two views of 24 places, each a class token and 2 x 2 cells of 64 channels, float16.
+    needed = stored * 24 * 2 * 5 * 64 * 2
+    monkeypatch.setattr(frozen_outputs, "memory", lambda: (needed, needed - 1))
+    with closing(run.loader.stream(0, 1)) as batches, pytest.raises(InputError, match=f"for {stored * 24} variants of"):
+        next(batches)
+    monkeypatch.setattr(frozen_outputs, "memory", lambda: (needed, needed))
+    with closing(run.loader.stream(0, 1)) as batches:
+        next(batches)
 
 
 def test_variants_of_a_transformer_that_cannot_be_divided_are_refused_at_the_start(
