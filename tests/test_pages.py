@@ -122,6 +122,10 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
         assert "| Baseline, n = 1 | 41.25 | 41.25 |" in page
         assert "| Baseline, n = 1 | 41.25 | 41.25 |" in seeds
         assert "python -m tools.pages --seeds run --world world" in seeds
+    (run / "tuning.json").touch()
+    done = pages("--seeds", str(run), "--world", str(world), "--docs", str(docs))
+    assert done.returncode == 2
+    assert "tuning.json says that networks of the run were tuned" in done.stderr
 
 
 def test_the_ablation_takes_seeds_that_both_methods_have(docs: Path, tmp_path: Path) -> None:

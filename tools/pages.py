@@ -367,6 +367,11 @@ def main() -> int:
         return int(bool(found))
     if (given.run is None and given.seeds is None) != (given.world is None):
         parser.error("--run or --seeds and --world go together: the page tells of both.")
+    if given.seeds is not None and (given.seeds / "tuning.json").is_file():
+        parser.error(
+            f"{given.seeds / 'tuning.json'} says that networks of the run were tuned, but the page says that none was; "
+            "give a run made with lpn reproduce --no-tune."
+        )
     if given.run is not None:
         copy_run(given.run, given.world, given.docs)
     if given.seeds is not None:
