@@ -188,9 +188,9 @@ def test_the_laboratory_tells_ranks_to_the_depth(workspace: Workspace, monkeypat
     assert 0 < len(far) < len(task.queries)
     assert "&gt; 10" in html
     assert lab_state.confusions(findings, lab) is not None
-    drawn, _, final = MapPage(service, Feeds(workspace), "test").page(findings, lab, 0, rows, (760, 400))
-    assert final
-    assert "not in memory" in drawn
+    view = MapPage(service, Feeds(workspace), "test").page(findings, lab, 0, rows, (760, 400))
+    assert view.final
+    assert "not in memory" in view.maps
 
 
 def test_what_an_index_cannot_tell_is_said(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
