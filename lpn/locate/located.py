@@ -108,6 +108,16 @@ class LocatedFrame:
             return np.array([self.by_hand.x, self.by_hand.y])
         return self.middle(self.by_hand)
 
+    def likely_places(self) -> list[list[float]]:
+        """Return the places (K, 2) that the registration searches about: the sequence's, and those of the two best windows.
+
+        There are none without an answer of the sequence.
+        """
+        answer = self.stages.get("sequence")
+        if answer is None or answer.x is None or answer.y is None:
+            return []
+        return [[answer.x, answer.y]] + [[window.x, window.y] for window in self.windows[:2]]
+
     def middle(self, answer: StageRecord) -> Float64Array:
         """Return the ground at the picture's middle, (2,), by an answer that lays the picture over the map."""
         matrix = np.array(answer.homography).reshape(3, 3)

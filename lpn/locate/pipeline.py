@@ -138,7 +138,7 @@ def registered(
         located.basemap, located.flight, frames, options, model, located.retrieval, report, located.shipped
     )
     if located.retrieval is not None:
-        confirm_sequence(frames, float(np.median(located.retrieval.sizes)))
+        confirm_sequence(frames, float(np.median(located.retrieval.sizes)), located.basemap.bounds)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

@@ -12,6 +12,7 @@ from lpn.core.arrays import Float64Array
 from lpn.flights import Flight
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.options import LocateOptions
+from lpn.locate.registered_stage import AROUND
 from lpn.locate.retrieval import MapRetrieval
 from lpn.locate.sequence import (
     MotionModel,
@@ -28,13 +29,14 @@ from lpn.locate.tracks import State
 # A place is told by windows that overlap it, whose centres lie within this share of a side, and with this probability.
 _OVERLAP = 0.75
 _CONFIDENCE = 0.98
-# Log odds of steps along the headings from which the scores show that the map is of the flight's place.
+# Log odds from which steps along the headings, or registrations that agree, show that the map is of the flight's place.
 _EVIDENCE = 4.0
-# Registrations near the sequence's answers that show it, too; they are at least half of the accepted ones.
-_AGREEING = 3
+# Share of the registrations that agree with the sequence on the right map, and points along a side of what they searched.
+_AGREEING = 0.9
+_POINTS = 21
 _UNVERIFIED = (
-    "Nothing shows that the map is of this place: steps along the headings are hardly more probable than others, and fewer than "
-    f"{_AGREEING} registrations agree with the sequence."
+    "Nothing shows that the map is of this place: steps along the headings are hardly more probable than others, and the "
+    "registrations that agree with the sequence may do so by chance."
 )
 # Steps of known time between frames that can be read, from which a flight's motion is told.
 _LEAST_STEPS = 10
@@ -166,24 +168,50 @@ def enter_sequence(
     ]
 
 
-def confirm_sequence(frames: Sequence[LocatedFrame], side: float) -> None:
+def confirm_sequence(frames: Sequence[LocatedFrame], side: float, bounds: tuple[float, float, float, float]) -> None:
     """Accept the answers that were refused because nothing showed that the map is of this place, where registrations do.
+
+    The registration searches about the sequence's own answer, so a false one may agree by chance. It does so with a
+    probability of p, the share of the searched ground that counts as agreement; on the right map 0.9 agree. The log odds,
+    log(0.9 / p) of one that agrees and log(0.1 / (1 - p)) of another one, are added up and have to reach 4. False ones whose
+    places are independent reach it with a probability of exp(-4) at most (Markov's inequality). Where p is above 0.9, as on a
+    map that is hardly larger than a window, a registration tells nothing.
 
     Args:
         side: of the windows in metres. A registration agrees within three quarters of it.
+        bounds: of the map: west, south, east, north in metres.
     """
-    apart = [
-        registration.distance(np.array([sequence.x, sequence.y]))
-        for located in frames
-        if (sequence := located.stages.get("sequence")) is not None
-        and sequence.x is not None
-        and (registration := located.stages["registration"]).accepted
-    ]
-    agreeing = sum(metres <= _OVERLAP * side for metres in apart)
-    if agreeing < max(_AGREEING, len(apart) / 2):
+    evidence = 0.0
+    for located in frames:
+        sequence, registration = located.stages.get("sequence"), located.stages["registration"]
+        if sequence is None or not sequence.unverified or not registration.accepted:
+            continue
+        chance = _chance_to_agree(np.array(located.likely_places()), side, registration.width or side, bounds)
+        if chance < _AGREEING:
+            agrees = registration.distance(np.array([sequence.x, sequence.y])) <= _OVERLAP * side
+            evidence += math.log(_AGREEING / chance if agrees else (1 - _AGREEING) / (1 - chance))
+    if evidence < _EVIDENCE:
         return
     for located in frames:
         if (answer := located.stages.get("sequence")) is not None and answer.unverified:
             located.stages["sequence"] = msgspec.structs.replace(
                 answer, state="accepted", unverified=False, sentence=answer.sentence.removeprefix(_UNVERIFIED).strip()
             )
+
+
+def _chance_to_agree(
+    places: Float64Array, side: float, width: float, bounds: tuple[float, float, float, float]
+) -> float:
+    """Return the share of the ground where a photo's middle may be registered that lies near the first of places (K, 2).
+
+    A photo lies in the squares that were searched about the places, so its middle is half of its width from their borders,
+    and on the map.
+    """
+    reach = AROUND * width + side / 2 - width / 2
+    steps = reach * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
+    points = (places[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)).reshape(-1, 2)
+    points = points[((points >= bounds[:2]) & (points <= bounds[2:])).all(axis=1)]
+    # A point of several squares is there several times.
+    weights = 1 / (np.abs(points[:, None] - places) <= reach + 1e-6).all(axis=2).sum(axis=1)
+    near = np.linalg.norm(points - places[0], axis=1) <= _OVERLAP * side
+    return float(weights[near].sum() / weights.sum()) if len(points) else 1.0

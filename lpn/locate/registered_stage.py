@@ -47,7 +47,7 @@ _WIDTHS = 1.9
 _RECENT = 7
 _LATEST = 3
 # Ground widths around a candidate that are searched.
-_AROUND = 0.75
+AROUND = 0.75
 # Share of a photo's ground beyond what was searched, above which the search is repeated about the place found.
 _BEYOND = 0.05
 # How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
@@ -197,8 +197,8 @@ def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
 
 def _candidates(located: LocatedFrame, options: LocateOptions) -> list[list[float]] | None:
     """Return places (K, 2) about which a frame is searched; None for the whole map."""
-    if (answer := located.stages.get("sequence")) is not None and answer.x is not None and answer.y is not None:
-        return [[answer.x, answer.y]] + [[window.x, window.y] for window in located.windows[:2]]
+    if places := located.likely_places():
+        return places
     if located.windows:
         return [[window.x, window.y] for window in located.windows]
     if options.prior is not None and located.tag is not None:
@@ -237,7 +237,7 @@ def register_frame(
         searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
         rivals: list[Similarity] = []
         for kind, (width, known) in product(features, list(tried_widths(basemap, known_width, widths))):
-            reach = _AROUND * width + (
+            reach = AROUND * width + (
                 options.prior or 0.0 if retrieval is None else 0.5 * float(np.median(retrieval.sizes))
             )
             ground = kind.around(centres, reach, width)

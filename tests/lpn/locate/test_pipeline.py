@@ -558,16 +558,40 @@ def test_steps_that_do_not_follow_the_headings_are_told(
     shown = turned == 0
     accepted = sum(frame.stages["sequence"].accepted for frame in located)
     assert (accepted > 6) == shown
-    for metres, enough in ((60.0, shown), (20.0, True)):
-        for frame in located[:3]:
+    bounds = (-100.0, -100.0, 100.0, 100.0)
+    for count, metres, enough in ((12, 60.0, shown), (3, 20.0, shown), (12, 20.0, True)):
+        for frame in located[:count]:
             answer = frame.stages["sequence"]
             assert answer.x is not None
             frame.stages["registration"] = StageRecord("accepted", "It agrees.", answer.x + metres, answer.y)
-        for frame in located[3:]:
+        for frame in located[count:]:
             frame.stages["registration"] = StageRecord("refused", "Too few.")
-        confirm_sequence(located, 40.0)
+        confirm_sequence(located, 40.0, bounds)
         assert (sum(frame.stages["sequence"].accepted for frame in located) > 6) == enough
     assert not any("Nothing shows" in frame.stages["sequence"].sentence for frame in located)
+
+
+@pytest.mark.parametrize(("map_side", "most"), [(60.0, 0), (400.0, 1)])
+def test_false_registrations_about_the_sequence_s_answers_hardly_ever_confirm_it(
+    flight: Flight, map_side: float, most: int
+) -> None:
+    """Six false registrations lie anywhere that was searched; exp(-4) of 60 draws are 1."""
+    rng, side, half = np.random.default_rng(0), 50.0, map_side / 2
+    confirmed = 0
+    for _ in range(60):
+        located = []
+        for place, *others in rng.uniform(-half, half, (6, 3, 2)):
+            windows = [WindowRecord(x, y, side, 0.0, 0.0, [], []) for x, y in others]
+            frame = LocatedFrame(flight.frames[0], None, windows=windows)
+            frame.stages["sequence"] = StageRecord("refused", "Near.", place[0], place[1], unverified=True)
+            anywhere = rng.uniform(-half, half, (400, 2))
+            off = np.abs(anywhere[:, None] - np.array(frame.likely_places())).max(axis=2).min(axis=1)
+            at = anywhere[np.flatnonzero(off <= 0.75 * side)[0]]
+            frame.stages["registration"] = StageRecord("accepted", "By chance.", at[0], at[1], width=side)
+            located.append(frame)
+        confirm_sequence(located, side, (-half, -half, half, half))
+        confirmed += located[0].stages["sequence"].accepted
+    assert confirmed <= most
 
 
 def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
