@@ -172,7 +172,7 @@ class Mccg(PartBranch):
         """Return the parts and their account, with the gates and the norm's mean and variance held."""
         features = self.trunk(images)
         weight = cast(Tensor, self.weight)
-        constants, whole = self.bias.expand(len(features), -1, -1).clone(), features
+        constants, whole = self.bias.expand(features.shape[0], -1, -1).clone(), features
         if self.norm is not None:
             scale, offset = self.norm.affine(features.mean((2, 3)))
             whole = features * scale[:, :, None, None]

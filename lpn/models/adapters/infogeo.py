@@ -95,7 +95,7 @@ class InfoGeo(PartBranch):
             weights, further = mixer.before(weights, mixed)
             constants = constants + further
         shares = torch.matmul(self.channels, (weights * tokens.unsqueeze(2)).flatten(2))
-        features = on_grid(shares.reshape(len(tokens), -1, tokens.shape[2]), self.grid) * tokens.shape[2]
+        features = on_grid(shares.reshape(tokens.shape[0], -1, tokens.shape[2]), self.grid) * tokens.shape[2]
         rest = torch.matmul(self.channels, constants) + self.channels_bias[:, None] * self.rows.sum(1) + self.rows_bias
         return Account(self._vector(layers), features, whole_mean(features), rest.flatten(1).unsqueeze(1))
 

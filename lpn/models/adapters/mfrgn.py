@@ -155,7 +155,7 @@ class Mfrgn(PartBranch):
             of_scales.append(spread @ F.conv2d(values, weight[..., None, None]) @ spread.T)
         features = torch.cat([self._token_shares(tokens), torch.stack(of_scales).sum(0)], 1)
         features = features * (self.grid[0] * self.grid[1])
-        constants = cast(Tensor, self.bias).expand(len(images), 1, -1)
+        constants = cast(Tensor, self.bias).expand(images.shape[0], 1, -1)
         return Account(self._vector(maps, tokens, gates), features, whole_mean(features), constants)
 
     def _scales(self, images: Tensor) -> tuple[list[Tensor], Tensor, list[tuple[Tensor, Tensor]]]:

@@ -201,7 +201,7 @@ class Sdpl(PartBranch):
         features = self.trunk(images)
         weights = self.shift_weights(features)
         parts = by_heads(self.pool(features, weights), self.matrix, self.bias)
-        batch, count = len(features), features.shape[2] * features.shape[3]
+        batch, count = features.shape[0], features.shape[2] * features.shape[3]
         flat, places = nn.functional.pad(features.flatten(2), (0, 1)), self.places(features)
         maps, cells, constants = [], [], []
         for part in range(PARTS):

@@ -11,6 +11,7 @@ import torch
 import lpn
 from lpn.core.errors import ModelFileError
 from lpn.models.export import export
+from lpn.models.onnx_engine import open_session
 from lpn.models.trace import Trace
 from tools.fixtures.published_models import golden, relative
 
@@ -54,6 +55,7 @@ def test_an_export_gives_the_same_vector_and_account(tmp_path: Path) -> None:
     case, model = golden("mfrgn_small"), opened(tmp_path)
     export(tmp_path / "weights_U1652-D2S.pth", tmp_path / "mfrgn.onnx")
     exported = lpn.load(tmp_path / "mfrgn.onnx")
+    assert open_session(tmp_path / "mfrgn.onnx").get_inputs()[0].shape[0] == "batch"
     assert exported.contract == model.contract
     assert relative(exported.descriptors(case.pictures, "drone")[:, 0], case.arrays["descriptor"]) < TOLERANCE
     assert account_error(exported, case.pictures) < 1e-5
