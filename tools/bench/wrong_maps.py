@@ -36,7 +36,7 @@ _FINEST = 0.1
 
 
 @dataclass(frozen=True)
-class Row:
+class WrongMapRow:
     """Answers for one flight over one map: photos, accepted ones by stage, and accepted ones beyond 50 m of the tag.
 
     Over the map of another place all accepted answers are false, and `beyond` counts them all.
@@ -117,7 +117,7 @@ def changed_maps(own: Map, side: float, folder: Path) -> Iterator[tuple[str, Map
 
 def measured(
     flight: Flight, name: str, map_name: str, basemap: Map, model: Model | None, options: LocateOptions
-) -> Row:
+) -> WrongMapRow:
     """Locate a flight over a map, and count the accepted answers."""
     located = locate(basemap, flight, model, options)
     stages = [stage for stage in located.stages if stage != "retrieval"]
@@ -126,12 +126,12 @@ def measured(
         stage: sum(one.tag is None or (one.error(stage) or 0.0) > 50 for one in accepted)
         for stage, accepted in answers.items()
     }
-    return Row(
+    return WrongMapRow(
         name, map_name, len(flight.frames), {stage: len(accepted) for stage, accepted in answers.items()}, beyond
     )
 
 
-def sentence(row: Row) -> str:
+def sentence(row: WrongMapRow) -> str:
     """Return one line of the table."""
     cells = (f"{stage} {count} ({row.beyond[stage]} beyond 50 m)" for stage, count in row.accepted.items())
     return f"{row.flight:10s} over {row.map:24s} {row.photos:3d} photos, accepted: {', '.join(cells)}"
@@ -157,7 +157,7 @@ def main() -> None:
     model = None if given.model is None else lpn.load(given.model)
     names = dict.fromkeys([*given.names, *(given.over or ["brighton", "caliterra", "seneca", RENDERED])])
     pairs = {name: open_pair(name, Path(given.folder)) for name in names}
-    rows: list[Row] = []
+    rows: list[WrongMapRow] = []
     with tempfile.TemporaryDirectory() as temporary:
         for name in given.names:
             flight, own = pairs[name]
