@@ -131,7 +131,7 @@ def _measured(run: Path, world: Path, option: str) -> dict[str, Any]:
     tables = json.loads(msgspec.json.encode(read_measurements(run / "measured.json").tables))
     jobs = [json.loads(file.read_bytes()) for file in sorted((run / "runs").glob("lpn-seed*/job.json"))]
     settings = json.loads((world / PLAN).read_bytes())["settings"]
-    flags = " ".join(_flag(name, value) for name, value in settings.items())
+    flags = " ".join(_flag(name, value) for name, value in settings.items() if value != [])
     return {
         "tables": dict(sorted(tables.items(), key=lambda item: (item[0].startswith("figure"), item[0]))),
         "world": {

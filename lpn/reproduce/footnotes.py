@@ -107,7 +107,7 @@ def networks(own: Sequence[TrainingJob], scale: Scale, seeds: Sequence[int]) -> 
         if scale.changes:
             notes.append(changed(scale, [job.training for job in done]))
         if len(seeds) > 1:
-            notes.append("Mean of the seeds trained so far, ± half of the distance between the lowest and the highest.")
+            notes.append("Mean of the seeds trained so far, ± half the width of its 95 % interval (Student's t).")
     if lost := [job.name for job in own if job.diverged]:
         notes.append(f"Diverged, and given up: {', '.join(lost)}.")
     return notes
