@@ -106,7 +106,7 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
         "LPN to its surroundings too (Figure 7): **held** (drone pictures, % of activation: Baseline, n = 1 41.2"
         in text
     )
-    assert "### Table I" not in text  # of another run
+    assert "### Table I:" not in text  # of another run
     assert "short trials" not in text
     assert not (docs / "figure8.jpg").exists()
     assert "    lpn world --seed 5 --tile-pixels 99 --out world\n    lpn reproduce figure7 --epochs 3\n" in text
