@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Workspaces:
-    """What opens the workspace that a page shows first, and further ones that the page offers, by the keys of their addresses.
+    """The workspace that a page shows first, not opened yet, and further ones that it offers, by the keys of their addresses.
 
     Attributes:
         label, key: of the first, see `App`.

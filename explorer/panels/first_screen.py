@@ -42,7 +42,7 @@ from lpn.retrieval import DescribedPicture
 _ANSWER = "this answer"
 # The figure of a flight is that of retrieval alone.
 _ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
-# What the tag of a flight's photo and its registration say of the answer where they contradict each other.
+# Sentences for a photo whose tag and registration contradict each other, by whether the answer is right by the tag.
 _DISPUTED = {
     False: "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece.",
     True: "By its GPS tag the photo lies on this piece. Laid over the map by its details, it lies elsewhere.",

@@ -56,7 +56,7 @@ class TagAudit:
 
     @property
     def looks_ahead(self) -> str:
-        """What may be the case in place of a lag, in words; "" if the positions are the camera's."""
+        """Say that the camera may look ahead or behind, which explains a lag as well; "" if the positions are the camera's."""
         if self.ahead is None:
             return ""
         return f"the camera looks {abs(self.ahead):.1f} m {'ahead' if self.ahead > 0 else 'behind'}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -151,6 +151,11 @@ class LocatedFrame:
         return sentence + _sentence("The registration lies", apart)
 
 
+def tag_positions(frames: Iterable[LocatedFrame]) -> Float64Array:
+    """Return the frames' tags in metres, (N, 2); NaN rows for frames without one."""
+    return np.array([UNKNOWN if frame.tag is None else frame.tag for frame in frames], np.float64).reshape(-1, 2)
+
+
 @dataclass
 class LocatedFlight:
     """A flight over a map, located.
@@ -187,8 +192,7 @@ class LocatedFlight:
         """The audit of the tags against the registrations that ship with the flight; None unless these show a constant lag."""
         answers = [self.shipped.get(located.frame.name) for located in self.frames]
         places = np.array([UNKNOWN if a is None or not a.accepted or a.x is None else (a.x, a.y) for a in answers])
-        tags = np.array([UNKNOWN if located.tag is None else located.tag for located in self.frames])
-        audit = audit_tags(self.flight.times, tags.astype(np.float64), places.astype(np.float64), middles=True)
+        audit = audit_tags(self.flight.times, tag_positions(self.frames), places.astype(np.float64), middles=True)
         return audit if audit.has_lag else None
 
     @cached_property
@@ -200,8 +204,7 @@ class LocatedFlight:
         """
         if (audit := self.late_tags) is None or audit.lag is None:
             return [located.tag for located in self.frames]
-        tags = np.array([UNKNOWN if located.tag is None else located.tag for located in self.frames], np.float64)
-        moved = corrected_tags(self.flight.times, tags, audit.lag)
+        moved = corrected_tags(self.flight.times, tag_positions(self.frames), audit.lag)
         places: list[Float64Array | None] = []
         for located, tag in zip(self.frames, moved, strict=True):
             answer = self.shipped.get(located.frame.name)

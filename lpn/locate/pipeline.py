@@ -12,10 +12,10 @@ import numpy as np
 from lpn.core.errors import DataError, InputError
 from lpn.core.progress import Progress
 from lpn.flights import Flight
-from lpn.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
+from lpn.locate.audit import TagAudit, audit_tags, corrected_tags
 from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import IndexedWindows
-from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
 from lpn.locate.registered_stage import FORMAT, refuse_jumps, register_frames
@@ -143,7 +143,7 @@ def registered(
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
     ).reshape(-1, 2)
-    tags = np.array([UNKNOWN if frame.tag is None else frame.tag for frame in frames])
+    tags = tag_positions(frames)
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
     if any(answer.accepted and answer.radius is not None for answer in answers):
         notes.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself.")

@@ -21,10 +21,9 @@ from lpn.core.files import cache_folder
 from lpn.core.progress import Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
-from lpn.locate.audit import UNKNOWN
 from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame, StageRecord, tag_positions
 from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
 from lpn.locate.options import TOP, LocateOptions
 from lpn.locate.registration import (
@@ -174,7 +173,7 @@ def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
         own = np.array([answer.radius for _, answer in timed], np.float64)
         widths = np.array([answer.width or 0.0 for _, answer in timed])
         radii = np.sqrt(np.maximum(own**2 - map_error**2, 0) + (sway * widths) ** 2)
-        tags = np.array([UNKNOWN if located.tag is None else located.tag for located, _ in timed]).reshape(-1, 2)
+        tags = tag_positions(located for located, _ in timed)
         if (speeds := continuity.top_speeds(times, places, tags)) is None:
             continue
         jumps = np.flatnonzero(continuity.jumps(times, places, radii, speeds))

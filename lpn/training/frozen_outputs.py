@@ -22,7 +22,7 @@ DrawnVariant = tuple[Variant, Pictures | None]
 
 
 class FrozenOutputs:
-    """What enters a network's first adapted block, for all variants of all places, in memory as float16.
+    """The inputs of a network's first adapted block, for all variants of all places, in memory as float16.
 
     Args:
         network: with adapted blocks; it is in training.
