@@ -52,6 +52,7 @@ class PageAddress:
         self._plain = replace(state(), scoring=opened)
         self._show_other, self._search, self._wake = show_other, search, wake
         self._greeted, self.waiting = False, True
+        self._leads_elsewhere = False  # the page's address names another workspace, which is being opened
         self._timeout = DelayedCall(_ADDRESS_TIMEOUT, self._stop_waiting)
 
     def greet(self, greeting: Greeting) -> None:
@@ -66,6 +67,7 @@ class PageAddress:
             self._views.fit(greeting.small)
             search = greeting.search if self._search is None else self._search
             if (other := self._url_state.other_workspace(search)) is not None:
+                self._leads_elsewhere = True
                 self._show_other(other, search)
                 return
             before = self._state()
@@ -111,11 +113,15 @@ class PageAddress:
 
     def write(self, state: SessionState) -> None:
         """Let the page's address name a state, with what the windows show by now."""
-        if not self._greeted:  # the page would lose the address that it has yet to send
+        if not self._greeted or self._leads_elsewhere:  # the page would lose its own address
             return
         with self._lock:  # otherwise the worker could replace a newer address of the laboratory by an older one
             whole_state = session_state.with_windows(state, self._state())
             self._views.bridge.set_address(self._url_state.write(whole_state), self._url_state.keys)
+
+    def stay(self) -> None:
+        """Let the address name this workspace; the one that it named cannot be opened."""
+        self._leads_elsewhere = False
 
     def leave(self) -> None:
         """Wait no more for a page that has left."""

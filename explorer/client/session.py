@@ -175,6 +175,7 @@ class ClientSession:
 
     def stay(self, label: str, error: str) -> None:
         """Say why another workspace cannot be shown, and go on with this one."""
+        self._built_address.stay()
         self._worker.wake()
         self.views.panels.notify_error(f"Not opened: {label}", error)
 

@@ -25,6 +25,7 @@ from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
 from tests.e2e.conftest import PATIENCE, ExplorerPage
 from tools.fixtures.processes import free_port
+from tools.fixtures.websocket_client import WebSocketClient
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,19 @@ def test_the_first_screen_of_another_place_is_there_before_its_session_and_loses
     expect(page).to_have_url(re.compile("(?=.*show=whole)(?=.*why=1)"))
 
 
+def test_a_link_to_another_place_stays_the_address_while_that_opens(offer: Offer) -> None:
+    with WebSocketClient(offer.url, origin=offer.url) as client:
+        client.greet("?show=whole&query=~1")  # returns when the place that is open shows its first answer
+        client.wait(lambda: any(title == "Opening whole pictures" for title, _ in client.notices))
+        assert client.links == []
+        former = client.find("page")
+        offer.may_open.set()
+        client.wait(lambda: client.find("page") not in (None, former))
+        client.greet("?show=whole&query=~1")
+        client.wait(lambda: client.link is not None)
+        assert all("show=whole" in link for link in client.links)
+
+
 @pytest.mark.slow
 def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
     offer: Offer, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
@@ -178,3 +192,4 @@ def test_a_workspace_that_does_not_open_says_why_and_the_page_stays(offer: Offer
     notice = explorer.page.locator(".mantine-Notification-root", has_text="Not opened: a broken map")
     expect(notice).to_contain_text("The map is not there; give another.")
     expect_workspace(explorer, "four rings", 4)
+    expect(explorer.page).to_have_url(re.compile(r"\?(?!.*show=)"))
