@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -32,12 +32,21 @@ class MapCommand:
     keep_borders: bool = False
     """Keep white and black borders as part of the picture."""
 
+    elevation: Path | None = None
+    """GeoTIFF of heights of the map's ground, any CRS: a surface model (with roofs and trees) rather than one of the bare ground.
+    lpn locate solves the camera's pose with it."""
+    elevation_unit: Literal["metre", "foot", "us-foot"] | None = None
+    """Unit of these heights, instead of the one that the file says."""
+
     from_flight: tuple[Path, ...] | None = None
     """Photos with GPS tags that look straight down, or folders of them, in place of files: an orthophoto is made of them, as if
     the ground were flat. Place and scale are those of the tags."""
 
     def run(self) -> None:
+        import numpy as np
+
         from lpn.core.files import printable
+        from lpn.maps.elevation import probes
 
         written = self._written(lambda message: print(printable(message), flush=True))
         for note in written.notes:
@@ -50,16 +59,26 @@ class MapCommand:
             f"{longitude:.6f}, {written.coverage().mean():.0%} of it with data, from {sheets}; the finest has "
             f"{written.resolution:.3g} m per pixel."
         )
+        if written.elevation is not None:
+            known = written.heights(probes(written.bounds))
+            known = known[np.isfinite(known)]
+            print(
+                f"Its heights go from {known.min():.1f} to {known.max():.1f} m, by {printable(written.elevation.name)}."
+            )
 
     def _written(self, on_progress: Callable[[str], None]) -> Map:
         from lpn.core.errors import InputError
         from lpn.maps import MapOptions
+        from lpn.maps.elevation import ElevationFile
         from lpn.maps.folder import build_map
 
+        if self.elevation is None and self.elevation_unit is not None:
+            raise InputError("--elevation-unit needs --elevation; give both, or leave it out.")
+        elevation = None if self.elevation is None else ElevationFile(self.elevation, self.elevation_unit)
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
         if self.from_flight is None:
-            return build_map(self.files, self.out, options, on_progress)
-        if self.files or options != MapOptions():
+            return build_map(self.files, self.out, options, on_progress, elevation)
+        if self.files or options != MapOptions() or elevation is not None:
             raise InputError("--from-flight makes the map of photos alone; leave the other files and options out.")
         from lpn.flights import photos_of
         from lpn.flights.base import degrees

@@ -11,7 +11,7 @@ from lpn.world.factors import FACTORS, Factor
 
 # Options of the pictures of places, and those of --flight.
 _OF_PLACES = ("views", "pixels", "tile_pixels", "streets", "panoramas", "vary", "part")
-_OF_FLIGHTS = ("frames", "width", "map_pixel")
+_OF_FLIGHTS = ("frames", "width", "map_pixel", "oblique")
 
 
 @dataclass
@@ -51,6 +51,8 @@ class WorldCommand:
     """Width of a picture of --flight, whose proportions are 4:3."""
     map_pixel: float = 0.3
     """Metres a pixel of the map of --flight."""
+    oblique: bool = False
+    """Fly --flight at 60 to 200 m, with the gimbal at 0 to 45 degrees from straight down, in place of 80 to 120 m and 0 to 11."""
 
     def run(self) -> None:
         self._check_options()
@@ -84,7 +86,9 @@ class WorldCommand:
     def _render_flight(self) -> None:
         from lpn.world.flight import FlightSettings, build_flight
 
-        settings = FlightSettings(self.seed, self.buildings, self.frames, self.width, self.samples, self.map_pixel)
+        settings = FlightSettings(
+            self.seed, self.buildings, self.frames, self.width, self.samples, self.map_pixel, self.oblique
+        )
         print(f"{build_flight(settings, self.out, self.threads).describe()} The flight is in {self.out}.")
 
     def resume_hint(self) -> str:

@@ -4,6 +4,7 @@
     coverage.png        share of each cell that is valid, 0 to 255
     sheets/01.vrt       a large sheet without overviews, beside 01.vrt.ovr with its overviews
     sheets/02.tif       a tiled copy, with overviews, of a large sheet whose file must be read from its beginning
+    sheets/elevation.tif  heights of the map's ground in metres, in the CRS and at the resolution of the file that was given
 
 Other sheets are read where they are: map.json names them relative to its own folder.
 """
@@ -27,6 +28,7 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import check_writable, printable, write_atomic
 from lpn.maps import _gdal
+from lpn.maps.elevation import Elevation, ElevationFile, ElevationSource, probes, write_elevation
 from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
 from lpn.maps.raster import GdalRaster, Treatment, is_jpeg
@@ -39,6 +41,7 @@ NAME = "map.json"
 FORMAT = "lpn-map/1"
 _COVERAGE = "coverage.png"
 _SHEETS = "sheets"
+_ELEVATION = "elevation.tif"
 # Files that GDAL may write beside a raster.
 _ENDS = ("", ".ovr", ".aux.xml", ".msk", ".msk.ovr")
 # Sides above which a sheet gets overviews, and the side of the coarsest overview.
@@ -72,6 +75,13 @@ class SheetRecord(msgspec.Struct, frozen=True):
     notes: list[str]
 
 
+class ElevationRecord(msgspec.Struct, frozen=True):
+    """The elevation in map.json: the name of the file that was given, and sentences about how it is read."""
+
+    name: str
+    notes: list[str]
+
+
 class MapRecord(msgspec.Struct, frozen=True):
     """The contents of map.json.
 
@@ -79,6 +89,7 @@ class MapRecord(msgspec.Struct, frozen=True):
         latitude, longitude: origin of the frame in degrees.
         sheets: none until all are done.
         written: names of files in `sheets/` that `lpn map` wrote, or may have written; it replaces and deletes no others.
+        elevation: of `sheets/elevation.tif`; None without one.
     """
 
     format: str
@@ -87,6 +98,7 @@ class MapRecord(msgspec.Struct, frozen=True):
     longitude: float
     sheets: list[SheetRecord]
     written: list[str]
+    elevation: ElevationRecord | None = None
 
 
 def build_map(
@@ -94,6 +106,7 @@ def build_map(
     out: Path,
     options: MapOptions | None = None,
     on_progress: Callable[[str], None] = lambda _: None,
+    elevation: ElevationFile | None = None,
 ) -> Map:
     """Write the folder of a map, and return the map.
 
@@ -102,17 +115,21 @@ def build_map(
         out: new or empty folder, or one of an earlier map, which is replaced. No file that `lpn map` did not write is changed.
         options: what is known about the files beyond what they say.
         on_progress: called with a sentence before each long step.
+        elevation: heights of the map's ground; they are copied into the folder, in metres.
 
     Raises:
-        DataError: if a file cannot be read, or has no or an impossible georeference; nothing is written.
+        DataError: if a file cannot be read, or has no or an impossible georeference, or heights have an unknown or impossible
+            unit, or are those of another place; nothing is written. If the elevation covers less than half of what the map shows,
+            the folder is left as by a run that was killed.
         InputError: if an option is malformed, or does not apply, or a file lies in the map's folder; nothing is written.
         OutputError: if the folder holds other files where those of the map go, or cannot be written.
     """
     options = options or MapOptions()
     files = files_of(paths, options)
     earlier = _written_before(out)
-    _check_inputs(files, out)
-    return _build(files, out, options, earlier, on_progress)
+    heights = None if elevation is None else ElevationSource(elevation)
+    _check_inputs([*files, *([] if elevation is None else [elevation.path])], out)
+    return _build(files, out, options, earlier, on_progress, heights=heights)
 
 
 def write_own_map(
@@ -138,14 +155,17 @@ def _build(
     earlier: set[str],
     on_progress: Callable[[str], None],
     notes: Sequence[str] = (),
+    heights: ElevationSource | None = None,
 ) -> Map:
     """Write the folder of a map whose place is checked; `earlier` are the names in `sheets/` that it may replace."""
     places = [None if is_tile_set(file) else georeference(file, options) for file in files]
-    _check_places(files, places, options)
+    _check_places(files, places, options, heights)
     targets = [out / _SHEETS / f"{number:02d}" for number in range(1, len(files) + 1)]
     planned = {
         name for target, place in zip(targets, places, strict=True) if place is not None for name in _names(target)
     }
+    if heights is not None:
+        planned |= {_ELEVATION, Path(_ELEVATION).with_suffix(".part.tif").name}
     _check_sheets(out, planned - earlier)
     check_writable(out / NAME)
     # A run that is killed leaves this record, by which the next one knows the folder, and what it may replace there.
@@ -160,17 +180,28 @@ def _build(
             kept |= {f"{path.name}{end}" for end in _ENDS}
         sheets.append(raster_sheet(file, path, *place, options))
         sheets[-1].raster.notes += notes
+    if heights is not None:
+        kept.add(_ELEVATION)
     for name in (earlier | planned) - kept:
         (out / _SHEETS / name).unlink(missing_ok=True)
     whole = Map(files[0].stem, sheets)
     on_progress("Looking where the map has data.")
     if not whole.coverage().any():
         raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
+    elevation = None
+    if heights is not None:
+        on_progress(f"Copying the heights of {printable(heights.path.name)}.")
+        places_shown = probes(whole.bounds)
+        shown = places_shown[whole.valid_shares(places_shown, whole.resolution) > 0]
+        written_heights = write_elevation(heights, out / _SHEETS / _ELEVATION, whole.frame, whole.bounds, shown)
+        elevation = ElevationRecord(written_heights.name, written_heights.notes)
+        whole.elevation = written_heights
     coverage = np.rint(whole.coverage() * 255).astype(np.uint8)
     write_atomic(out / _COVERAGE, cv2.imencode(".png", coverage)[1].tobytes())
     records = [_record(sheet, out) for sheet in whole.sheets]
     written = sorted(name for name in kept if (out / _SHEETS / name).exists())
-    _write(out, MapRecord(FORMAT, whole.name, whole.frame.latitude, whole.frame.longitude, records, written))
+    frame = whole.frame
+    _write(out, MapRecord(FORMAT, whole.name, frame.latitude, frame.longitude, records, written, elevation))
     return whole
 
 
@@ -197,7 +228,20 @@ def open_folder(folder: Path) -> Map:
         raise DataError(f"{file_name} names no sheet; write it again with lpn map.")
     coverage = cv2.imdecode(np.fromfile(folder / _COVERAGE, np.uint8), cv2.IMREAD_GRAYSCALE) if _has(folder) else None
     frame = LocalFrame(record.latitude, record.longitude)
-    return Map(record.name, sheets, frame, None if coverage is None else (coverage / 255).astype(np.float32))
+    shares = None if coverage is None else (coverage / 255).astype(np.float32)
+    return Map(record.name, sheets, frame, shares, _opened_elevation(folder, record.elevation))
+
+
+def _opened_elevation(folder: Path, record: ElevationRecord | None) -> Elevation | None:
+    if record is None:
+        return None
+    path = folder / _SHEETS / _ELEVATION
+    if not path.is_file():
+        raise DataError(
+            f"The map {printable(str(folder))} needs {printable(str(path))}, its elevation, which is not there; bring it back, "
+            "or write the map again with lpn map."
+        )
+    return Elevation(path, record.name, list(record.notes))
 
 
 def _has(folder: Path) -> bool:
@@ -310,7 +354,10 @@ def _check_sheets(out: Path, names: set[str]) -> None:
 
 
 def _check_places(
-    files: Sequence[Path], places: Sequence[tuple[Any, Float64Array] | None], options: MapOptions
+    files: Sequence[Path],
+    places: Sequence[tuple[Any, Float64Array] | None],
+    options: MapOptions,
+    heights: ElevationSource | None,
 ) -> None:
     """Refuse what cannot be a map before any long work: bands and treatments are left open."""
     quick = replace(options, keep_borders=True)
@@ -318,7 +365,10 @@ def _check_places(
         open_sheet(file, quick) if place is None else raster_sheet(file, file, *place, options, Treatment((1,)))
         for file, place in zip(files, places, strict=True)
     ]
-    Map(files[0].stem, sheets).close()
+    whole = Map(files[0].stem, sheets)
+    whole.close()
+    if heights is not None:
+        heights.box(whole.frame, whole.bounds)
 
 
 def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) -> Path:

@@ -16,6 +16,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import corner_pixels
 from lpn.maps import window as windows
+from lpn.maps.elevation import Elevation
 from lpn.maps.frame import LocalFrame
 from lpn.maps.sheet import Bounds, Sheet
 from lpn.maps.window import Window
@@ -43,6 +44,7 @@ class Map:
         sheets: at least one.
         frame: a recorded frame; None takes the middle of the sheets as its origin.
         coverage: a recorded coverage; None computes it at first use.
+        elevation: heights of its ground; None if nothing is known of them.
 
     Attributes:
         name: of the map.
@@ -50,6 +52,7 @@ class Map:
         frame: the local metric frame of all windows.
         bounds: west, south, east, north in metres of the frame.
         resolution: metres per pixel of the finest sheet.
+        elevation: as given.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -61,8 +64,9 @@ class Map:
         sheets: Sequence[Sheet],
         frame: LocalFrame | None = None,
         coverage: Float32Array | None = None,
+        elevation: Elevation | None = None,
     ) -> None:
-        self.name = name
+        self.name, self.elevation = name, elevation
         self.frame = frame or _frame_of(sheets)
         for sheet in sheets:
             sheet.locate(self.frame)
@@ -84,8 +88,21 @@ class Map:
 
     @property
     def notes(self) -> list[str]:
-        """Sentences about how the sheets are read."""
-        return [note for sheet in self.sheets for note in sheet.raster.notes]
+        """Sentences about how the sheets and the elevation are read."""
+        notes = [note for sheet in self.sheets for note in sheet.raster.notes]
+        return notes + ([] if self.elevation is None else self.elevation.notes)
+
+    def heights(self, xy: Float64Array) -> Float64Array:
+        """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).
+
+        They are NaN where the elevation knows none, and everywhere if the map has no elevation.
+
+        Raises:
+            DataError: if the elevation's file is damaged.
+        """
+        if self.elevation is None:
+            return np.full(len(xy), np.nan)
+        return self.elevation.heights(self.frame, xy)
 
     def read(self, window: Window, pixels: int) -> tuple[UInt8Array, BoolArray]:
         """Cut the picture of a window.

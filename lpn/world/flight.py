@@ -5,18 +5,19 @@ truth.csv          where each camera was
 photos/            the pictures of both paths
 video/             the pictures of the free path as a video, with its .SRT
 map/map.tif        the map
+map/elevation.tif  heights of the ground and of what stands on it, in metres of the plan
 """
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -28,7 +29,7 @@ from lpn.datasets.rendered import FLIGHT_PLAN, PLAN, UNFINISHED
 from lpn.world import flight_files, photo
 from lpn.world.atlas import EDITION
 from lpn.world.cameras import SatelliteImage, Site
-from lpn.world.flight_plan import MAP_SIDE, TAG_ERRORS, FlightPicture, FlightPlan, plan_flight
+from lpn.world.flight_plan import MAP_SIDE, MAPPING, OBLIQUE, TAG_ERRORS, FlightPicture, FlightPlan, plan_flight
 from lpn.world.plan import plan_city
 
 if TYPE_CHECKING:
@@ -37,9 +38,11 @@ if TYPE_CHECKING:
 
 FORMAT = "lpn-world-flight/1"
 TRUTH = Path("truth.csv")
-MAP = Path("map/map.tif")
+MAP, ELEVATION = Path("map/map.tif"), Path("map/elevation.tif")
 _VIDEO = "video/LPN_FREE"
-_SPARE = 25.0  # metres around the map whose things may be seen, or throw shadows
+# Metres around the map whose things may be seen, or throw shadows; and of a flight that looks aside.
+_SPARE, _OBLIQUE_SPARE = 25.0, 400.0
+_ELEVATION_PIXEL = 0.5  # metres
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class FlightSettings:
         width: of a picture, in pixels; its height is three quarters of it.
         samples: light paths per pixel.
         map_pixel: metres a pixel of the map.
+        oblique: flies at 60 to 200 m with the gimbal at 0 to 45 degrees from straight down, in place of 80 to 120 m and 0 to 11.
     """
 
     seed: int
@@ -60,6 +64,14 @@ class FlightSettings:
     width: int
     samples: int
     map_pixel: float
+    oblique: bool = False
+
+    def record(self) -> dict[str, Any]:
+        """Return the settings as flight_world.json has them; a flight that is not oblique has them as before there was one."""
+        values = asdict(self)
+        if not self.oblique:
+            del values["oblique"]
+        return values
 
 
 @dataclass
@@ -70,11 +82,12 @@ class FlightTally:
     photo_seconds: float = 0.0
     video: bool = False
     map: bool = False
+    elevation: bool = False
 
     def describe(self) -> str:
         """One sentence for the console."""
         made = [f"{self.photos} photo{'s' * (self.photos > 1)}"] * (self.photos > 0)
-        made += ["the video"] * self.video + ["the map"] * self.map
+        made += ["the video"] * self.video + ["the map"] * self.map + ["its elevation"] * self.elevation
         if not made:
             return "Every file was there already."
         each = f", {self.photo_seconds / self.photos:.1f} s a photo" if self.photos else ""
@@ -96,15 +109,19 @@ def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> Fligh
         import_module("lpn.world.render")  # asks for bpy before anything is planned
     check_writable(out / FLIGHT_PLAN)
     city, site = plan_city(settings.seed, settings.buildings), Site()
-    plan = plan_flight(city, site, settings.frames)
+    plan = plan_flight(city, site, settings.frames, OBLIQUE if settings.oblique else MAPPING)
     video = [out / f"{_VIDEO}{suffix}" for suffix in (".SRT", ".MP4")]
     missing = [i for i, picture in enumerate(plan.pictures) if not _photo(out, picture).is_file()]
-    tally = FlightTally(video=not all(file.is_file() for file in video), map=not (out / MAP).is_file())
-    if missing or tally.video or tally.map:
+    tally = FlightTally(
+        video=not all(file.is_file() for file in video),
+        map=not (out / MAP).is_file(),
+        elevation=not (out / ELEVATION).is_file(),
+    )
+    if missing or tally.video or tally.map or tally.elevation:
         write_atomic(out / UNFINISHED, b"Files are missing here; lpn world --flight with the same settings goes on.\n")
     write_atomic(out / FLIGHT_PLAN, _settings_json(settings, plan, site))
     write_atomic(out / TRUTH, plan.truth_csv(city, site))
-    if missing or tally.map:
+    if missing or tally.map or tally.elevation:
         _render(settings, city, site, plan, missing, out, threads, tally)
     if tally.video:
         write_atomic(video[0], flight_files.subtitles_bytes(plan.video))
@@ -117,7 +134,7 @@ def _render(
     settings: FlightSettings, city: City, site: Site, plan: FlightPlan, missing: list[int], out: Path,
     threads: int, tally: FlightTally,
 ) -> None:  # fmt: skip
-    """Render the map if it is missing, then the photos of these numbers."""
+    """Render the map and its elevation if they are missing, then the photos of these numbers."""
     from lpn.world import render
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -126,19 +143,25 @@ def _render(
         Progress(*columns, console=Console(file=stream)) as bar,
         render.scratch_folder() as folder,
     ):
-        task = bar.add_task("Rendering", total=len(missing) + tally.map)
+        task = bar.add_task("Rendering", total=len(missing) + tally.map + tally.elevation)
 
-        def scene(look: photo.Look) -> BlenderScene:
+        def scene(look: photo.Look, spare: float = _SPARE) -> BlenderScene:
             return render.BlenderScene(
-                city, plan.x, plan.y, MAP_SIDE + 2 * _SPARE, look, settings.samples, folder, threads
+                city, plan.x, plan.y, MAP_SIDE + 2 * spare, look, settings.samples, folder, threads
             )
 
-        if tally.map:
-            write_atomic(out / MAP, _map(settings, site, plan, scene))
-            bar.advance(task)
+        if tally.map or tally.elevation:
+            look = photo.map_look(settings.seed)
+            made = scene(look)
+            if tally.map:
+                write_atomic(out / MAP, _map(settings, site, plan, made, look))
+                bar.advance(task)
+            if tally.elevation:
+                write_atomic(out / ELEVATION, _elevation(site, plan, made))
+                bar.advance(task)
         if missing:
             day = photo.flight_look(settings.seed)
-            made = scene(day)
+            made = scene(day, _OBLIQUE_SPARE if settings.oblique else _SPARE)
             for number in missing:
                 start = time.perf_counter()
                 picture = plan.pictures[number]
@@ -151,14 +174,26 @@ def _render(
                 bar.advance(task)
 
 
-def _map(settings: FlightSettings, site: Site, plan: FlightPlan, scene: Callable[[photo.Look], BlenderScene]) -> bytes:
+def _map(settings: FlightSettings, site: Site, plan: FlightPlan, scene: BlenderScene, look: photo.Look) -> bytes:
     """Render the map as an orthophoto: buildings stand upright, and roofs lie where they are."""
-    look = photo.map_look(settings.seed)
     grid = flight_files.MapGrid(site, plan.x, plan.y, MAP_SIDE, settings.map_pixel)
-    size = MAP_SIDE + 2 * _SPARE  # the zone's grid is turned by up to some degrees
-    sweep = SatelliteImage(plan.x, plan.y, plan.ground, size, round(size / settings.map_pixel), 0.0, 0.0)
-    light = grid.cut(scene(look).sweep(sweep), sweep)
+    sweep = _sweep(plan, settings.map_pixel)
+    light = np.maximum(grid.cut(scene.sweep(sweep), sweep, cv2.INTER_CUBIC), 0)
     return grid.geotiff(photo.develop(light, look, np.random.default_rng([settings.seed, 72])))
+
+
+def _elevation(site: Site, plan: FlightPlan, scene: BlenderScene) -> bytes:
+    """Measure the heights of the map's day, with leaves and parked cars, on a grid of its own."""
+    grid = flight_files.MapGrid(site, plan.x, plan.y, MAP_SIDE, _ELEVATION_PIXEL)
+    sweep = _sweep(plan, _ELEVATION_PIXEL)
+    heights = grid.cut(scene.heights(sweep)[..., None], sweep, cv2.INTER_LINEAR)
+    return grid.elevation(heights[..., 0])
+
+
+def _sweep(plan: FlightPlan, pixel: float) -> SatelliteImage:
+    """Return the orthographic picture that holds the map; the zone's grid is turned by up to some degrees."""
+    size = MAP_SIDE + 2 * _SPARE
+    return SatelliteImage(plan.x, plan.y, plan.ground, size, round(size / pixel), 0.0, 0.0)
 
 
 def _photo(out: Path, picture: FlightPicture) -> Path:
@@ -167,7 +202,7 @@ def _photo(out: Path, picture: FlightPicture) -> Path:
 
 def _settings_json(settings: FlightSettings, plan: FlightPlan, site: Site) -> bytes:
     values = {
-        "format": FORMAT, "edition": EDITION, "settings": asdict(settings), "site": asdict(site),
+        "format": FORMAT, "edition": EDITION, "settings": settings.record(), "site": asdict(site),
         "middle": {"x": round(plan.x, 3), "y": round(plan.y, 3), "ground": round(plan.ground, 3)},
         "tag errors": asdict(TAG_ERRORS),
     }  # fmt: skip
@@ -197,7 +232,7 @@ def _check_out(settings: FlightSettings, out: Path) -> None:
         had, edition = held["settings"], held["edition"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise OutputError(f"{file} is not a rendered flight's; choose another folder.") from error
-    if had != asdict(settings) or edition != EDITION:
+    if had != settings.record() or edition != EDITION:
         raise OutputError(
             f"{out} holds a flight of edition {edition} made with other settings ({had}); choose another folder, or "
             "delete that one."

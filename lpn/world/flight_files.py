@@ -189,8 +189,8 @@ class MapGrid:
         longitudes, latitudes = self._warp(self.crs, self._degrees, east, north)
         return np.stack(self._site.metres(np.array(latitudes), np.array(longitudes)), axis=1)  # type: ignore[arg-type]
 
-    def cut(self, light: Float32Array, sweep: SatelliteImage) -> Float32Array:
-        """Resample an orthographic picture of the plan to the map's pixels, (n, n, 3)."""
+    def cut(self, values: Float32Array, sweep: SatelliteImage, interpolation: int) -> Float32Array:
+        """Resample an orthographic picture of the plan, (m, m, c), to the map's pixels, (n, n, c), by a method of OpenCV."""
         # Over a kilometre, the zone's grid is a polynomial of second degree of the plan to a tenth of a millimetre.
         at = np.linspace(0, self.pixels, 12)
         columns, rows = (grid.ravel() for grid in np.meshgrid(at, at))
@@ -199,25 +199,40 @@ class MapGrid:
         scale = 1 / self.pixels
         fit = np.linalg.lstsq(_terms(columns * scale, rows * scale), pixels, rcond=None)[0]
         middles = (np.arange(self.pixels) + 0.5) * scale
-        cut = np.empty((self.pixels, self.pixels, light.shape[2]), np.float32)
+        cut = np.empty((self.pixels, self.pixels, values.shape[2]), np.float32)
         for row, middle in enumerate(middles):
             source_pixels = (_terms(middles, np.full(self.pixels, middle)) @ fit - 0.5).astype(np.float32)
             cut[row] = cv2.remap(
-                light,
+                values,
                 source_pixels[None, :, 0],
                 source_pixels[None, :, 1],
-                cv2.INTER_CUBIC,
+                interpolation,
                 borderMode=cv2.BORDER_REPLICATE,
-            )[0]
-        return np.maximum(cut, 0)
+            ).reshape(self.pixels, -1)
+        return cut
 
     def geotiff(self, pixels: NDArray[np.uint8]) -> bytes:
         """Encode the map (n, n, 3) as a tiled GeoTIFF with overviews, JPEG-compressed."""
+        return _geotiff(pixels, self.crs, self._transform, _MAP_QUALITY)
+
+    def elevation(self, heights: Float32Array) -> bytes:
+        """Encode heights in metres (n, n) as a tiled GeoTIFF, rounded to centimetres."""
+        from rasterio.io import MemoryFile
+
+        with MemoryFile() as file:
+            with file.open(
+                driver="GTiff", width=self.pixels, height=self.pixels, count=1, dtype="float32", crs=self.crs,
+                transform=self._transform, tiled=True, blockxsize=256, blockysize=256, compress="deflate", predictor=3,
+            ) as written:  # fmt: skip
+                written.write(np.round(heights, 2).astype(np.float32), 1)
+                written.units = ("metre",)
+            return bytes(file.read())
+
+    @property
+    def _transform(self) -> Any:
         from rasterio import Affine
 
-        return _geotiff(
-            pixels, self.crs, Affine(self._pixel, 0.0, self.west, 0.0, -self._pixel, self.north), _MAP_QUALITY
-        )
+        return Affine(self._pixel, 0.0, self.west, 0.0, -self._pixel, self.north)
 
 
 def compressed_map(file: Path, quality: int) -> bytes:

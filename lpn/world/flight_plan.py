@@ -33,12 +33,29 @@ START = datetime(2026, 10, 14, 14, 20, tzinfo=UTC).timestamp()
 # Metres of the map around the flight's middle: all pictures of all seeds lie inside.
 MAP_SIDE = 720.0
 _LAWN = (360.0, 300.0)  # length of a leg, and from the first leg to the last, in metres
-_LAWN_SHARE = 0.6
 _AIRSPEED, _WIND = 10.0, (2.0, 4.0)  # metres a second
 _GUSTS = (0.5, 8.0)  # deviation in metres a second, and time constant in seconds
 _TURN_SECONDS, _TRANSIT_SECONDS = 9.0, 25.0
 _FREE_REACH = 200.0  # metres
-_STEEPEST, _FLATTEST = -90.0, -79.0  # degrees, of the gimbal on the free path
+_STEEPEST = -90.0  # degrees, of the gimbal on the free path
+
+
+@dataclass(frozen=True)
+class FlightStyle:
+    """The heights and tilts of a flight.
+
+    Attributes:
+        heights: lower and upper height of both paths, in metres above the point of take-off.
+        flattest: pitch of the gimbal, in degrees, up to which it swings from straight down on the free path.
+        lawn_share: share of the pictures that the lawnmower takes.
+    """
+
+    heights: tuple[float, float] = HEIGHTS
+    flattest: float = -79.0
+    lawn_share: float = 0.6
+
+
+MAPPING, OBLIQUE = FlightStyle(), FlightStyle((60.0, 200.0), -45.0, 0.3)
 
 
 @dataclass(frozen=True)
@@ -184,16 +201,16 @@ def picture_middle(city: City, pose: AerialPose) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def plan_flight(city: City, site: Site, frames: int) -> FlightPlan:
+def plan_flight(city: City, site: Site, frames: int, style: FlightStyle = MAPPING) -> FlightPlan:
     """Plan a flight of `frames` pictures over the district of the test split that has most targets."""
     x, y = _middle(city)
     ground = city.height(x, y)
     rng = np.random.default_rng([city.seed, 71, frames])
     blowing, strength = rng.uniform(0, 2 * np.pi), rng.uniform(*_WIND)
     steady = strength * np.array([np.sin(blowing), np.cos(blowing)])
-    mown = max(1, round(_LAWN_SHARE * frames))
+    mown = max(1, round(style.lawn_share * frames))
     lawn, free = np.arange(frames) < mown, np.arange(frames) - mown
-    one, other = _lawnmower(rng, mown, steady), _free_path(rng, frames - mown, steady)
+    one, other = _lawnmower(rng, mown, steady, style), _free_path(rng, frames - mown, steady, style)
     times = np.concatenate([one.times, one.times[-1] + _TRANSIT_SECONDS + other.times])
     places, heights, courses, speeds = (
         np.concatenate([getattr(one, name), getattr(other, name)])
@@ -204,7 +221,7 @@ def plan_flight(city: City, site: Site, frames: int) -> FlightPlan:
     nose = (courses + crab) % 360
     pan = np.where(lawn, 0.0, 18 * np.sin(free / 9 + rng.uniform(0, 6)))
     pitch = np.where(
-        lawn, -90.0, _STEEPEST + (_FLATTEST - _STEEPEST) * 0.5 * (1 - np.cos(free / 7 + rng.uniform(-0.5, 0.5)))
+        lawn, -90.0, _STEEPEST + (style.flattest - _STEEPEST) * 0.5 * (1 - np.cos(free / 7 + rng.uniform(-0.5, 0.5)))
     )
     yaw = (nose + pan + rng.normal(0, 0.5, frames)) % 360
     e = TAG_ERRORS
@@ -271,7 +288,7 @@ class _Track:
     speeds: Float64Array
 
 
-def _lawnmower(rng: np.random.Generator, count: int, wind: Float64Array) -> _Track:
+def _lawnmower(rng: np.random.Generator, count: int, wind: Float64Array, style: FlightStyle) -> _Track:
     """Return parallel legs there and back, half of them at each height; the first picture of a leg follows a turn."""
     legs = 6 if count >= 30 else 2
     leg = np.sort(np.arange(count) % legs)
@@ -285,11 +302,11 @@ def _lawnmower(rng: np.random.Generator, count: int, wind: Float64Array) -> _Tra
     speeds = np.array([_ground_speed(wind, course) for course in courses]) + rng.normal(0, 0.3, count)
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1) / speeds[1:] + _TURN_SECONDS * first[1:]
     times = np.concatenate([[0.0], np.cumsum(steps)])
-    heights = np.where(leg < legs // 2, *HEIGHTS) + gauss_markov(rng, times, 0.3, 20.0)
+    heights = np.where(leg < legs // 2, *style.heights) + gauss_markov(rng, times, 0.3, 20.0)
     return _Track(times, places, heights, courses, speeds)
 
 
-def _free_path(rng: np.random.Generator, count: int, wind: Float64Array) -> _Track:
+def _free_path(rng: np.random.Generator, count: int, wind: Float64Array, style: FlightStyle) -> _Track:
     """Return places one second apart on a smooth curve, from the upper height down to the lower one."""
     around = np.linspace(0, 4 * np.pi, 8000) + rng.uniform(0, 2 * np.pi)
     phases = rng.uniform(0, 2 * np.pi, 2)
@@ -308,7 +325,8 @@ def _free_path(rng: np.random.Generator, count: int, wind: Float64Array) -> _Tra
         flown += speeds[i]
     times = np.arange(count, dtype=np.float64)
     share = times / max(count - 1, 1)
-    heights = HEIGHTS[1] + (HEIGHTS[0] - HEIGHTS[1]) * share**2 * (3 - 2 * share)
+    lower, upper = style.heights
+    heights = upper + (lower - upper) * share**2 * (3 - 2 * share)
     return _Track(times, places, heights + gauss_markov(rng, times, 0.3, 20.0), courses, speeds)
 
 

@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
@@ -229,7 +230,7 @@ def test_the_maps_pixels_lie_where_the_plan_has_them(tmp_path: Path) -> None:
     for pixel in sweep.project(np.column_stack([spots, np.full(3, 5.0)])):
         light += 0.9 * np.exp(-((at - pixel) ** 2).sum(axis=-1) / 2 / 2.0**2)[..., None]
     file = tmp_path / "map.tif"
-    shown = (grid.cut(light.astype(np.float32), sweep) * 250).astype(np.uint8)
+    shown = (grid.cut(light.astype(np.float32), sweep, cv2.INTER_CUBIC) * 250).astype(np.uint8)
     file.write_bytes(grid.geotiff(shown))
     town = open_map(file)
     for spot in spots:
@@ -255,7 +256,7 @@ def test_the_map_shows_another_day_than_the_photos() -> None:
 def test_the_files_of_a_flight_are_read_as_one(city: City, tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
     tally = build_flight(SETTINGS, tmp_path / "made")
-    assert tally.describe().startswith("Made 10 photos, the video and the map")
+    assert tally.describe().startswith("Made 10 photos, the video, the map and its elevation")
     plan = plan_flight(city, Site(), 10)
     flight = make_flight([tmp_path / "made/photos"], tmp_path / "photos")
     assert [frame.name for frame in flight.frames] == [picture.name for picture in plan.pictures]
