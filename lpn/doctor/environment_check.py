@@ -31,6 +31,7 @@ _USES = {
     "ray": "describing on many machines",
     "milvus": "search on a server",
     "video": "subtitles inside a video",
+    "live": "logs of autopilots, bags of ROS, and live links",
     "umap": "a second map of descriptors",
     "maps": "maps of your own",
     "dev": "the tests",

@@ -17,7 +17,7 @@ from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.core.numbers import distance
 from lpn.datasets.base import files_below
-from lpn.flights import logs, subtitles, track_files, videos
+from lpn.flights import logs, subtitles, track_files, vehicle_logs, videos
 from lpn.flights.base import Flight, Frame, HeadingSource, local_metres
 from lpn.flights.clock_fit import ClockFit, fit_clocks
 from lpn.flights.folder import FRAMES, check_folder, write_flight
@@ -117,14 +117,25 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     return flight
 
 
+def read_any_log(file: Path) -> Log:
+    """Read a log of any kind: a table, a track, a log of an autopilot, or a bag.
+
+    Raises:
+        DataError: if it is damaged, or of no kind that is read.
+    """
+    suffix = file.suffix.lower()
+    if file.is_dir() or suffix in vehicle_logs.SUFFIXES:
+        return vehicle_logs.read_vehicle_log(file)
+    return track_files.read_track(file) if suffix in track_files.SUFFIXES else logs.read_log(file)
+
+
 def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str]]:
     """Return the logs and tracks, the text files that are no logs, and a note for each of these that is nearly a log."""
     read: dict[Path, Log] = {}
     others, notes = [], []
     for file in files:
-        is_track = file.suffix.lower() in track_files.SUFFIXES
         try:
-            read[file] = track_files.read_track(file) if is_track else logs.read_log(file)
+            read[file] = read_any_log(file)
         except DataError as error:
             if file.suffix.lower() not in (".txt", ".log"):
                 raise
@@ -212,12 +223,15 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
         (PHOTOS, inputs.photos),
         (videos.SUFFIXES, inputs.videos),
         (videos.SUBTITLES, inputs.subtitles),
-        ((*logs.SUFFIXES, *track_files.SUFFIXES), inputs.logs),
+        ((*logs.SUFFIXES, *track_files.SUFFIXES, *vehicle_logs.SUFFIXES), inputs.logs),
     )
     taken = (*PHOTOS, *videos.SUFFIXES, *videos.SUBTITLES, *_OTHER_PICTURES)
     for path in paths:
         if not path.exists():
             raise DataError(f"There is no {path}; give photos, videos, subtitles, logs, tracks, or folders of them.")
+        if path.is_dir() and vehicle_logs.is_bag(path):
+            inputs.logs.append(path)
+            continue
         inside = path.is_dir()
         for file in files_below(path, taken) if inside else [path]:
             kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), inputs.others)
