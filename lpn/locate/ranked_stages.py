@@ -27,12 +27,12 @@ from lpn.locate.sequence import (
 from lpn.locate.tracks import State
 
 # A place is told by windows that overlap it, whose centres lie within this share of a side, and with this probability.
-_OVERLAP = 0.75
-_CONFIDENCE = 0.98
+OVERLAP = 0.75
+CONFIDENCE = 0.98
 # Log odds from which steps along the headings, or registrations that agree, show that the map is of the flight's place.
-_EVIDENCE = 4.0
+EVIDENCE = 4.0
 # Share of the registrations that agree with the sequence on the right map, and points along a side of what they searched.
-_AGREEING = 0.9
+AGREEING = 0.9
 _POINTS = 21
 _UNVERIFIED = (
     "Nothing shows that the map is of this place: steps along the headings are hardly more probable than others, and the "
@@ -112,7 +112,7 @@ def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tu
 
     motion, temperature = fitted(scores, headings, retrieval.places, flight.times, step, speed)
     evidence = heading_evidence(scores, headings, retrieval.places, flight.times, motion, temperature)
-    near = _OVERLAP * side
+    near = OVERLAP * side
     track = smooth(lambda i: emissions(scores(i), temperature), headings, retrieval.places, flight.times, motion, near)
     return track, motion, evidence
 
@@ -132,7 +132,7 @@ def enter_sequence(
         state: State = "accepted"
         sentence = track.sentence(i)
         off = float(np.linalg.norm(retrieval.places[track.path[i]] - track.positions[i]))
-        if off > _OVERLAP * side:
+        if off > OVERLAP * side:
             sentence += f" The most probable path of the whole flight passes {off:.0f} m from here."
         if i in retrieval.broken:
             state, sentence = "refused", "The frame cannot be read; the position is a guess of its neighbours."
@@ -141,17 +141,17 @@ def enter_sequence(
             sentence = (
                 f"The 1-sigma radius of {radius:.0f} m is larger than a window, whose side is {side:.0f} m. {sentence}"
             )
-        elif track.nearby[i] < _CONFIDENCE:
+        elif track.nearby[i] < CONFIDENCE:
             state = "refused"
             probability = math.floor(100 * track.nearby[i]) / 100  # never rounded up to what is needed
             sentence = (
-                f"The frame lies within {_OVERLAP * side:.0f} m of this place with a probability of {probability:.2f}, and "
-                f"{_CONFIDENCE:.2f} are needed. {sentence}"
+                f"The frame lies within {OVERLAP * side:.0f} m of this place with a probability of {probability:.2f}, and "
+                f"{CONFIDENCE:.2f} are needed. {sentence}"
             )
         x, y = (float(value) for value in track.positions[i])
         heading = None if math.isnan(track.headings[i]) else float(track.headings[i])
         answer = StageRecord(state, sentence, x, y, radius=radius, heading=heading)
-        if answer.accepted and evidence < _EVIDENCE:
+        if answer.accepted and evidence < EVIDENCE:
             answer = msgspec.structs.replace(
                 answer, state="refused", unverified=True, sentence=f"{_UNVERIFIED} {sentence}"
             )
@@ -186,11 +186,11 @@ def confirm_sequence(frames: Sequence[LocatedFrame], side: float, bounds: tuple[
         sequence, registration = located.stages.get("sequence"), located.stages["registration"]
         if sequence is None or not sequence.unverified or not registration.accepted:
             continue
-        chance = _chance_to_agree(np.array(located.likely_places()), side, registration.width or side, bounds)
-        if chance < _AGREEING:
-            agrees = registration.distance(np.array([sequence.x, sequence.y])) <= _OVERLAP * side
-            evidence += math.log(_AGREEING / chance if agrees else (1 - _AGREEING) / (1 - chance))
-    if evidence < _EVIDENCE:
+        chance = chance_to_agree(np.array(located.likely_places()), side, registration.width or side, bounds)
+        if chance < AGREEING:
+            agrees = registration.distance(np.array([sequence.x, sequence.y])) <= OVERLAP * side
+            evidence += math.log(AGREEING / chance if agrees else (1 - AGREEING) / (1 - chance))
+    if evidence < EVIDENCE:
         return
     for located in frames:
         if (answer := located.stages.get("sequence")) is not None and answer.unverified:
@@ -199,7 +199,7 @@ def confirm_sequence(frames: Sequence[LocatedFrame], side: float, bounds: tuple[
             )
 
 
-def _chance_to_agree(
+def chance_to_agree(
     places: Float64Array, side: float, width: float, bounds: tuple[float, float, float, float]
 ) -> float:
     """Return the share of the ground where a photo's middle may be registered that lies near the first of places (K, 2).
@@ -213,5 +213,5 @@ def _chance_to_agree(
     points = points[((points >= bounds[:2]) & (points <= bounds[2:])).all(axis=1)]
     # A point of several squares is there several times.
     weights = 1 / (np.abs(points[:, None] - places) <= reach + 1e-6).all(axis=2).sum(axis=1)
-    near = np.linalg.norm(points - places[0], axis=1) <= _OVERLAP * side
+    near = np.linalg.norm(points - places[0], axis=1) <= OVERLAP * side
     return float(weights[near].sum() / weights.sum()) if len(points) else 1.0

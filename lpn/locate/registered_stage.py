@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from lpn.core import images
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import cache_folder
 from lpn.core.progress import Progress
@@ -88,7 +88,7 @@ def register_frames(
             answer = register_frame(basemap, features, located, options, widths, ratios, retrieval)
             records.append(trail, answer)
         answers.append(answer)
-        located.stages["registration"] = _with_map_error(answer, options.map_error or 0.0)
+        located.stages["registration"] = with_map_error(answer, options.map_error or 0.0)
         if answer.accepted and answer.width is not None:
             widths.append(answer.width)
             if (expected := ground_width(located.frame)) is not None:
@@ -131,7 +131,7 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
             continue
         for (located, answer, *_), spread, height in zip(of_cameras, spreads, heights, strict=True):
             radius = math.hypot(spread, height * math.tan(math.radians(degrees)))
-            located.stages["registration"] = _with_map_error(msgspec.structs.replace(answer, radius=radius), map_error)
+            located.stages["registration"] = with_map_error(msgspec.structs.replace(answer, radius=radius), map_error)
         notes.append(
             f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "
             f"{COMMON * told:.2g} degrees for an error that frames have in common, which scatter does not show, radii count with "
@@ -140,7 +140,7 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
     return notes
 
 
-def _with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
+def with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
     """Add the map's error to an answer's radius, and tell the radius of an accepted one."""
     if answer.radius is None:
         return answer
@@ -215,13 +215,35 @@ def register_frame(
     retrieval: MapRetrieval | None,
 ) -> StageRecord:
     """Register one frame, and describe the answer in a sentence."""
-    frame = located.frame
     try:
-        photo = images.load_picture(frame.file)
+        photo = images.load_picture(located.frame.file)
     except PictureError as error:
         return StageRecord("refused", str(error))
+    side = None if retrieval is None else float(np.median(retrieval.sizes))
+    return register_photo(basemap, features, located, photo, options, widths, ratios, side)
+
+
+def register_photo(
+    basemap: Map,
+    features: Sequence[MapFeatures],
+    located: LocatedFrame,
+    photo: UInt8Array,
+    options: LocateOptions,
+    widths: Sequence[float],
+    ratios: Sequence[float],
+    side: float | None,
+) -> StageRecord:
+    """Register the picture of a frame, RGB (H, W, 3), and describe the answer in a sentence.
+
+    Args:
+        features: of the map by each matcher, which are tried in this order.
+        widths: metres of ground across the pictures that were registered before.
+        ratios: of these widths to those that heights and fields of view tell.
+        side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
+    """
+    frame = located.frame
     places = _candidates(located, options)
-    if options.prior is not None and located.tag is None and retrieval is None:
+    if options.prior is not None and located.tag is None and side is None:
         return StageRecord(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."
         )
@@ -236,9 +258,7 @@ def register_frame(
         searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
         rivals: list[Similarity] = []
         for kind, (width, known) in product(features, list(tried_widths(basemap, known_width, widths))):
-            reach = AROUND * width + (
-                options.prior or 0.0 if retrieval is None else 0.5 * float(np.median(retrieval.sizes))
-            )
+            reach = AROUND * width + (options.prior or 0.0 if side is None else 0.5 * side)
             ground = kind.around(centres, reach, width)
             if ground is None:
                 return StageRecord(
@@ -259,18 +279,13 @@ def register_frame(
             if answer.accepted:
                 break
         assert best is not None
-        if (
-            again
-            or retrieval is None
-            or centres is None
-            or not _reaches_out(best, photo.shape[1::-1], centres, searched)
-        ):
+        if again or side is None or centres is None or not _reaches_out(best, photo.shape[1::-1], centres, searched):
             break
         # A wrong place at the border of what was searched has no rival, as the true one beyond was not seen.
         assert best.centre is not None
         centres = best.centre[None]
     assert best is not None
-    return _record(frame, photo.shape[1::-1], best, searched if retrieval is None and centres is not None else None)
+    return _record(frame, photo.shape[1::-1], best, searched if side is None and centres is not None else None)
 
 
 def _reaches_out(answer: Registration, size: tuple[int, int], centres: Float64Array, reach: float) -> bool:
@@ -282,7 +297,7 @@ def _reaches_out(answer: Registration, size: tuple[int, int], centres: Float64Ar
     return bool((off > reach).mean() > _BEYOND)
 
 
-def tried_widths(basemap: Map, known_width: float | None, widths: list[float]) -> Iterator[tuple[float, bool]]:
+def tried_widths(basemap: Map, known_width: float | None, widths: Sequence[float]) -> Iterator[tuple[float, bool]]:
     """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
     if known_width is not None:
         yield known_width, True

@@ -43,8 +43,8 @@ _SIZES = 5
 # Headings that are tried where none is certain.
 _TURNS = 8
 # Distinct frames that centring needs, for the mean of few holds what tells them apart. Frames of a greater cosine are alike.
-_MIN_DISTINCT = 20
-_ALIKE = 0.99
+MIN_DISTINCT = 20
+ALIKE = 0.99
 # Degrees from an aircraft's heading within which its pictures mostly lie, as it drifts and banks.
 _AIRCRAFT_TURNS = (0.0, -10.0, 10.0, -20.0, 20.0)
 # Standard deviations of a frame's scores by which any other heading must be better than those.
@@ -256,9 +256,7 @@ def retrieve(
     elif shipped is not None and (ready := shipped.windows(windows, side)) is not None:
         tiles = ready
     else:
-        ground = _cached(basemap.digest(), model.fingerprint, side, windows)
-        with in_cache():
-            tiles = np.array(describe_windows(model, basemap, windows, ground, bar=bar("windows")).float32)
+        tiles = described_windows(model, basemap, windows, bar("windows"))
     rows = tuple(_frame_row(flight.frames[i], heading, share) for i, heading, share in jobs)
     manifest = Manifest.for_model(model, query, UNCHANGED, rows)
     broken: dict[int, PictureError] = {}
@@ -279,7 +277,7 @@ def retrieve(
     whitening = None
     if centre:
         first = np.unique(owner[good], return_index=True)[1]
-        if (distinct := _distinct(queries[good][first])) >= _MIN_DISTINCT:
+        if (distinct := _distinct(queries[good][first])) >= MIN_DISTINCT:
             of_tiles, of_queries = tiles.mean(axis=0), queries[good].mean(axis=0)
             means = {"satellite": of_tiles} | ({} if query == "satellite" else {query: of_queries})
             whitening = whitening_of(tiles - of_tiles, queries[good] - of_queries)
@@ -288,7 +286,7 @@ def retrieve(
             )
         else:
             notes.append(
-                f"Descriptors were not centred by view: that needs {_MIN_DISTINCT} distinct frames, and the flight has "
+                f"Descriptors were not centred by view: that needs {MIN_DISTINCT} distinct frames, and the flight has "
                 f"{distinct}."
             )
     described_frames = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
@@ -312,6 +310,15 @@ def retrieve(
         by_aircraft,
         overlap,
     )
+
+
+def described_windows(
+    model: Model, basemap: Map, windows: list[Window], bar: AbstractContextManager[CountProgress]
+) -> Float32Array:
+    """Return the descriptors of windows, (W, n, D), from the user's cache where they were described before."""
+    ground = _cached(basemap.digest(), model.fingerprint, max(model.input_size), windows)
+    with in_cache():
+        return np.array(describe_windows(model, basemap, windows, ground, bar=bar).float32)
 
 
 def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:
@@ -373,6 +380,6 @@ def _distinct(described: Float32Array) -> int:
     """Return how many of some descriptors (N, n, D) differ from all before them; counting stops where centring may start."""
     kept: list[Float32Array] = []
     for one in described.reshape(len(described), -1):
-        if len(kept) < _MIN_DISTINCT and all(float(one @ other) < _ALIKE for other in kept):
+        if len(kept) < MIN_DISTINCT and all(float(one @ other) < ALIKE for other in kept):
             kept.append(one)
     return len(kept)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -292,12 +292,9 @@ def smooth(
         probable.append(np.argsort(-joint, axis=None)[:_PATH_STATES].copy())
         shares = joint.sum(axis=1)
         best = likeliest[t] = shares.argmax()
-        positions[t] = _local_mean(shares, places, places[best], near)
         probabilities[t] = shares[best]
-        found_headings[t] = headings[t][joint[best].argmax()]
-        squared = ((places - positions[t]) ** 2).sum(axis=1)
-        nearby[t] = shares[squared <= near**2].sum()
-        radii[t] = np.sqrt(shares @ squared / 2)
+        point = _point(joint, places, headings[t], near)
+        positions[t], radii[t], found_headings[t], nearby[t] = point
         own[t] = log_emissions(t).max(axis=1).argmax()
     path, path_headings = chain.most_probable(probable[::-1])
     return SequenceResult(
@@ -313,6 +310,74 @@ def smooth(
         np.linalg.norm(positions - places[own], axis=1),
         sum(gained.values()),
     )
+
+
+class SequencePoint(NamedTuple):
+    """A frame's position in metres, (2,), its 1-sigma radius, heading, and probability nearby, see `SequenceResult`."""
+
+    position: Float64Array
+    radius: float
+    heading: float
+    nearby: float
+
+
+def _point(joint: Float64Array, places: Float64Array, headings: Float64Array, near: float) -> SequencePoint:
+    """Return the place of a distribution (N, K) over windows and headings."""
+    shares = joint.sum(axis=1)
+    best = shares.argmax()
+    position = _local_mean(shares, places, places[best], near)
+    squared = ((places - position) ** 2).sum(axis=1)
+    return SequencePoint(
+        position,
+        float(np.sqrt(shares @ squared / 2)),
+        float(headings[joint[best].argmax()]),
+        float(shares[squared <= near**2].sum()),
+    )
+
+
+class ForwardFilter:
+    """The forward half of forward-backward, frame by frame, for a flight that goes on: it knows no frame to come.
+
+    Args:
+        places: centres of the windows in metres, (N, 2).
+        motion: how the flight moves.
+
+    Attributes:
+        belief: probability of each window at each heading, (N, K), given all that was weighed; None before the first frame.
+        headings: of the belief in degrees, (K,); NaN, as the only one, where none is known.
+    """
+
+    def __init__(self, places: Float64Array, motion: MotionModel) -> None:
+        self._places, self._motion, self._grid = places, motion, _Grid(places)
+        self.belief: Float64Array | None = None
+        self.headings = np.array([math.nan])
+
+    def predict(self, elapsed: float, headings: Float64Array) -> None:
+        """Move the belief to the next frame.
+
+        Args:
+            elapsed: seconds since the frame before, NaN if unknown.
+            headings: of the next frame, (K,); NaN, as the only one, where none is known.
+        """
+        if self.belief is None:
+            shape = len(self._places), len(headings)
+            self.belief = np.full(shape, 1 / (shape[0] * shape[1]))
+        else:
+            deviation = float(self._motion.steps([0.0, elapsed])[0])
+            step = _Step(self._grid, self._motion, abs(elapsed), deviation, self.headings, headings)
+            self.belief = step.push(self.belief)
+        self.headings = headings
+
+    def weigh(self, log_likelihoods: Float64Array) -> None:
+        """Multiply the belief by likelihoods, whose logs are (N, K) or (N, 1), and normalise it."""
+        assert self.belief is not None
+        joint = self.belief * np.exp(log_likelihoods - log_likelihoods.max())
+        self.belief = joint / joint.sum()
+
+    def point(self, near: float) -> SequencePoint:
+        """Return where the drone is; `near` is as for `smooth`."""
+        assert self.belief is not None
+        return _point(self.belief, self._places, self.headings, near)
 
 
 def usual_step(times: npt.ArrayLike) -> float:
