@@ -224,7 +224,8 @@ def _because(
 ) -> list[str]:
     """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does.
 
-    Parts are ranked by their cells, as these are painted. What comes from no cell gets a sentence of its own where it decides.
+    Parts are ranked by their terms of the lead, as the table of the numbers and the workbench rank them. What comes from no cell
+    gets a sentence of its own where it decides.
 
     Args:
         cells: each cell's share of the lead, part by part.
@@ -240,16 +241,17 @@ def _because(
     sentences = []
     for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
-        speaking = np.maximum(side * cells, 0.0).sum(axis=(1, 2))
-        if not speaking.any():
-            sentences.append(f"No place speaks for {ahead[0]}.")
+        terms, places = side * lead.terms, side * cells.sum(axis=0)
+        if terms.max() <= 0:
+            single = "; only single places do" if places.max() > 0 else ""
+            sentences.append(f"No {words.say('part')} as a whole speaks for {ahead[0]}{single}.")
             continue
-        parts = verdicts.leading_parts(speaking)
+        parts = verdicts.leading_parts(terms)
         grounds = tuple(workspace.ground_of(task, index) for _, index in (ahead, behind))
         place = lead_place(
-            speaking,
+            terms,
             parts,
-            side * cells.sum(axis=0),
+            places,
             areas,
             (grounds[0], grounds[1]),
             None if turn is None else turn.degrees,

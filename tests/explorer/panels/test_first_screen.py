@@ -164,12 +164,14 @@ def test_what_comes_from_no_place_is_said_where_it_decides(places: float, said: 
 
 def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = analyse(workspace, replace(query(workspace, True).state, why=True))
-    cells = np.zeros((4, *workspace.map_sizes["drone"]))
-    cells[:, 0, 0] = 0.1, 0.312, 0.05, 0.309
-    monkeypatch.setattr(first_screen, "_lead_cells", lambda *_: cells)
+    lead = answer_text.lead(analysis)
+    assert lead is not None
+    alike = replace(lead, terms=np.array([0.1, 0.312, 0.05, 0.309]))
+    monkeypatch.setattr(answer_text, "lead", lambda _: alike)
     assert workspace.part_names[3] == "4 outer"
     shown = text(first_screen.page(analysis, workspace))
     assert "Parts 2 and 4 (outer) speak most, alike, for this answer (81 % of all)" in shown
+    assert "No part as a whole speaks for the best wrong picture" in shown
 
 
 def test_a_picture_that_is_farther_than_right_answers_is_said_to_be_none_of_these(
@@ -470,12 +472,15 @@ def test_on_the_demo_what_comes_from_no_place_is_what_the_constants_of_both_tile
     assert re.match(r"(Part|Only part|Parts) .* speaks? (most )?.*for this answer", said[0])
     cells = first_screen._lead_cells(analysis, lead)
     assert cells is not None
-    # The part that is named is the one with most of what is painted for the answer.
-    painted = np.maximum((1 if found else -1) * cells, 0).sum(axis=(1, 2))
-    assert f"{int(painted.argmax()) + 1}" in said[0].partition("speak")[0]
-    assert f"({100 * painted[verdicts.leading_parts(painted)].sum() / painted.sum():.0f} % of all)" in said[0]
+    # The sentence names the part that the table of the numbers and the workbench name, with its share.
+    terms = (1 if found else -1) * lead.terms
+    assert f"{int(terms.argmax()) + 1}" in said[0].partition("speak")[0]
+    assert lead.decisive == verdicts.leading_parts(terms)
+    share = terms[lead.decisive].sum() / np.maximum(terms, 0).sum()
+    assert f"({100 * share:.0f} % of all)" in said[0]
+    assert said[1].startswith("No ") == (terms.min() >= 0), "no part speaks against the answer as a whole"
     assert ("what decides is" in "".join(said[2:])) == (float(cells.sum()) * lead.total < 0)
-    assert re.search("show|No place", said[0] + said[1]), "the plan of the city tells what lies there"
+    assert re.search("show", said[0] + said[1]), "the plan of the city tells what lies there"
     places, further = rounded_to_sum([lead.total - rest, rest])
     assert round(places + further, 3) == round(lead.total, 3), "what is shown adds up"
     assert f"A further {further:+.3f} comes from no place".replace("-", "−") in shown
