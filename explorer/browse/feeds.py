@@ -6,7 +6,7 @@ import json
 import re
 import secrets
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 from weakref import WeakSet
@@ -19,6 +19,8 @@ from lpn.tasks.task import Task
 CHUNK = 100
 # Feeds of one owner and name that are served: a page may still ask for the pieces of the one before.
 _KEPT = 2
+# Keys that are remembered of feeds that are served no more.
+_ENDED = 1000
 _PIECE = re.compile(r"([0-9a-f]{16})/(\d{1,7})", re.ASCII)
 _THUMBNAIL = re.compile(r"thumb/(\d{1,3})/(query|tile)/(\d{1,10})", re.ASCII)
 # Returns a piece of a feed by its number, None if there is no such piece.
@@ -40,6 +42,8 @@ class Feeds:
         self._feeds: dict[str, Piece] = {}
         self._owned: dict[tuple[object, str], OrderedDict[str, None]] = {}
         self._left: WeakSet[Any] = WeakSet()
+        # Keys of feeds that are served no more; a page may still ask for their pieces.
+        self._ended: deque[str] = deque(maxlen=_ENDED)
         self._tasks = {name: number for number, name in enumerate(workspace.tasks)}
 
     def publish(self, owner: object, name: str, piece: Piece) -> str:
@@ -51,12 +55,13 @@ class Feeds:
         key = secrets.token_hex(8)
         with self._lock:
             if owner in self._left:  # its thread still ran
+                self._ended.append(key)
                 return f"{key}/"
             owned = self._owned.setdefault((owner, name), OrderedDict())
             owned[key] = None
             self._feeds[key] = piece
             while len(owned) > _KEPT:
-                del self._feeds[owned.popitem(last=False)[0]]
+                self._end(owned.popitem(last=False)[0])
         return f"{key}/"
 
     def publish_list(self, owner: object, name: str, total: int, entries: Callable[[int, int], Sequence[Any]]) -> str:
@@ -84,7 +89,11 @@ class Feeds:
             self._left.add(owner)
             for of in [of for of in self._owned if of[0] is owner]:
                 for key in self._owned.pop(of):
-                    del self._feeds[key]
+                    self._end(key)
+
+    def _end(self, key: str) -> None:
+        del self._feeds[key]
+        self._ended.append(key)
 
     def thumbnail(self, task: Task, side: Side, index: int) -> str:
         """Return the address of a query's or a tile's thumbnail, relative to the page."""
@@ -95,7 +104,10 @@ class Feeds:
         return f"{self.address}thumb/{self._tasks[task.name]}/{side}/"
 
     def find(self, path: str) -> Callable[[], EncodedPicture] | None:
-        """Return what computes the piece or the thumbnail of a path; None if there is none. The path is untrusted."""
+        """Return what computes the piece or the thumbnail of a path; None if there is none. The path is untrusted.
+
+        A piece of a feed that is served no more is empty.
+        """
         name, _, rest = path.partition("/")
         if name != self._name:
             return None
@@ -105,6 +117,8 @@ class Feeds:
             return None
         with self._lock:
             feed = self._feeds.get(match[1])
+            if match[1] in self._ended:
+                return lambda: EncodedPicture(b"", "application/json")
         number = int(match[2])
         return None if feed is None else lambda: feed(number) or _NOTHING
 

@@ -331,7 +331,8 @@ class FailureLabWindow:
             self._boxes.show(table.search_boxes(findings, lab))
         self._summary.show(table.summary(findings, lab, rows, len(chosen)))
         self._drawer.show(self._drawn_drawer(findings, lab, len(rows), len(chosen)))
-        controls = ""
+        if lab.tab != "maps":
+            self._controls.show("")
         if lab.tab == "table":
             self._show_table(findings, lab, view.query, rows)
         elif lab.tab == "breakdown":
@@ -341,13 +342,11 @@ class FailureLabWindow:
             if lab.both_maps and lab.map != "ground":
                 self._service.open_second(self._beside, again=False)
             drawn = self._map.page(findings, lab, view.query, rows, self._size, self._beside, offered)
-            controls = drawn.controls
-            self._controls.show(controls)  # before the script that fills them
+            self._controls.show(drawn.controls)  # before the script that fills them
             self._body.show(drawn.maps)
             self._data.show(drawn.script)
             if not drawn.final:
                 self._worker.wake()
-        self._controls.show(controls)
         self._tip.show("")
         self._notes.show(findings, None if lab.tab == "breakdown" else view.query)
 

@@ -71,7 +71,7 @@ class PictureRoute:
         return path.startswith(PREFIX)
 
     async def respond(self, path: str, address: str = "") -> Response:
-        """Return the picture, or an error without a body.
+        """Return the picture, 204 for an empty one, or an error without a body.
 
         The error is 404 for an unknown picture, 503 if too many wait, it takes long, or the app closes, and 500 if it fails.
 
@@ -92,6 +92,8 @@ class PictureRoute:
         if future.exception() is not None:
             return _empty(500, "Internal Server Error")
         picture = future.result()
+        if not picture.data:
+            return _empty(204, "No Content")
         headers = Headers()
         headers["Content-Type"] = picture.mime
         headers["Content-Length"] = str(len(picture.data))

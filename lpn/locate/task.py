@@ -31,6 +31,7 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.gallery_task import GalleryTask
 
 TASK = "drone-to-satellite"
+_OFF_TAG = "Distance from the photo's GPS tag, or from its correction by hand; tags themselves may be metres off"
 # The column of `stage_columns` with a sentence for each frame.
 REASON = "reason"
 # Verdicts in words, by the stage that counts; a registration that another answer contradicts is no registration.
@@ -196,14 +197,20 @@ def _columns(located: LocatedFlight, retrieval: MapRetrieval, turns: list[int]) 
 
 
 def stage_columns(located: LocatedFlight) -> list[Column]:
-    """Return what the stages say of each frame: metres from its tag, the registration, the verdict, and the reason for it."""
+    """Return what the stages say of each frame: metres from its tag, the registration, the verdict, and the reason for it.
+
+    A person's correction stands in the tag's place, see `LocatedFrame.truth`.
+    """
     opinions = beliefs(located.frames, disagreements(located.frames))
     verdicts = [
         "contradicted" if one.stage == "registration" and not one.sign else _VERDICTS[one.stage] for one in opinions
     ]
     answers = [frame.stages.get("registration") for frame in located.frames]
     columns = [
-        *(_numbers(f"{stage} error", [one.error(stage) for one in located.frames], "m") for stage in STAGES[1:]),
+        *(
+            _numbers(f"{stage} off tag", [one.error(stage) for one in located.frames], "m", _OFF_TAG)
+            for stage in STAGES[1:]
+        ),
         text_column("registration", ["" if answer is None else answer.state for answer in answers]),
         _numbers("inliers", [None if answer is None else answer.inliers for answer in answers]),
         text_column("verdict", verdicts),
@@ -212,5 +219,5 @@ def stage_columns(located: LocatedFlight) -> list[Column]:
     return [column for column in columns if column.known.any()]
 
 
-def _numbers(name: str, values: Sequence[float | None], unit: str = "") -> Column:
-    return number_column(name, [math.nan if value is None else round(value, 2) for value in values], unit)
+def _numbers(name: str, values: Sequence[float | None], unit: str = "", about: str = "") -> Column:
+    return number_column(name, [math.nan if value is None else round(value, 2) for value in values], unit, about=about)

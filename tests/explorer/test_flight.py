@@ -141,6 +141,7 @@ def test_registration_replaces_the_flight_when_it_is_done(
     assert newest is not None
     assert set(newest.table.columns["registration"].values) == {"refused"}
     assert newest.table.columns["reason"].values[5] == "Only 4 matches agree."
+    assert newest.table.columns["sequence off tag"].about.startswith("Distance from the photo's GPS tag")
     assert "reason" not in [column.name for column in lab_state.charted_columns(newest)]
 
 

@@ -75,7 +75,7 @@
   };
   flight.fillLegend = () => {
     const { data, chosen, hidden } = flight;
-    const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0) + " m");
+    const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0));
     const rows = Object.entries(data.tracks).map(([name, track]) => {
       const here = chosen >= 0 && (track.x[chosen] !== null || track.state[chosen] === 2) ? SIGNS[track.state[chosen]] + " " : "";
       const cells = [
@@ -87,7 +87,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th title="Switch a track on or off">hollow: refused</th><th title="Frames whose answer this stage accepts by itself">alone</th><th title="1-sigma radius of the chosen frame">± here</th><th title="Distance of the chosen frame's answer from its tag">off tag</th></tr>${rows.join("")}</table><p class="dim">Frame on the map: the ground that the photo shows; its thick side is the photo’s top. Dotted: the piece of the map that looks most like it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Distance of the answer from the GPS tag, in metres">m off tag</th></tr>${rows.join("")}</table><p class="dim">Hollow dot: refused. Frame on the map: the ground that the photo shows; its thick side is the photo’s top. Dotted: the piece of the map that looks most like it.</p>`,
     );
   };
   const refresh = () => {

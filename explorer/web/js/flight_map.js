@@ -187,6 +187,15 @@
     view: () => map.view,
     size: () => map.size(),
     toPixels: (at) => map.toPixels(at),
+    // Look at some points, unless all of them are in sight.
+    include: (points) => {
+      const [width, height] = map.size();
+      if (points.map(map.toPixels).every(([left, top]) => left > 0 && left < width && top > 0 && top < height)) return;
+      const [across, up] = [0, 1].map((axis) => flight.range(points.map((at) => at[axis])));
+      map.fit([across[0], up[0]], [across[1], up[1]], 0.8, 10);
+      moved = true;
+      flight.draw();
+    },
     // Another flight or map has taken the place of the one before, which may be null.
     replaced: (before) => {
       if (before && before.address !== flight.data.address) tiles.clear();

@@ -4,8 +4,7 @@
   const { flight } = lpn;
   if (flight.photo) return;
   const { find, all } = flight;
-  // Four points of the photo, in shares of it, that a person drags to their places on the map.
-  const TIES = [[0.15, 0.15], [0.85, 0.15], [0.85, 0.85], [0.15, 0.85]];
+  // The photo's corners, in shares of it, which a person drags to their places on the map.
   const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
   const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   let ties = null; // { frame, points: metres of each tie point, saves: how many were saved when these were sent }
@@ -23,9 +22,10 @@
       const half = (0.2 * flight.map.size()[0]) / scale, tall = (half * size[1]) / size[0];
       h = lpn.homography(CORNERS.map(pixel), [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([right, up]) => [x + right * half, y + up * tall]));
     }
-    ties = { frame: flight.chosen, points: TIES.map((tie) => lpn.through(h, pixel(tie))) };
+    ties = { frame: flight.chosen, points: CORNERS.map((tie) => lpn.through(h, pixel(tie))) };
+    flight.map.include(ties.points);
   };
-  const tied = () => lpn.homography(TIES.map(pixel), ties.points);
+  const tied = () => lpn.homography(CORNERS.map(pixel), ties.points);
   const moveTie = (which, [right, up]) => {
     ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
     flight.draw();
@@ -50,6 +50,7 @@
   const placeTies = () => {
     const on = photo.mode === "correct" && ties && ties.frame === flight.chosen;
     find(".ties").style.display = on ? "block" : "none";
+    find(".how").style.display = on ? "flex" : "none";
     if (!on) return;
     const middle = lpn.through(tied() || [0, 0, 0, 0, 0, 0, 0, 0, 1], pixel([0.5, 0.5]));
     all("[data-tie]").forEach((one) => {
@@ -110,10 +111,11 @@
       if (mode !== photo.mode) ties = null;
       photo.mode = mode;
     },
-    // A saved or forgotten correction starts anew from what the server has.
+    // A saved or forgotten correction ends the mode; another frame starts anew from what the server has.
     followed: () => {
-      const saves = flight.followed?.saves;
-      if (ties && flight.followed && (ties.frame !== flight.chosen || (ties.saves !== undefined && ties.saves !== saves))) ties = null;
+      if (!ties || !flight.followed) return;
+      if (ties.saves !== undefined && ties.saves !== flight.followed.saves) photo.use("off");
+      else if (ties.frame !== flight.chosen) ties = null;
     },
     save: () => {
       const h = ties && tied();

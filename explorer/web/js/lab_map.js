@@ -42,7 +42,7 @@
     const known = fetched.get(address);
     if (known) return known;
     const coming = fetch(address).then(async (answer) => {
-      if (!answer.ok) throw new Error(String(answer.status));
+      if (answer.status !== 200) throw new Error(String(answer.status));
       const bytes = await answer.arrayBuffer();
       return type === "picture" ? createImageBitmap(new Blob([bytes])) : new type(bytes);
     });

@@ -22,8 +22,8 @@
       pieces.set(number, piece);
       try {
         const answer = await fetch(address + number, { signal: piece.control.signal });
+        if ([204, 404].includes(answer.status)) return; // a newer list is on its way
         if (answer.ok) piece.entries = await answer.json();
-        else if (answer.status === 404) return; // a newer list is on its way
       } catch {
         if (piece.control.signal.aborted) return;
       }

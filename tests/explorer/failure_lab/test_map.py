@@ -148,7 +148,9 @@ def test_a_map_is_published_again_only_where_something_changed(
         assert changed == {"flags", "codes"}
     assert "ground" in view._published
     view.leave()
-    assert view._feeds.find(f"/{view._feeds.address}{feed}0".removeprefix(PREFIX)) is None
+    ended = view._feeds.find(f"/{view._feeds.address}{feed}0".removeprefix(PREFIX))
+    assert ended is not None
+    assert ended().data == b""
 
 
 def test_a_lasso_and_a_click_belong_to_the_map_that_is_shown(

@@ -132,3 +132,9 @@ def test_letters_and_digits_of_other_scripts_are_no_path(route: PictureRoute, sl
         return [await (await begun((route, path, "")))[0] for path in ("tile/1", "tile/\u0661")]
 
     assert asyncio.run(run()) == [200, 404]
+
+
+def test_an_empty_picture_is_no_error() -> None:
+    route = PictureRoute(lambda _: lambda: EncodedPicture(b"", "application/json"))
+    assert asyncio.run(route.respond("/pictures/ended/0")).status_code == 204
+    route.close()
