@@ -7,6 +7,7 @@ scored, highest bound first, until no bound reaches the k-th best score. Ties ke
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from lpn.index.segments import Segment
 _FEW = 4
 _PICKED = 4096
 _NEXT = 256
+# Bounds of which the largest one stands for all when the k highest are looked for.
+_GROUP = 512
 
 
 class ExactIndex(FolderIndex):
@@ -65,11 +68,11 @@ class ExactIndex(FolderIndex):
         k, box = check_count(k), check_box(box)
         segments = self._current().segments
         places, bounds = self._bounds(segments, wanted, box)
-        k = min(k, len(places))
+        k = min(k, len(bounds))
         if not k:
-            return self._result(segments, Candidates(places, bounds), 0)
-        first = np.argpartition(bounds, len(bounds) - k)[len(bounds) - k :]
-        candidates = Candidates.of(segments, places[first], wanted)
+            return self._result(segments, Candidates(np.zeros(0, np.int64), bounds), 0)
+        first = highest(bounds, k)
+        candidates = Candidates.of(segments, places.of(first), wanted)
         least = float(candidates.scores.min())
         bounds[first] = -np.inf
         rest = np.flatnonzero(bounds >= least)
@@ -78,7 +81,7 @@ class ExactIndex(FolderIndex):
             some = rest[start : start + _NEXT]
             if bounds[some[0]] < least:
                 break
-            candidates = candidates.merged_with(Candidates.of(segments, places[some], wanted), k)
+            candidates = candidates.merged_with(Candidates.of(segments, places.of(some), wanted), k)
             least = float(candidates.scores.min())
         return self._result(segments, candidates, k)
 
@@ -92,26 +95,62 @@ class ExactIndex(FolderIndex):
 
     def _bounds(
         self, segments: list[Segment], wanted: Float64Array, box: DegreeBox | None
-    ) -> tuple[Int64Array, Float64Array]:
+    ) -> tuple[_SearchedPlaces, Float64Array]:
         """Return the places of the searched tiles, and an upper bound on the score of each."""
-        places: list[Int64Array] = []
+        searched: list[tuple[int, Int64Array | None]] = []
         bounds: list[Float64Array] = []
+        counts: list[int] = []
         start = 0
         for segment in segments:
             rows = segment.chosen(box)
-            if rows is None:
-                places.append(np.arange(start, start + segment.rows))
-                bounds.append(self._scan.bounds(wanted, segment.small, segment.scales, segment.errors))
-            elif len(rows) * _FEW <= segment.rows:
-                places.append(rows + start)
-                bounds += (self._picked(segment, rows[i : i + _PICKED], wanted) for i in range(0, len(rows), _PICKED))
+            if rows is not None and len(rows) * _FEW <= segment.rows:
+                some = (self._picked(segment, rows[i : i + _PICKED], wanted) for i in range(0, len(rows), _PICKED))
+                bounds.append(np.concatenate([np.zeros(0), *some]))
             else:
-                places.append(rows + start)
-                bounds.append(self._scan.bounds(wanted, segment.small, segment.scales, segment.errors)[rows])
+                every = self._scan.bounds(wanted, segment.small, segment.scales, segment.errors)
+                bounds.append(every if rows is None else every[rows])
+            searched.append((start, rows))
+            counts.append(len(bounds[-1]))
             start += segment.rows
-        return np.concatenate([np.zeros(0, np.int64), *places]), np.concatenate([np.zeros(0), *bounds])
+        return _SearchedPlaces(searched, counts), np.concatenate([np.zeros(0), *bounds])
 
     def _picked(self, segment: Segment, rows: Int64Array, wanted: Float64Array) -> Float64Array:
         scales = None if segment.scales is None else segment.scales[rows]
         errors = None if segment.errors is None else segment.errors[rows]
         return self._scan.bounds(wanted, segment.small[rows], scales, errors)
+
+
+class _SearchedPlaces:
+    """The places of searched tiles among the rows of all segments, made for those that are asked for: there may be 10^8.
+
+    Args:
+        searched: of each segment, the place of its first row, and its searched rows; None for all.
+        counts: number of searched rows of each segment.
+    """
+
+    def __init__(self, searched: Sequence[tuple[int, Int64Array | None]], counts: Sequence[int]) -> None:
+        self._searched, self._starts = searched, np.cumsum([0, *counts])
+
+    def of(self, positions: Int64Array) -> Int64Array:
+        """Return the places of some searched tiles by their positions, (P,)."""
+        owners = np.searchsorted(self._starts, positions, "right") - 1
+        places = positions - self._starts[owners]
+        for owner in np.unique(owners).tolist():
+            start, rows = self._searched[owner]
+            mine = owners == owner
+            places[mine] = start + (places[mine] if rows is None else rows[places[mine]])
+        return places
+
+
+def highest(values: Float64Array, k: int) -> Int64Array:
+    """Return the positions of the k highest of values (N,), in no order.
+
+    The k-th highest of the largest values of groups is at most the k-th highest of all, so values below it are left out: two
+    quick passes in place of a partition of all.
+    """
+    groups = len(values) // _GROUP
+    if groups <= k:
+        return np.argpartition(values, len(values) - k)[len(values) - k :]
+    largest = values[: groups * _GROUP].reshape(groups, _GROUP).max(axis=1)
+    some = np.flatnonzero(values >= np.partition(largest, groups - k)[groups - k])
+    return some[np.argpartition(values[some], len(some) - k)[len(some) - k :]]

@@ -98,27 +98,40 @@ class Scan:
         # A copy can be longer than its row, by half a step in every number.
         longest *= 1 + self._kind.embedding**0.5 / (2 * _STEPS)
         kernel = _numkong()
+        used = wanted.astype(np.float32)
+        missed = self._missed(wanted - used, longest) + self._rounding(wanted, longest)
+        factors: Float64Array | None = None
+        queries: AnyArray = used[None]
         if kernel is not None and self._precision == "int8" and self._kind.numbers <= _INTEGERS:
             scale = max(float(np.abs(wanted).max()), 1e-300) / _STEPS
             first = np.round(wanted / scale)
             second = np.round((wanted / scale - first) * _FINER)
-            products = self._products(kernel, np.stack([first, second]).astype(np.int8), rows)
-            upper = (products[0] + products[1] / _FINER) * (scale * scales.astype(np.float64))
+            queries, factors = np.stack([first, second]).astype(np.int8), np.array([scale, scale / _FINER])
             missed = self._missed(wanted - scale * (first + second / _FINER), longest)
         elif kernel is not None and self._precision == "float16":
             half = wanted.astype(np.float16)
-            upper = self._products(kernel, half[None], rows)[0]
+            queries, factors = half[None], np.ones(1)
             missed = self._missed(wanted - half, longest) + self._rounding(wanted, longest)
-        else:
-            used = wanted.astype(np.float32)
-            upper = np.empty(len(rows))
-            for block in _blocks(len(rows), max(1, _NUMPY_BLOCK // self._kind.numbers)):
-                upper[block] = rows[block].astype(np.float32) @ used
-            upper *= scales
-            missed = self._missed(wanted - used, longest) + self._rounding(wanted, longest)
         parts = np.linalg.norm(wanted.reshape(self._kind.n_parts, -1), axis=1)
-        upper += errors @ (parts * (1 + 1e-5)).astype(np.float32)
-        upper += missed + _ROUNDING
+        lengths = (parts * (1 + 1e-5)).astype(np.float32)
+        upper = np.empty(len(rows))
+
+        def fill(block: slice) -> None:
+            # All of a block is computed while it is in the processor's cache.
+            if kernel is None or factors is None:
+                upper[block] = rows[block].astype(np.float32) @ used
+            else:
+                upper[block] = factors @ np.asarray(kernel.cdist(queries, rows[block], metric="dot"), np.float64)
+            upper[block] *= scales[block]
+            upper[block] += errors[block] @ lengths
+            upper[block] += missed + _ROUNDING
+
+        if factors is None:  # NumPy's product has threads of its own
+            for block in _blocks(len(rows), max(1, _NUMPY_BLOCK // self._kind.numbers)):
+                fill(block)
+        else:
+            size = min(max(1, _BLOCK // self._kind.numbers), max(1, -(-len(rows) // self._threads)))
+            self._share(fill, list(_blocks(len(rows), size)))
         return upper
 
     def _missed(self, difference: Float64Array, longest: float) -> float:
@@ -129,17 +142,6 @@ class Scan:
         share = self._kind.numbers * _UNIT
         norm = 1.001 * float(np.linalg.norm(wanted)) * longest * self._kind.n_parts**0.5
         return float(share / (1 - share) * norm)
-
-    def _products(self, kernel: ModuleType, queries: AnyArray, rows: AnyArray) -> Float64Array:
-        """Multiply queries (Q, n D) with rows (N, n D): (Q, N)."""
-        products = np.empty((len(queries), len(rows)))
-        size = min(max(1, _BLOCK // self._kind.numbers), max(1, -(-len(rows) // self._threads)))
-
-        def product(block: slice) -> None:
-            products[:, block] = np.asarray(kernel.cdist(queries, rows[block], metric="dot"))
-
-        self._share(product, list(_blocks(len(rows), size)))
-        return products
 
     def _share(self, task: Callable[[slice], None], blocks: list[slice]) -> None:
         if len(blocks) < 2 or self._threads == 1:

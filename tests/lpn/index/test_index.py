@@ -31,6 +31,7 @@ from lpn.index import (
     scan,
     segment_checksums,
 )
+from lpn.index.exact import highest
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
@@ -745,3 +746,12 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
         assert said in error, (said, error)
         assert error.count("\n") == 1
         assert not (tmp_path / "i").exists()
+
+
+@pytest.mark.parametrize(("size", "k"), [(5, 5), (3000, 7), (100_000, 100), (100_003, 1)])
+def test_the_highest_values_are_those_of_sorting(size: int, k: int) -> None:
+    values = np.random.default_rng(size).integers(0, 5000, size).astype(np.float64)
+    values[-1] = 6000.0  # beyond the last whole group
+    found = highest(values, k)
+    assert len(set(found.tolist())) == k
+    np.testing.assert_array_equal(np.sort(values[found]), np.sort(values)[-k:])
