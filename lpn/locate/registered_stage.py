@@ -78,6 +78,7 @@ def register_frames(
     records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
     widths: list[float] = []
     ratios: list[float] = []
+    heading: float | None = None
     trail = _digest(key)
     answers: list[StageRecord] = []
     for i, located in enumerate(frames):
@@ -85,11 +86,12 @@ def register_frames(
         trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), _candidates(located, options)])
         answer = shipped.get(located.frame.name) or records.get(trail)
         if answer is None:
-            answer = register_frame(basemap, features, located, options, widths, ratios, retrieval)
+            answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading)
             records.append(trail, answer)
         answers.append(answer)
         located.stages["registration"] = with_map_error(answer, options.map_error or 0.0)
         if answer.accepted and answer.width is not None:
+            heading = answer.heading
             widths.append(answer.width)
             if (expected := ground_width(located.frame)) is not None:
                 ratios.append(answer.width / expected)
@@ -213,14 +215,20 @@ def register_frame(
     widths: list[float],
     ratios: list[float],
     retrieval: MapRetrieval | None,
+    heading: float | None = None,
 ) -> StageRecord:
-    """Register one frame, and describe the answer in a sentence."""
+    """Register one frame, and describe the answer in a sentence.
+
+    Args:
+        widths, ratios: of the accepted frames before: metres across the picture, and as a share of those that were expected.
+        heading: of the accepted frame before, in degrees.
+    """
     try:
         photo = images.load_picture(located.frame.file)
     except PictureError as error:
         return StageRecord("refused", str(error))
     side = None if retrieval is None else float(np.median(retrieval.sizes))
-    return register_photo(basemap, features, located, photo, options, widths, ratios, side)
+    return register_photo(basemap, features, located, photo, options, widths, ratios, side, heading)
 
 
 def register_photo(
@@ -232,6 +240,7 @@ def register_photo(
     widths: Sequence[float],
     ratios: Sequence[float],
     side: float | None,
+    heading: float | None = None,
 ) -> StageRecord:
     """Register the picture of a frame, RGB (H, W, 3), and describe the answer in a sentence.
 
@@ -240,6 +249,7 @@ def register_photo(
         widths: metres of ground across the pictures that were registered before.
         ratios: of these widths to those that heights and fields of view tell.
         side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
+        heading: of the accepted frame before, in degrees.
     """
     frame = located.frame
     places = _candidates(located, options)
@@ -266,7 +276,9 @@ def register_photo(
                     f"More than {MAX_BLOCKS} blocks of {basemap.name} would have to be searched for this photo; give --model, or "
                     "--prior with the metres around the tag.",
                 )
-            expected = Expectation(width if known else None, frame.heading, heading_is_certain(frame))
+            expected = Expectation(
+                width if known else None, frame.heading, heading_is_certain(frame), _guess(located, heading)
+            )
             answer = register(kind.matcher, photo, ground, expected, [width], basemap.bounds)
             alike = searches.setdefault(width, {})
             alike[answer.matcher] = kind.matcher, ground
@@ -286,6 +298,14 @@ def register_photo(
         centres = best.centre[None]
     assert best is not None
     return _record(frame, photo.shape[1::-1], best, searched if side is None and centres is not None else None)
+
+
+def _guess(located: LocatedFrame, before: float | None) -> float | None:
+    """Return the heading to try first: that of the sequence, else of the accepted frame before, else of the retrieval."""
+    sequence, retrieval = (located.stages.get(stage) for stage in ("sequence", "retrieval"))
+    if sequence is not None and sequence.accepted and sequence.heading is not None:
+        return sequence.heading
+    return before if before is not None or retrieval is None else retrieval.heading
 
 
 def _reaches_out(answer: Registration, size: tuple[int, int], centres: Float64Array, reach: float) -> bool:

@@ -82,11 +82,14 @@ class Expectation:
         certain: whether the heading is the picture's; that of a course or of an aircraft may be another. Unless an uncertain
             heading or its opposite gives twice the support and ratio that are needed, all headings are tried, and that of more
             support is taken.
+        guess: heading to try first where none is known, such as that of an earlier stage. It limits nothing: unless it gives
+            twice the support and ratio that are needed, all headings are tried, too.
     """
 
     width: float | None = None
     heading: float | None = None
     certain: bool = True
+    guess: float | None = None
 
 
 class Similarity(NamedTuple):
@@ -225,7 +228,7 @@ def register(
     at_given: _Candidate | None = None
     rival = 0.0
     for turns, heading in _turns(matcher, expected):
-        if heading is None and best is not None and not _doubt(best, runner_up):
+        if heading is None and expected.heading is not None and best is not None and not _doubt(best, runner_up):
             at_given, rival = best, runner_up
         for width in tried:
             for turn in turns:
@@ -336,6 +339,8 @@ def _turns(matcher: Matcher, expected: Expectation) -> Iterator[tuple[list[float
         known = [expected.heading, expected.heading + 180] if matcher.tolerance < 90 else [0.0]
         for turn in known:
             yield [turn], expected.heading
+    elif expected.guess is not None and matcher.tolerance < 90:
+        yield [expected.guess], None
     if expected.heading is None or not expected.certain:
         yield circle, None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -232,3 +234,26 @@ def test_xfeat_registers_by_turns() -> None:
         assert found.centre is not None
         assert np.linalg.norm(found.centre - (10, -20)) < 0.6
         assert found.turn == (None if turn is None else pytest.approx(turn, abs=1))
+
+
+@pytest.mark.parametrize(("guess", "descriptions"), [(300.0, 1), (120.0, 5)])
+def test_a_guessed_heading_is_tried_first_and_limits_nothing(ground: Ground, guess: float, descriptions: int) -> None:
+    described = []
+
+    class Narrow(SiftMatcher):
+        """SIFT that is tried at four turns, and matches at a turn of up to 45 degrees only, as XFeat does at 22.5."""
+
+        tolerance = 45.0
+
+        def features(self, *given: Any) -> Features:
+            described.append(given)
+            found = super().features(*given)
+            turned = len(described) == 1 and guess == 120.0
+            return Features(found.points, np.roll(found.descriptors, 1, axis=0)) if turned else found
+
+    photo, _ = _photo((-10.0, 25.0), 300.0, 75.0)
+    found = register(Narrow(), photo, ground, Expectation(75.0, guess=guess), bounds=BOUNDS)
+    assert found.accepted
+    assert found.heading == pytest.approx(300, abs=1)
+    assert found.turn is None
+    assert len(described) == descriptions
