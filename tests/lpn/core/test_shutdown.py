@@ -33,10 +33,16 @@ import time, lpn.index.folder as f
 write = f.write_segment
 f.write_segment = lambda *a: (write(*a), print("writing", flush=True), time.sleep(600))
 """
+# Another thread says it, after it has run many times while the main thread made no step: a signal before that would end the
+# command by Python's own handler.
 IN_A_LIBRARY = """
-import hashlib, lpn.cli.verify as v
-def run(self):
+import hashlib, threading, time, lpn.cli.verify as v
+def say():
+    for _ in range(20):
+        time.sleep(0.01)
     print("computing", flush=True)
+def run(self):
+    threading.Thread(target=say, daemon=True).start()
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
 v.VerifyCommand.run = run
 """
