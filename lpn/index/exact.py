@@ -134,7 +134,7 @@ class _SearchedPlaces:
     def of(self, positions: Int64Array) -> Int64Array:
         """Return the places of some searched tiles by their positions, (P,)."""
         owners = np.searchsorted(self._starts, positions, "right") - 1
-        places = positions - self._starts[owners]
+        places: Int64Array = positions - self._starts[owners]
         for owner in np.unique(owners).tolist():
             start, rows = self._searched[owner]
             mine = owners == owner
