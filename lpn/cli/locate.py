@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass
 class LocateCommand:
-    """Find where each picture of a flight was taken on a map: retrieval, sequence, registration; resumable."""
+    """Find where each picture of a flight was taken on a map: retrieval, sequence, registration; resumable.
+
+    While a flight goes on: lpn locate --live SOURCE --map MAP, see lpn locate --live --help.
+    """
 
     map: Path
     """Map: a folder of lpn map, or a georeferenced picture."""

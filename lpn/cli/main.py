@@ -23,6 +23,7 @@ from lpn.cli.export import ExportCommand, QuantizeCommand
 from lpn.cli.failures import FailuresCommand
 from lpn.cli.flight import FlightCommand
 from lpn.cli.index import IndexCommand, SearchCommand
+from lpn.cli.live import LiveCommand
 from lpn.cli.locate import LocateCommand
 from lpn.cli.map import MapCommand
 from lpn.cli.models import ModelsCommand
@@ -159,11 +160,16 @@ def _parse(command: type[Any], arguments: list[str], program: str) -> Any:
         return parse_crossval(arguments, program)
     if command is ReproduceCommand:
         return parse_reproduce(arguments, program)
+    if command is LocateCommand and any(one.partition("=")[0] == "--live" for one in arguments):
+        command = LiveCommand
+        arguments = ["--help"] if {"-h", "--help"} & set(arguments) else arguments
     return by_source.parse(command, arguments, program)
 
 
 def _help() -> str:
-    lines = [f"  {name:10} {(command.__doc__ or '').strip()}" for name, command in commands().items()]
+    lines = [
+        f"  {name:10} {(command.__doc__ or '').strip().partition(chr(10))[0]}" for name, command in commands().items()
+    ]
     return "\n".join(
         [
             "usage: lpn COMMAND [--help]",

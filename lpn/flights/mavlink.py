@@ -7,6 +7,7 @@ MOUNT_ORIENTATION; heights above ground DISTANCE_SENSOR that looks down, and TER
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter, defaultdict
 from typing import Any
 
@@ -96,3 +97,15 @@ class MavlinkTelemetry:
         if self._lead is not None and abs(lead - self._lead) > self._JUMP:
             self.jumps += 1
         self._lead = lead
+
+
+def mavlink_package() -> Any:
+    """Return pymavlink's `mavutil`, which reads and writes version 2 of the protocol.
+
+    Raises:
+        ModuleNotFoundError: if pymavlink is not installed.
+    """
+    os.environ.setdefault("MAVLINK20", "1")
+    from pymavlink import mavutil
+
+    return mavutil

@@ -19,7 +19,7 @@ import numpy as np
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flights.logs import Log, LogRow
-from lpn.flights.mavlink import MavlinkTelemetry
+from lpn.flights.mavlink import MavlinkTelemetry, mavlink_package
 from lpn.flights.telemetry import TelemetryEntry
 from lpn.flights.vehicles import VehicleState, euler_degrees
 
@@ -187,20 +187,6 @@ def _tlog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
         )
     if telemetry.outside:
         notes.append(_outside(telemetry.outside, name))
-
-
-def mavlink_package() -> Any:
-    """Return pymavlink's `mavutil`, which reads and writes version 2 of the protocol.
-
-    Raises:
-        ModuleNotFoundError: if pymavlink is not installed.
-    """
-    import os
-
-    os.environ.setdefault("MAVLINK20", "1")
-    from pymavlink import mavutil
-
-    return mavutil
 
 
 def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:

@@ -613,7 +613,7 @@ def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
 
 
 def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ranked_stages, "_EVIDENCE", 0.0)
+    monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
     sure, lost = np.eye(25)[12], np.zeros(25)
     located = _ranked(flight, np.stack([sure, sure, sure]), {1: "The file is broken."})
     answers = [frame.stages["sequence"] for frame in located]

@@ -1,0 +1,267 @@
+"""Pictures that arrive: a thread reads their source, and one picture waits; a newer one replaces it and counts it as dropped."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from lpn.core import images
+from lpn.core.arrays import UInt8Array
+from lpn.core.errors import InputError, PictureError
+from lpn.core.files import printable
+from lpn.datasets.base import files_below
+from lpn.flights.base import Frame
+from lpn.flights.photos import read_photo
+from lpn.flights.sources import PHOTOS
+from lpn.flights.videos import SUFFIXES as VIDEOS
+
+# Called with sentences for the user.
+Say = Callable[[str], None]
+# Seconds between two looks at a folder, and for which a file that cannot be read may still be written.
+_POLL, _UNFINISHED = 0.05, 2.0
+# Milliseconds for which a stream may be silent, and seconds between two tries to open it.
+_SILENT_MS, _RETRY = 5000, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ArrivedPicture:
+    """A picture of a flight that goes on.
+
+    Attributes:
+        frame: its name, size, and what its own file says about the camera; `time` is seconds of the source's clock: UTC of a
+            photo, position in a video, None of a camera or stream.
+        received: seconds of the monotonic clock at which it came.
+        picture: RGB, (H, W, 3); None if it is read from the frame's file, which takes no time for those that are dropped.
+        utc: whether the frame's time is UTC.
+    """
+
+    frame: Frame
+    received: float
+    picture: UInt8Array | None = None
+    utc: bool = False
+
+    def pixels(self) -> UInt8Array:
+        """Return the picture; PictureError if its file cannot be read."""
+        return images.load_picture(self.frame.file) if self.picture is None else self.picture
+
+
+class NewestPicture:
+    """A queue of one: the newest picture waits, and those that it replaces are counted; thread-safe.
+
+    Attributes:
+        dropped: pictures that were replaced before anybody took them.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._waiting: ArrivedPicture | None = None
+        self._ended = False
+        self.dropped = 0
+
+    def put(self, picture: ArrivedPicture) -> None:
+        """Replace the picture that waits."""
+        with self._changed:
+            self.dropped += self._waiting is not None
+            self._waiting = picture
+            self._changed.notify()
+
+    def end(self) -> None:
+        """Say that no picture will come any more."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+
+    def take(self, seconds: float) -> ArrivedPicture | None:
+        """Return the newest picture as soon as there is one; None after some seconds without one, or at the end."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting is not None or self._ended, seconds)
+            picture, self._waiting = self._waiting, None
+            return picture
+
+    @property
+    def waiting(self) -> bool:
+        """Whether a picture waits."""
+        with self._changed:
+            return self._waiting is not None
+
+    @property
+    def ended(self) -> bool:
+        """Whether no picture waits, and none will come."""
+        with self._changed:
+            return self._ended and self._waiting is None
+
+
+class PictureSource(ABC):
+    """A source of pictures, read by a thread of its own.
+
+    Args:
+        say: receives sentences about what is odd.
+    """
+
+    def __init__(self, say: Say) -> None:
+        self.newest = NewestPicture()
+        self._say = say
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="pictures", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._stop.set()
+        if self._thread.ident is not None:
+            self._thread.join(timeout=_RETRY)
+
+    def _run(self) -> None:
+        try:
+            self._read()
+        finally:
+            self.newest.end()
+
+    @abstractmethod
+    def _read(self) -> None:
+        """Put pictures until the source ends or `_stop` is set."""
+
+
+class FolderPictures(PictureSource):
+    """Photos that come into a folder, with their EXIF and XMP; those that are there at the start are left out.
+
+    Args:
+        folder: which must exist; folders below it count, too.
+    """
+
+    def __init__(self, folder: Path, say: Say) -> None:
+        super().__init__(say)
+        self._folder = folder
+        self._seen = set(files_below(folder, PHOTOS))
+        # Files that cannot be read yet, and when they were first seen.
+        self._unfinished: dict[Path, float] = {}
+        if self._seen:
+            say(f"{len(self._seen)} photos that were in {printable(folder.name)} before are left out.")
+
+    def _read(self) -> None:
+        while not self._stop.wait(_POLL):
+            for file in files_below(self._folder, PHOTOS):
+                if file not in self._seen:
+                    self._take(file)
+
+    def _take(self, file: Path) -> None:
+        now = time.monotonic()
+        try:
+            photo = read_photo(file)
+        except PictureError as error:
+            # A camera may still be writing it.
+            if now - self._unfinished.setdefault(file, now) > _UNFINISHED:
+                self._seen.add(file)
+                del self._unfinished[file]
+                self._say(f"{error} The flight goes on without it.")
+            return
+        self._seen.add(file)
+        self._unfinished.pop(file, None)
+        taken = photo.local if photo.utc is None else photo.utc
+        self.newest.put(ArrivedPicture(replace(photo.frame, time=taken), now, None, photo.utc is not None))
+
+
+class StreamPictures(PictureSource):
+    """Frames of a video file at their own pace, of a camera, or of an RTSP, UDP, or HTTP stream.
+
+    A stream that stalls is opened again; a video ends.
+
+    Args:
+        source: a file, the number of a camera, or a URL.
+        fov: horizontal field of view in degrees.
+        paced: frames of a video wait for their time; otherwise each waits until the one before is taken, so none is dropped.
+    """
+
+    def __init__(self, source: Path | int | str, say: Say, fov: float | None = None, paced: bool = True) -> None:
+        super().__init__(say)
+        self._source, self._fov, self._paced = source, fov, paced
+        self._is_file = isinstance(source, Path)
+        self._name = printable(source.name if isinstance(source, Path) else str(source))
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
+        self._capture = self._opened()
+        if self._capture is None:
+            raise InputError(
+                f"{self._name} cannot be opened as a video, camera, or stream; check the name, and that it sends."
+            )
+
+    def _opened(self) -> Any:
+        """Return a capture that is open, or None."""
+        if isinstance(self._source, int):
+            capture = cv2.VideoCapture(self._source)
+        else:
+            limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _SILENT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _SILENT_MS]
+            capture = cv2.VideoCapture(str(self._source), cv2.CAP_FFMPEG, [] if self._is_file else limits)
+        if capture.isOpened():
+            return capture
+        capture.release()
+        return None
+
+    def _read(self) -> None:
+        count, began = 0, time.monotonic()
+        while not self._stop.is_set():
+            read, picture = (False, None) if self._capture is None else self._capture.read()
+            if not read or picture is None:
+                if self._is_file:
+                    break
+                if self._capture is not None:
+                    self._say(f"{self._name} has stalled; it is opened again until it sends.")
+                    self._capture.release()
+                self._stop.wait(_RETRY)
+                self._capture = self._opened()
+                continue
+            position = None
+            if self._is_file:
+                position = self._position(count)
+                self._wait(began + position)
+            count += 1
+            frame = Frame(f"{count:06d}", Path(), picture.shape[1], picture.shape[0], position, fov=self._fov)
+            rgb = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+            self.newest.put(ArrivedPicture(frame, time.monotonic(), rgb))
+        if self._capture is not None:
+            self._capture.release()
+
+    def _position(self, count: int) -> float:
+        """Return the seconds from a video's start to the frame that was read last."""
+        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000 or (count / rate if rate > 0 else 0.0)
+
+    def _wait(self, until: float) -> None:
+        if self._paced:
+            self._stop.wait(max(until - time.monotonic(), 0))
+        else:
+            while self.newest.waiting and not self._stop.wait(0.002):
+                pass
+
+
+def open_source(source: str, say: Say, fov: float | None = None) -> PictureSource:
+    """Open a folder, a video file, a camera by its number, or a stream by its address.
+
+    Raises:
+        InputError: if it is none of these, or cannot be opened.
+    """
+    path = Path(source)
+    if path.is_dir():
+        return FolderPictures(path, say)
+    if source.isascii() and source.isdecimal():
+        return StreamPictures(int(source), say, fov)
+    if "://" in source:
+        return StreamPictures(source, say, fov)
+    if path.is_file():
+        if path.suffix.lower() not in VIDEOS:
+            raise InputError(f"{printable(path.name)} is no video that is read; expected {', '.join(VIDEOS)}.")
+        return StreamPictures(path, say, fov)
+    raise InputError(
+        f"There is no {printable(source)}; give a folder that fills, a video, the number of a camera, or the address of a "
+        "stream, such as rtsp://127.0.0.1:8554/drone."
+    )

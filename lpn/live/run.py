@@ -1,0 +1,197 @@
+"""A flight that is located while it flies: pictures and telemetry come in, answers go out, until the flight ends."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+from lpn.core.errors import LPNError, PictureError
+from lpn.live.frames import ArrivedPicture, PictureSource, Say
+from lpn.live.locator import LiveLocator
+from lpn.live.outputs import LiveFix
+from lpn.live.telemetry import LiveTelemetry
+from lpn.locate.located import LocatedFrame, StageRecord
+
+# Seconds without a frame after which the source counts as stalled, and between two writings of the belief.
+_STALLED, _SAVED = 5.0, 5.0
+# Refused frames in a row after which a sentence says so, and windows from the map's border within which it may be the reason.
+_REFUSED, _BORDER = 10, 1.0
+# Seconds for which one look at the queue waits.
+_LOOK = 0.2
+
+
+class FixOutput(Protocol):
+    """What takes the fixes of a flight."""
+
+    def send(self, fix: LiveFix) -> None:
+        """Take a fix."""
+
+    def close(self) -> None:
+        """Take no more."""
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """How a live run ends and is kept.
+
+    Attributes:
+        idle: seconds without a frame after which the run ends; None waits for ever, unless the source itself ends.
+        belief: file of the belief, from which a run that starts again goes on; None keeps none.
+    """
+
+    idle: float | None = None
+    belief: Path | None = None
+
+
+class LiveRun:
+    """Locates the frames of a source one after another.
+
+    Args:
+        source: of the pictures; it is started and closed here.
+        telemetry: of the pictures; it is closed here.
+        locator: of the frames.
+        outputs: that take each fix; they are closed here.
+        say: receives sentences about what is odd.
+        stop: ends the run once it is set.
+    """
+
+    def __init__(
+        self,
+        source: PictureSource,
+        telemetry: LiveTelemetry,
+        locator: LiveLocator,
+        outputs: Sequence[FixOutput],
+        say: Say,
+        settings: LiveSettings | None = None,
+        stop: threading.Event | None = None,
+    ) -> None:
+        self._source, self._telemetry, self._locator, self._outputs = source, telemetry, locator, outputs
+        self._say, self._settings = say, settings or LiveSettings()
+        self._stop = stop or threading.Event()
+        # The wall clock may jump while the flight goes on; it is read once.
+        self._clock_lead = time.time() - time.monotonic()
+        self._refused = 0
+        self._saved = 0.0
+        self._failed: set[int] = set()
+
+    def run(self) -> int:
+        """Locate frames until the source ends, nothing has come for `LiveSettings.idle` seconds, or the run is stopped.
+
+        Returns:
+            The number of frames.
+        """
+        count = 0
+        try:
+            self._take_up()
+            self._source.start()
+            for picture in self._pictures():
+                if (fix := self._fix(picture)) is not None:
+                    count += 1
+                    self._send(fix)
+                    self._watch(fix)
+                self._save(_SAVED)
+        finally:
+            self._source.close()
+            self._telemetry.close()
+            for output in self._outputs:
+                output.close()
+        self._save(0.0)
+        return count
+
+    def _pictures(self) -> Iterator[ArrivedPicture]:
+        """Yield the newest picture again and again, and say when none comes."""
+        came, stalled = time.monotonic(), False
+        while not self._stop.is_set() and not self._source.newest.ended:
+            picture = self._source.newest.take(_LOOK)
+            waited = time.monotonic() - came
+            if picture is not None:
+                if stalled:
+                    self._say("Frames come again.")
+                yield picture
+                came, stalled = time.monotonic(), False
+            elif self._settings.idle is not None and waited > self._settings.idle:
+                self._say(f"No frame has come for {self._settings.idle:g} s, so the flight counts as ended.")
+                return
+            elif waited > _STALLED and not stalled:
+                stalled = True
+                self._say(
+                    f"No frame has come for {_STALLED:g} s; the last answer grows old, and the next frame is waited for."
+                )
+
+    def _fix(self, picture: ArrivedPicture) -> LiveFix | None:
+        frame, telemetry_age = self._telemetry.value(picture)
+        if frame.time is None:
+            frame = replace(frame, time=picture.received)
+        try:
+            pixels = picture.pixels()
+            located = self._locator.locate(frame, pixels)
+        except PictureError as error:
+            self._say(f"{error} The flight goes on without it.")
+            return None
+        for note in self._locator.take_notes():
+            self._say(note)
+        stage, answer = best_answer(located)
+        latitude = longitude = None
+        if answer.x is not None and answer.y is not None:
+            latitude, longitude = self._locator.basemap.frame.degrees([(answer.x, answer.y)])[0].tolist()
+        clock = (
+            picture.frame.time
+            if picture.utc and picture.frame.time is not None
+            else picture.received + self._clock_lead
+        )
+        age = time.monotonic() - picture.received
+        return LiveFix(
+            located, stage, answer, latitude, longitude, clock, age, self._source.newest.dropped, telemetry_age, pixels
+        )
+
+    def _send(self, fix: LiveFix) -> None:
+        for i, output in enumerate(self._outputs):
+            try:
+                output.send(fix)
+            except (LPNError, OSError, ValueError) as error:
+                if i not in self._failed:
+                    self._say(f"An output failed ({error}); the flight goes on.")
+                self._failed.add(i)
+
+    def _watch(self, fix: LiveFix) -> None:
+        """Say when frames are refused one after another, and whether the map ends there."""
+        self._refused = 0 if fix.answer.accepted else self._refused + 1
+        if self._refused != _REFUSED:
+            return
+        sizes = self._locator.window_side
+        if sizes is not None and self._locator.near_border(_BORDER * sizes):
+            self._say(
+                f"{_REFUSED} frames in a row were refused near the border of the map; the flight may have left it."
+            )
+        else:
+            self._say(f"{_REFUSED} frames in a row were refused; the last says: {fix.answer.sentence}")
+
+    def _take_up(self) -> None:
+        file = self._settings.belief
+        sentence = None if file is None else self._locator.take_up(file, time.time())
+        if sentence is not None:
+            self._say(sentence)
+
+    def _save(self, after: float) -> None:
+        file = self._settings.belief
+        if file is None or time.monotonic() - self._saved < after:
+            return
+        self._saved = time.monotonic()
+        try:
+            self._locator.save(file, time.time())
+        except LPNError as error:
+            if -1 not in self._failed:
+                self._say(f"{error} A run that starts again will start anew.")
+            self._failed.add(-1)
+
+
+def best_answer(located: LocatedFrame) -> tuple[str, StageRecord]:
+    """Return the stage that counts, and its answer: an accepted registration, else the sequence's."""
+    registration = located.stages.get("registration")
+    if registration is not None and registration.accepted:
+        return "registration", registration
+    return "sequence", located.stages["sequence"]
