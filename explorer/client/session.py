@@ -103,18 +103,19 @@ class ClientSession:
     def change(self, change: StateChange) -> None:
         """Replace the state by a pure function's result; if it differs, update the controls and wake the worker."""
         with self._lock:
-            state = change(self._state)
+            before, state = self._state, change(self._state)
             if state is None:
                 return
-            state = session_state.leave_first_screen(self._state, self._workspace.supported_state(state))
-            if state == self._state:
+            state = session_state.leave_first_screen(before, self._workspace.supported_state(state))
+            if state == before:
                 return
-            self.views.follow(self._state, state)
+            self.views.follow(before, state)
             if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
                 self.views.bridge.call("keepTheme", "dark" if state.dark else "light")
             if change in (session_state.flip_words, session_state.show_everything):
-                self.views.bridge.call("keepWords", "plain" if state.plain else "expert")
-            only_windows = state == session_state.with_windows(self._state, state)
+                unasked = change is session_state.show_everything and before.plain
+                self.views.bridge.call("keepWords", "plain" if state.plain else "expert", unasked)
+            only_windows = state == session_state.with_windows(before, state)
             self._state = state
             if only_windows:  # nothing to analyse
                 self._address.write(state)

@@ -208,6 +208,8 @@ class ClientViews:
         """Say why there is no answer."""
         self._say(error)
         self.explain_window.fail(_in_words(error))
+        if not self.sequence:
+            self.first_screen.fail(_in_words(error))
 
     def _say(self, error: Exception) -> None:
         self.panels.answer.show_idle()

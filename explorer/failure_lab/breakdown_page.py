@@ -18,6 +18,7 @@ from lpn.analysis import breakdown, near_duplicates
 from lpn.analysis.breakdown import Rate
 from lpn.analysis.near_duplicates import NearDuplicate
 from lpn.core.tables import Column
+from lpn.drawing.words import capitalised, plain, say
 from lpn.tasks.task import Task
 
 _MAX_PAIRS, _MAX_VALUES, _MAX_TILES = 10, 10, 6
@@ -87,8 +88,9 @@ def _part_card(findings: Findings, lab: LabState) -> _Card:
     rows = state.selected_rows(findings, lab, "part", any_outcome=True)
     counts = breakdown.blame(findings.outcomes, rows).tolist()
     failed = int(findings.outcomes.failed[rows].sum())
+    title = f"{capitalised(say('part'))} that lowers the {say('margin')} most"
     if not failed:
-        return _Card("part", "Part that lowers the margin most", [])
+        return _Card("part", title, [])
     most = max(max(counts), 1)
     chosen = _label(lab, "part")
     lines = [
@@ -96,12 +98,12 @@ def _part_card(findings: Findings, lab: LabState) -> _Card:
             "lab-part",
             part,
             f"part {name} lowers the margin most" == chosen,
-            f"Part {name} lowers the margin most in {count} of {failed} failures",
+            f"{capitalised(say('part'))} {name} lowers the {say('margin')} most in {count} of {failed} {say('failure', failed)}",
             (part, name, 100 * count / most, count),
         )
         for part, (name, count) in enumerate(zip(findings.part_names, counts, strict=True))
     ]
-    return _Card("part", f"Part that lowers the margin most, in {failed:,} failures", lines)
+    return _Card("part", f"{title}, in {failed:,} {say('failure', failed)}", lines)
 
 
 def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:
@@ -116,7 +118,7 @@ def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card
                 "lab-pair",
                 [confusion.place, confusion.answered],
                 " taken for ".join(names) == chosen,
-                f"{confusion.count} queries of {names[0]} were answered with {names[1]}",
+                f"{names[1]} was the answer to {confusion.count} {say('query', confusion.count)} of {names[0]}",
                 (names, pictures, confusion.count),
             )
         )
@@ -131,13 +133,14 @@ def _hub_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:
             "lab-hub",
             hub.tile,
             state.hub_label(findings, hub.tile) == chosen,
-            f"{len(hub.queries)} queries of {hub.places} other places were answered with this tile",
+            f"The answer to {len(hub.queries)} {say('query', len(hub.queries))} of {hub.places} other places",
             (task.tile_name(hub.tile), _tile_picture(findings, workspace, hub.tile), hub.places, len(hub.queries)),
         )
         for hub in hubs[:_MAX_TILES]
     ]
     listed = f"; the first {_MAX_TILES} of {len(hubs):,}" if len(hubs) > _MAX_TILES else ""
-    return _Card("hub", f"Hubs: tiles that answer queries of several other places{listed}", lines)
+    what = "Hubs: tiles that answer queries" if not plain() else "Favourites: answers to pictures"
+    return _Card("hub", f"{what} of several other places{listed}", lines)
 
 
 def _alike_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:
@@ -155,7 +158,7 @@ def _alike_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Car
                 (names, pictures, pair.cosine, apart),
             )
         )
-    return _Card("alike", "Near-duplicates: tiles of two places that the model describes alike", lines)
+    return _Card("alike", "Near-duplicates: pictures of two places that look alike to the model", lines)
 
 
 @lru_cache(maxsize=4)
@@ -189,14 +192,17 @@ def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Ra
     lines = []
     for index, rate in enumerate(rates[:_MAX_VALUES]):
         low, high = (f"{100 * end:.0f}" for end in rate.interval)
-        hint = f"{rate.name}: {rate.failures} of {rate.queries} queries failed; 95 % interval {low} to {high} %"
+        failed = f"{rate.failures} of {rate.queries} {say('query', rate.queries)} failed"
+        hint = f"{rate.name}: {failed}; 95 % interval {low} to {high} %"
         value = [column.name, index, rate.name]
         content = (rate.name, _rate_bar(rate, overall), rate.share)
         lines.append(_Line("lab-bin", value, f"{column.name} {rate.name}" == chosen, hint, content))
     listed = f"; {_MAX_VALUES} of {len(rates)} values" if len(rates) > _MAX_VALUES else ""
     count = sum(rate.queries for rate in rates)
-    queries = f"{'all ' if count == len(findings.table) else ''}{count:,} queries"
-    return _Card("rate", f"Failures by {column.name}, of {queries}{listed}", lines, column.about)
+    queries = f"{'all ' if count == len(findings.table) else ''}{count:,} {say('query', count)}"
+    return _Card(
+        "rate", f"{capitalised(say('failure', 2))} by {column.name}, of {queries}{listed}", lines, column.about
+    )
 
 
 def _rate_bar(rate: Rate, overall: float) -> _RateBar:

@@ -21,6 +21,7 @@ from explorer.web.render import call, render, run
 from lpn.analysis import embedding_map
 from lpn.core import images
 from lpn.core.arrays import Int64Array
+from lpn.drawing import words
 
 NO_EMBEDDING = "The tiles of an index are not in memory, so their descriptors are not drawn as a map."
 _LABELS = {"pca": "the PCA", "umap": "the UMAP", "ground": "the ground"}
@@ -81,9 +82,9 @@ class MapPage:
         embedded, ground = findings.task.depth is None, findings.task.geometry is not None
         kinds = {"ground": "On the ground"} if ground else {}
         if embedded:
-            kinds["pca"] = "Descriptors, PCA"
+            kinds["pca"] = "By likeness" if words.plain() else "Descriptors, PCA"
         if embedded and self._service.has_umap:
-            kinds["umap"] = "Descriptors, UMAP"
+            kinds["umap"] = "By likeness (UMAP)" if words.plain() else "Descriptors, UMAP"
         controls = partial(
             render,
             "failure_lab/map_controls",
@@ -167,6 +168,7 @@ class MapPage:
             "chosen": len(chosen),
             "lasso": any(one.kind == f"in {lab.map}" for one in lab.selections),
             "ground": None,
+            "words": [words.say("query"), words.say("query", 2)],
             "maps": [self._of_map(findings, lab, number, one) for number, one in enumerate(maps)],
         }
         if points.ground is not None and points.origin is not None:

@@ -112,6 +112,10 @@ class FirstScreen:
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
         self._html.show(run(call("first", content, not elsewhere, not state.upload)))
 
+    def fail(self, reason: str) -> None:
+        """Say why there is no first answer, with buttons that load the page again and choose another picture."""
+        self._html.show(run(call("unopened", reason, True)))
+
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
         all_queries = replace(lab_choices.show_all(state.laboratory), tab=tab)
@@ -283,6 +287,11 @@ def _picture(
     """Return a picture of the pair as a data URI: as it is, or with its parts and what `cells` say while they are explained."""
     if analysis.state.why:
         return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, colours=colours), 85)
+    if analysis.state.upload and described is analysis.query:  # in its own shape; explained, it is as the model sees it
+        height, width = described.picture.shape[:2]
+        share = _SIZE[0] / max(height, width)
+        whole = images.resize(described.picture, max(round(share * height), 1), max(round(share * width), 1))
+        return overlays.data_uri(whole, 85)
     across, down = workspace.layout.picture
     width = min(round(_SIZE[0] * across / down), _SIZE[1])
     picture = images.resize(workspace.as_partitioned(described.picture, view), round(width * down / across), width)

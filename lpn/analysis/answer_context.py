@@ -139,9 +139,12 @@ def describe_distance(distances: AnswerDistances, distance2: float) -> tuple[boo
     if measured is None:
         return None
     nearer, absent = measured
+    number = f"{len(distances.right):,}"
+    of_right = {0.0: f"None of the {number}", 1.0: f"All {number}"}.get(nearer, f"{_percent(nearer)} of the {number}")
+    of_absent = {0.0: "no answer", 1.0: "every answer"}.get(absent, f"{_percent(absent)} of the answers")
     text = (
-        f"The answer is farther from your picture than {_percent(nearer)} of the {len(distances.right):,} right answers are "
-        f"from theirs. Were the right pictures taken away, {_percent(absent)} of the answers would be as far."
+        f"{of_right} right answers here are closer to their pictures than this one is to yours. "
+        f"Were the right pictures taken away, {of_absent} would be as far as this one, or farther."
     )
     return nearer >= _TOO_FAR, text
 

@@ -123,7 +123,8 @@ interface Lpn {
   point(card: HTMLElement | null, name?: string): void;
   screen(): "" | "first" | "all";
   prefersFirst(): boolean;
-  opening(): unknown;
+  opening(): void;
+  unopened(reason: string, goesOn?: boolean): void;
   firstAgain(): unknown;
   northUp(link: HTMLElement): void;
   preview(html: string): void;
@@ -169,7 +170,7 @@ interface Lpn {
   backEndsStory(): boolean;
   backQuietly(): void;
   keepTheme(name: string): void;
-  keepWords(name: string): void;
+  keepWords(name: string, unasked: boolean): void;
   linked: boolean;
   greet(): void;
   address(query: string, keys: string[]): void;

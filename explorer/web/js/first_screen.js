@@ -5,6 +5,7 @@
   const { SELECTORS } = lpn.viser;
   const STORAGE_KEY = "lpn-screen";
   const AT_ONCE = ["copy", "dark", "glossary", "north", "upload"]; // these need no answer
+  const LATE = 20000; // ms after which the first answer is late
   let newest = ""; // the screen's content when it was last shown
   /** @type {"" | "first" | "all"} */
   let shown = ""; // "first", "all", or nothing before the first answer
@@ -67,8 +68,23 @@
     link.setAttribute("aria-pressed", String(!north));
   };
 
-  // Until the first answer the page says that it is coming.
-  lpn.opening = () => document.getElementById("lpn-first") || open('<p class="wait"><span class="busy"></span>Looking at the first picture …</p>');
+  // Until the first answer the page says that it is coming, or why there is none. A session that has died says nothing.
+  let late = 0;
+  lpn.opening = () => {
+    clearTimeout(late);
+    late = setTimeout(() => lpn.unopened("This takes longer than usual. The server may be busy, or have lost this page."), LATE);
+    if (!document.getElementById("lpn-first")) open('<p class="wait"><span class="busy"></span>Looking at the first picture …</p>');
+  };
+  lpn.unopened = (reason, goesOn = false) => {
+    const page = document.getElementById("lpn-first");
+    if (!page || page.querySelector("[data-query]")) return;
+    open('<p class="wait"><span class="why"></span><br><button type="button">Load the page again</button> <button type="button" hidden>Another picture</button></p>');
+    page.querySelector(".why").textContent = reason;
+    const [again, other] = page.querySelectorAll("button");
+    again.onclick = () => location.reload();
+    other.hidden = !goesOn;
+    other.onclick = () => lpn.send("screen", "next");
+  };
 
   // Show the screen at once as it was last; the server will send it again.
   lpn.firstAgain = () => newest && open(newest);
@@ -84,6 +100,7 @@
     const now = html ? "first" : "all", before = shown;
     if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
+    clearTimeout(late);
     const same = html === newest && document.querySelector("#lpn-first [data-query]");
     if (html) return same ? settled() : open((newest = html));
     close();

@@ -564,11 +564,11 @@
       const none = counts[counts.length - 1];
       if (none) entries.push(entry(GREY, (data.colour ? "no value: " : "place not known: ") + none.toLocaleString("en")));
       if (data.colour && crosses) entries.push(entry("currentColor", "failed", "✕"));
-      if (groups?.length) entries.push(entry("currentColor", "a pie: queries that lie close together", "◕"));
+      if (groups?.length) entries.push(entry("currentColor", `a pie: ${data.words[1]} that lie close together`, "◕"));
       if (!data.ground) entries.push(entry(TILE, "tiles", "■"));
       if (data.axes) entries.push(data.axes);
       if (data.labels.length) entries.push("labels: the most frequent " + data.labels[0].column + " of each cluster, with its share");
-      if (data.query) entries.push("ringed: the query");
+      if (data.query) entries.push("ringed: the " + data.words[0]);
       key.replaceChildren(...entries.map((one) => (typeof one === "string" ? Object.assign(document.createElement("span"), { textContent: one }) : one)));
     };
 

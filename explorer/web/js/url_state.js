@@ -52,7 +52,10 @@
 
   // Plain words, until somebody asks for the field's terms.
   const WORDS = "lpn-words";
-  lpn.keepWords = (name) => lpn.store("local", WORDS, name);
+  lpn.keepWords = (name, unasked) => {
+    lpn.store("local", WORDS, name);
+    if (unasked) lpn.say("The workbench speaks the field’s terms. “Plain words” on the right brings the plain ones back.", 10);
+  };
 
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from base64 import b64decode
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -196,8 +198,8 @@ def test_a_picture_that_is_farther_than_right_answers_is_said_to_be_none_of_thes
         monkeypatch.setattr(workspace, "answer_distances", lambda _, moved=moved: moved)
         shown = text(first_screen.page(own, workspace))
         assert headline in shown
-        far = "0 %" if shift > 0 else "100 %"
-        assert f"The answer is farther from your picture than {far} of the {len(hits)} right answers are" in shown
+        of_right = "None of the" if shift > 0 else "All"
+        assert f"{of_right} {len(hits)} right answers here are closer to their pictures than this one" in shown
     weighted = analyse(workspace, replace(own.state, weights=(2.0, 1.0, 1.0, 1.0)))
     assert "nothing measured here" in text(first_screen.page(weighted, workspace))
 
@@ -280,7 +282,14 @@ def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
     assert "pixels; the model sees it pressed into a square." in text(html)
     assert answer_text.OWN_KEPT in text(html)
     assert "2 of 3" in text(html)
-    assert 'aria-disabled="true" class="off" title="A link cannot carry your own picture"' in html
+    assert "lpn.say('A link cannot carry your own picture.')" in html
+    # The picture is shown in its own shape; explained, it is shown as the model sees it.
+    for why, of_height in ((False, 48 / small_worlds.place(3).shape[1]), (True, 1.0)):
+        shown = first_screen.page(analyse(workspace, replace(analysis.state, why=why)), workspace)
+        encoded = re.search('<img class="whole" src="data:image/jpeg;base64,([^"]*)"', shown)
+        assert encoded is not None
+        height, width = cv2.imdecode(np.frombuffer(b64decode(encoded[1]), np.uint8), cv2.IMREAD_COLOR).shape[:2]
+        assert height / width == pytest.approx(of_height, abs=0.01)
     square = replace(analysis, state=replace(analysis.state, upload=OwnPicture("mine.png", small_worlds.place(3))))
     assert answer_text.own_shape(square, workspace) == ""
 
@@ -290,7 +299,8 @@ def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
     filters = {"outcome": "failed", "filter": "rank > 9", "name_search": "0001"}
     chosen = replace(kept, selections=(Selection("rows", "6 rows", (1, 2)),), **filters)  # type: ignore[arg-type]
     state, shown = SessionState(TASK, 4, first_screen=True, laboratory=chosen), []
-    gui, navigation = SimpleNamespace(add_html=lambda _: None), SimpleNamespace()
+    html = SimpleNamespace()
+    gui, navigation = SimpleNamespace(add_html=lambda _: html), SimpleNamespace()
     for name in ("random", "previous", "next", "failure"):
         setattr(navigation, name, lambda state: state)
 
@@ -305,6 +315,9 @@ def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
         assert shown[-1] is not None
         assert shown[-1].lab
         assert shown[-1].laboratory == replace(kept, tab=tab), "it shows all queries"
+    screen.fail("It cannot be <read>.")
+    assert "lpn.unopened" in html.content
+    assert "It cannot be <read>." in unescape(html.content)
 
 
 def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

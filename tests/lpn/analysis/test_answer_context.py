@@ -119,7 +119,10 @@ def test_an_answer_s_distance_is_set_beside_those_of_right_answers_and_of_absent
     told = answer_context.describe_distance(measured, 4.1)
     assert told == (
         True,
-        "The answer is farther from your picture than 100 % of the 23 right answers are from theirs. Were the right "
-        "pictures taken away, 0 % of the answers would be as far.",
+        "All 23 right answers here are closer to their pictures than this one is to yours. Were the right pictures taken "
+        "away, no answer would be as far as this one, or farther.",
     )
+    between = answer_context.describe_distance(measured, middle)
+    assert between is not None
+    assert between[1].startswith(f"{100 * measured.farther(middle)[0]:.0f} % of the 23 right answers here are closer")
     assert answer_context.describe_distance(replace(measured, right=expected[:5]), 4.1) is None
