@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import lpn
 from lpn.cli.explain import part_values
 from lpn.core.arrays import Float32Array
+from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
@@ -21,12 +22,22 @@ if TYPE_CHECKING:
 
 @dataclass
 class IndexCommand:
-    """Put the descriptors of a store into an index that lpn search searches; resumable."""
+    """Put the descriptors of a store, or the windows of a map, into an index that lpn search searches; resumable."""
 
-    descriptors: str
-    """Store of tiles written by lpn describe, or folder or address of shards written by describe --engine ray."""
     out: str
     """Folder of the index, or milvus://host:port/collection; tiles are added to an existing index."""
+    descriptors: str | None = None
+    """Store of tiles written by lpn describe, or folder or address of shards written by describe --engine ray."""
+    map: Path | None = None
+    """Map whose windows are described straight into the index, block by block, for more than memory holds; needs --model."""
+    model: Path | None = None
+    """With --map: trained LPN, .onnx, .safetensors, or .pth."""
+    size: tuple[float, ...] = ()
+    """With --map: sides of the windows in metres, such as 70 100 140; by default five, of up to 300 m or 0.6 of the map."""
+    overlap: float = 0.5
+    """With --map: share of a window's side that its neighbour covers, too."""
+    provider: ProviderName = "auto"
+    """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     data: Path | None = None
     """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in shards."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
@@ -47,6 +58,13 @@ class IndexCommand:
         from lpn.index import create_index
         from lpn.index.tiles import open_tiles
 
+        if self.map is not None:
+            self._index_map(self.map)
+            return
+        if self.descriptors is None or self.model is not None or self.size:
+            raise InputError(
+                "An index is of descriptors, or of a map's windows; give --descriptors, or --map with --model."
+            )
         tiles = open_tiles(self.descriptors, self.data)
         added = read = 0
         with (
@@ -71,6 +89,33 @@ class IndexCommand:
             )
         if tiles.broken:
             print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
+
+    def _index_map(self, where: Path) -> None:
+        from lpn.core.consoles import counting_bar
+        from lpn.index import create_index
+        from lpn.index.base import DescriptorKind
+        from lpn.index.from_map import index_windows, window_describer
+        from lpn.locate.retrieval import pyramid_sizes
+        from lpn.maps import open_map
+
+        if self.descriptors is not None or self.data is not None or self.model is None:
+            raise InputError(
+                "A map's windows need --model, and neither --descriptors nor --data; give --map with --model."
+            )
+        model = lpn.load(self.model, self.provider).in_role("satellite", None)
+        basemap = open_map(where)
+        describe, sizes = window_describer(model, basemap), self.size or pyramid_sizes(basemap, [])
+        if not basemap.count_pyramid(sizes, self.overlap):
+            raise InputError(
+                f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
+            )
+        kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding)
+        with (
+            create_index(self.out, kind, self.engine, self.precision, self.codes, self.structure) as index,
+            counting_bar("Describing windows") as progress,
+        ):
+            added = index_windows(index, basemap, describe, sizes, self.overlap, progress, replace=self.replace)
+            print(f"{printable(_displayed(self.out))} holds {index.count()} windows, {added} of them added now.")
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""

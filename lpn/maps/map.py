@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from threading import Lock
 from typing import Any
 
@@ -27,6 +27,10 @@ _BLOCK = 512
 _COVERAGE = 1024
 # Pixels along the longer side of the overview that a map keeps in memory, some 16 MB.
 OVERVIEW = 2 * _COVERAGE
+# Least share of a window's ground that the map shows.
+_MIN_VALID = 0.5
+# Windows of a block.
+_WINDOWS = 1 << 16
 # Widest map in metres: grid north and scale of one frame would be too far off.
 _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
@@ -122,7 +126,7 @@ class Map:
             raise InputError(f"A picture of {pixels} pixels a side cannot be cut; expected 1 to {_MAX_PIXELS}.")
         return self._read(window, pixels, (0, 0, pixels, pixels))
 
-    def windows(self, size: float, step: float, min_valid: float = 0.5) -> list[Window]:
+    def windows(self, size: float, step: float, min_valid: float = _MIN_VALID) -> list[Window]:
         """Return windows, north up, on a grid that covers the map.
 
         Args:
@@ -134,12 +138,22 @@ class Map:
         Raises:
             InputError: if a number is out of range.
         """
+        return [window for block in self._blocks(size, step, min_valid) for window in block]
+
+    def _blocks(self, size: float, step: float, min_valid: float) -> Iterator[list[Window]]:
+        """Yield the windows of `windows` in blocks."""
+        for centres in self._centres(size, step, min_valid):
+            yield [Window(x, y, size) for x, y in centres.tolist()]
+
+    def _centres(self, size: float, step: float, min_valid: float) -> Iterator[Float64Array]:
+        """Yield the centres of the windows of `windows` in blocks, (B, 2)."""
         if not 0 <= min_valid <= 1:
             raise InputError(f"The least valid share {min_valid:g} is out of range; expected 0 to 1.")
         centres = windows.grid(self.bounds, size, step)
-        # A share of exactly the least one must not fail by rounding.
-        chosen = centres[self.valid_shares(centres, size) >= min_valid - 1e-6]
-        return [Window(x, y, size) for x, y in chosen.tolist()]
+        for start in range(0, len(centres), _WINDOWS):
+            some = centres[start : start + _WINDOWS]
+            # A share of exactly the least one must not fail by rounding.
+            yield some[self.valid_shares(some, size) >= min_valid - 1e-6]
 
     def pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> list[Window]:
         """Return the windows of several sizes, in the order of `sizes`.
@@ -153,11 +167,20 @@ class Map:
         Raises:
             InputError: if a number is out of range, or there is no size.
         """
+        return [window for block in self.pyramid_blocks(sizes, overlap) for window in block]
+
+    def count_pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> int:
+        """Return the number of windows of `pyramid`, without making them."""
+        return sum(len(block) for size in sizes for block in self._centres(size, size * (1 - overlap), _MIN_VALID))
+
+    def pyramid_blocks(self, sizes: Sequence[float], overlap: float = 0.5) -> Iterator[list[Window]]:
+        """Yield the windows of `pyramid` in blocks of at most 65,536, so that those of a county need not be in memory."""
         if not 0 <= overlap < 1:
             raise InputError(f"The overlap {overlap:g} is out of range; expected 0 to below 1.")
         if not len(sizes):
             raise InputError("A pyramid needs at least one size of windows; found none.")
-        return [window for size in sizes for window in self.windows(size, size * (1 - overlap))]
+        for size in sizes:
+            yield from self._blocks(size, size * (1 - overlap), _MIN_VALID)
 
     def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
         """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""

@@ -1,0 +1,93 @@
+"""Windows of a map into an index, block by block: neither windows nor descriptors of a whole county are ever in memory.
+
+A store of descriptors (`lpn.descriptors.map_windows`) lists all windows in its manifest. Here a window is known by its name in
+the index only. So 10^7 windows need no more memory than 10^4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from lpn.core.arrays import Float32Array
+from lpn.core.progress import CountProgress
+from lpn.descriptors.parallel_inference import describe_each
+from lpn.index.base import Index
+from lpn.maps import Map, NamedWindow, Window
+from lpn.maps.named_window import WindowCut
+from lpn.models.base import Model
+
+# Returns the descriptors (B, n, D) of windows.
+DescribeWindows = Callable[[Sequence[Window]], Float32Array]
+
+# Windows that are described and added together; a killed run repeats at most so many.
+BLOCK = 1024
+
+
+def index_windows(
+    index: Index,
+    basemap: Map,
+    describe: DescribeWindows,
+    sizes: Sequence[float],
+    overlap: float = 0.5,
+    on_progress: CountProgress = lambda _done, _total: None,
+    block: int = BLOCK,
+    replace: bool = False,
+) -> int:
+    """Describe the windows of a map that an index lacks, and add them under their names, with positions.
+
+    A killed run resumes, as windows whose names are in the index are left out.
+
+    Args:
+        describe: see `window_describer`.
+        sizes, overlap: see `Map.pyramid`.
+        on_progress: called with the numbers of windows done and of all.
+        block: windows that are described and added together.
+        replace: describe all windows, also those that the index holds.
+
+    Returns:
+        The number of windows that were added.
+
+    Raises:
+        PictureError: if a file of the map is damaged where a window lies.
+        StoreError: if the index cannot be written.
+    """
+    total = basemap.count_pyramid(sizes, overlap)
+    done = added = 0
+    on_progress(0, total)
+    for windows in basemap.pyramid_blocks(sizes, overlap):
+        for start in range(0, len(windows), block):
+            some = windows[start : start + block]
+            named = NamedWindow.all_of(some, basemap.frame)
+            names = [one.name for one in named]
+            missing = np.arange(len(named)) if replace else np.flatnonzero(~index.holds(names))
+            if len(missing):
+                chosen = [named[i] for i in missing.tolist()]
+                degrees = np.array([(one.latitude, one.longitude) for one in chosen])
+                # The windows of the names, which are rounded, so that they are cut alike later.
+                places = basemap.frame.xy(*degrees.T).tolist()
+                rounded = [Window(x, y, one.size) for (x, y), one in zip(places, chosen, strict=True)]
+                index.add([one.name for one in chosen], describe(rounded), degrees)
+            added += len(missing)
+            done += len(some)
+            on_progress(done, total)
+    return added
+
+
+def window_describer(model: Model, basemap: Map) -> DescribeWindows:
+    """Return what describes windows of a map by a model, mirror included; it raises PictureError where a file is damaged."""
+    side = max(model.input_size)
+    model.check_view("satellite")
+    parallel = model.for_parallel_inference()
+
+    def describe(windows: Sequence[Window]) -> Float32Array:
+        described = np.empty((len(windows), model.n_parts, model.embedding), np.float32)
+        cuts = [WindowCut(basemap, window, side) for window in windows]
+        for batch in describe_each(parallel, cuts, lambda cut: model.prepare(cut(), "satellite"), "satellite"):
+            for _, error in batch.broken:
+                raise error
+            described[batch.items] = batch.descriptors
+        return described
+
+    return describe

@@ -1,0 +1,87 @@
+"""Windows of a map described straight into an index."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lpn
+from lpn.cli.main import main
+from lpn.core.arrays import Float32Array
+from lpn.descriptors.map_windows import describe_windows
+from lpn.index import DescriptorKind, create_index, open_index
+from lpn.index.from_map import index_windows
+from lpn.maps import Map, NamedWindow, Window, open_map
+from lpn.models.base import normalise
+from tests.lpn.maps.small_maps import smooth, write_geotiff
+
+
+@pytest.fixture
+def town(tmp_path: Path) -> Map:
+    return open_map(write_geotiff(tmp_path / "town.tif", smooth(200, 300)))
+
+
+def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp_path: Path) -> None:
+    model = lpn.load(model_file)
+    named = NamedWindow.all_of(town.pyramid([40.0, 60.0], 0.5), town.frame)
+    rounded, names = [one.on(town.frame) for one in named], [one.name for one in named]
+    store = describe_windows(model, town, rounded, tmp_path / "store", names=names)
+    out = tmp_path / "index"
+    command = ["index", "--map", str(tmp_path / "town.tif"), "--model", str(model_file), "--size", "40", "60"]
+    assert main([*command, "--out", str(out)]) == 0
+    with open_index(out, model.fingerprint) as index:
+        assert index.count() == len(names) > 20
+        vectors, degrees = index.read(names)
+    np.testing.assert_allclose(vectors, store.float32, atol=1e-5)
+    np.testing.assert_array_equal(degrees, [(one.latitude, one.longitude) for one in named])
+
+
+def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_path: Path) -> None:
+    kind = DescriptorKind("drawn", 2, 8)
+    described: list[Window] = []
+
+    def describe(windows: Sequence[Window]) -> Float32Array:
+        if len(described) >= 20 and not resumed:
+            raise KeyboardInterrupt
+        described.extend(windows)
+        return normalise(np.array([[w.x, w.y] for w in windows], np.float32).repeat(8, axis=1).reshape(-1, 2, 8))
+
+    resumed = False
+    with create_index(tmp_path / "index", kind) as index:
+        with pytest.raises(KeyboardInterrupt):
+            index_windows(index, town, describe, [40.0], block=8)
+        before, resumed = len(described), True
+        assert index.count() == before >= 20
+        progress: list[tuple[int, int]] = []
+        added = index_windows(index, town, describe, [40.0], 0.5, lambda *counts: progress.append(counts), block=8)
+        windows = town.pyramid([40.0])
+        assert len(described) == before + added == index.count() == len(windows) == town.count_pyramid([40.0])
+        assert progress[0] == (0, len(windows))
+        assert progress[-1] == (len(windows), len(windows))
+        assert not index_windows(index, town, describe, [40.0])
+        assert index_windows(index, town, describe, [40.0], replace=True) == index.count() == len(windows)
+
+
+@pytest.mark.usefixtures("town")
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--map", "TOWN"], "give --map with --model"),
+        (["--map", "TOWN", "--model", "MODEL", "--descriptors", "x"], "neither --descriptors nor --data"),
+        (["--map", "TOWN", "--model", "MODEL", "--size", "5000"], "No window of 5000 m"),
+        (["--size", "40"], "give --descriptors, or --map with --model"),
+    ],
+)
+def test_mistakes_get_one_sentence(
+    options: list[str], said: str, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {"TOWN": str(tmp_path / "town.tif"), "MODEL": str(model_file)}
+    status = main(["index", "--out", str(tmp_path / "index"), *(files.get(option, option) for option in options)])
+    assert status == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "index").exists()
