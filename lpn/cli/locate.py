@@ -133,7 +133,7 @@ def locate_files(
     """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
 
     Args:
-        index: of the map's windows, see `indexed_windows`.
+        index: of the map's windows, see `WindowIndex`.
         kind, pooling: of the model, see `lpn.load`.
 
     Raises:
@@ -143,7 +143,7 @@ def locate_files(
     from lpn.core.consoles import stage_bars
     from lpn.flights import open_flight
     from lpn.locate import corrections
-    from lpn.locate.index_windows import indexed_windows
+    from lpn.locate.index_windows import WindowIndex
     from lpn.locate.pipeline import locate
     from lpn.maps import open_map
 
@@ -160,7 +160,7 @@ def locate_files(
     flight = replace(flight, frames=flight.frames[:limit])
     kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
     network = None if model is None else lpn.load(model, provider, kind=kind, pooling=pooling)
-    indexed = None if index is None or network is None else indexed_windows(index, network, basemap)
+    indexed = None if index is None or network is None else WindowIndex(index, network, basemap)
     with stage_bars(console) as report:
         return locate(basemap, flight, network, options, report, kept, indexed)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.index import open_index
+from lpn.index import Index, open_index
 from lpn.maps import Map, NamedWindow, Window
 from lpn.maps.named_window import WindowCut
 from lpn.models.base import Model, normalise
@@ -21,6 +22,12 @@ _CHECKED = 4
 _ALIKE = 0.95
 # Windows by which the overlap is measured.
 _SAMPLE = 100
+# Windows up to which all are compared with each frame; 400 MB of 4 parts of 512 numbers are 50,000.
+MOST = 50_000
+# Of more windows, those that are nearest to one description of a frame.
+NEAREST = 500
+# Drawn descriptors whose nearest windows tell the sizes that an index holds.
+_PROBES, _PROBED = 8, 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,10 +37,12 @@ class IndexedWindows:
     Attributes:
         windows: of the map, north up.
         descriptors: (W, n, D) float32.
+        notes: sentences about how they were chosen.
     """
 
     windows: list[Window]
     descriptors: Float32Array
+    notes: tuple[str, ...] = ()
 
     @property
     def overlap(self) -> float:
@@ -47,47 +56,99 @@ class IndexedWindows:
         return 1 - float(np.median(steps))
 
 
-def indexed_windows(where: str, model: Model, basemap: Map) -> IndexedWindows:
-    """Return all windows of an index, after some of them were described again and found alike.
+class WindowIndex:
+    """An index of a map's windows, from which those are taken that a flight is compared with.
+
+    Of up to 50,000 windows these are all. Of more they are those that are nearest to some frame, 500 for each of its
+    descriptions, so that 10^7 windows take a search for each and no more memory than that.
 
     Args:
         where: the index's folder, or milvus://host:port/collection.
 
+    Attributes:
+        sizes: sides of its windows in metres, ascending; of an index that cannot return all, those that some searches return.
+
     Raises:
         StoreError: if there is no index, or it holds descriptors of another model.
-        InputError: if the index is empty, holds other tiles than north-up windows of this map, or is too large for one search.
+        InputError: if it is empty, or holds other tiles than north-up windows of this map: some are described again, and must be
+            alike.
     """
-    with open_index(where, model.fingerprint) as index:
-        count = index.count()
-        if not count:
-            raise InputError(
-                "The index holds no window; fill it with lpn describe --map and lpn index, or leave --index out."
+
+    def __init__(self, where: str, model: Model, basemap: Map) -> None:
+        self._where, self._model, self._map = where, model, basemap
+        with open_index(where, model.fingerprint) as index:
+            self._count = index.count()
+            if not self._count:
+                raise InputError("The index holds no window; fill it with lpn index --map, or leave --index out.")
+            self._all = self._count <= min(MOST, index.most or MOST)
+            shape = (1 if self._all else _PROBES, model.n_parts, model.embedding)
+            drawn = normalise(np.random.default_rng(0).standard_normal(shape).astype(np.float32))
+            found = [index.search(one, None, self._count if self._all else self._most(index, _PROBED)) for one in drawn]
+        # A search that misses windows compares nearest ones, too.
+        self._every = found[0] if self._all and len(found[0]) == self._count else None
+        windows = [self._windows(one.ids) for one in found]
+        self.sizes = sorted({window.size for some in windows for window in some})
+        self._check(windows[0], found[0].vectors)
+
+    def near(self, described: Float32Array) -> IndexedWindows:
+        """Return the windows to compare with frames.
+
+        Args:
+            described: descriptions of frames, (Q, n, D); one of zeros counts for nothing.
+
+        Raises:
+            InputError: if there is no description of a frame, and not all windows are taken.
+        """
+        notes: tuple[str, ...] = ()
+        if self._every is not None:
+            names, vectors = self._every.ids, self._every.vectors
+        else:
+            names, vectors = self._nearest(described)
+            notes = (
+                f"The index holds {self._count:,} windows; frames were compared with the {len(names):,} of them that are nearest "
+                "to one.",
             )
-        probe = normalise(np.ones((1, model.n_parts, model.embedding), np.float32))[0]
-        tiles = index.search(probe, None, min(count, index.most or count))
-    if len(tiles) < count:
-        raise InputError(
-            f"A search of the index returns {len(tiles)} of its {count} windows, and lpn locate needs all of them; make an "
-            "index with --engine exact, or leave --index out."
-        )
-    named = [NamedWindow.parse(name) for name in tiles.ids]
-    if (i := next((i for i, one in enumerate(named) if one is None or one.heading), None)) is not None:
-        raise InputError(
-            f"The index holds {printable(tiles.ids[i])[:80]}, which is no window with its top to the north; make it by lpn "
-            "describe --map."
-        )
-    windows = [one.on(basemap.frame) for one in named if one is not None]
-    side, least = max(model.input_size), 1.0
-    some = sorted({round(i) for i in np.linspace(0, count - 1, _CHECKED)})
-    cuts = [WindowCut(basemap, windows[i], side) for i in some]
-    for batch in describe_each(model, cuts, lambda cut: model.prepare(cut(), "satellite"), "satellite"):
-        for _, error in batch.broken:
-            raise error
-        cosines = (batch.descriptors * tiles.vectors[[some[i] for i in batch.items]]).sum(axis=(1, 2))
-        least = min(least, float(cosines.min(initial=1.0)))
-    if least < _ALIKE:
-        raise InputError(
-            f"Windows of {printable(basemap.name)} that were described again have a cosine of {least:.2f} with those of the "
-            f"index, and {_ALIKE:.2f} is expected; it is of another map, or the map has changed: make the index again."
-        )
-    return IndexedWindows(windows, tiles.vectors.astype(np.float32, copy=False))
+        return IndexedWindows(self._windows(names), vectors.astype(np.float32, copy=False), notes)
+
+    def _nearest(self, described: Float32Array) -> tuple[list[str], Float32Array]:
+        """Return the names and descriptors of the windows nearest to descriptions, each once."""
+        found: dict[str, Float32Array] = {}
+        with open_index(self._where, self._model.fingerprint) as index:
+            for one in described[np.abs(described).sum(axis=(1, 2)) > 0]:
+                hits = index.search(one, None, self._most(index, NEAREST))
+                found.update(zip(hits.ids, hits.vectors, strict=True))
+        if not found:
+            raise InputError(
+                "No frame of the flight can be read, so no window of the index can be near one; check the photos."
+            )
+        return list(found), np.stack(list(found.values()))
+
+    def _most(self, index: Index, wanted: int) -> int:
+        return min(wanted, self._count, index.most or wanted)
+
+    def _windows(self, names: Sequence[str]) -> list[Window]:
+        named = [NamedWindow.parse(name) for name in names]
+        if (i := next((i for i, one in enumerate(named) if one is None or one.heading), None)) is not None:
+            raise InputError(
+                f"The index holds {printable(names[i])[:80]}, which is no window with its top to the north; make it by lpn "
+                "index --map."
+            )
+        known = [one for one in named if one is not None]
+        places = self._map.frame.xy([one.latitude for one in known], [one.longitude for one in known]).tolist()
+        return [Window(x, y, one.size) for (x, y), one in zip(places, known, strict=True)]
+
+    def _check(self, windows: Sequence[Window], vectors: Float32Array) -> None:
+        """Raise InputError unless some windows that are described again are like those of the index."""
+        side, least = max(self._model.input_size), 1.0
+        some = sorted({round(i) for i in np.linspace(0, len(windows) - 1, _CHECKED)})
+        cuts = [WindowCut(self._map, windows[i], side) for i in some]
+        for batch in describe_each(self._model, cuts, lambda cut: self._model.prepare(cut(), "satellite"), "satellite"):
+            for _, error in batch.broken:
+                raise error
+            cosines = (batch.descriptors * vectors[[some[i] for i in batch.items]]).sum(axis=(1, 2))
+            least = min(least, float(cosines.min(initial=1.0)))
+        if least < _ALIKE:
+            raise InputError(
+                f"Windows of {printable(self._map.name)} that were described again have a cosine of {least:.2f} with those of "
+                f"the index, and {_ALIKE:.2f} is expected; it is of another map, or the map has changed: make the index again."
+            )

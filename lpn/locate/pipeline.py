@@ -14,7 +14,7 @@ from lpn.core.progress import Progress
 from lpn.flights import Flight
 from lpn.locate.audit import TagAudit, audit_tags, corrected_tags
 from lpn.locate.corrections import Correction
-from lpn.locate.index_windows import IndexedWindows
+from lpn.locate.index_windows import WindowIndex
 from lpn.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
@@ -38,7 +38,7 @@ def locate(
     options: LocateOptions | None = None,
     on_progress: Progress | None = None,
     corrections: Mapping[str, Correction] | None = None,
-    indexed: IndexedWindows | None = None,
+    indexed: WindowIndex | None = None,
     shipped: Path | None = None,
 ) -> LocatedFlight:
     """Locate the frames of a flight.
@@ -50,7 +50,7 @@ def locate(
         on_progress: called with a stage, the frames (or windows) done, and their number.
         corrections: a person's, by the frame's name. They change no answer of a stage: they are the truth of errors and of the
             audit, and stand in the track in place of registrations.
-        indexed: the map's windows, described by the model; without them, the windows that the options tell are described.
+        indexed: of the map's windows, described by the model; without it, the windows that the options tell are described.
         shipped: a folder of answers that ship with the flight, which are taken if they fit, see `lpn.locate.shipped`.
 
     Raises:

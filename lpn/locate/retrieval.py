@@ -29,7 +29,7 @@ from lpn.descriptors.transforms import UNCHANGED
 from lpn.descriptors.writer import fill_store, write_store
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, FrameReader, cut_size
-from lpn.locate.index_windows import IndexedWindows
+from lpn.locate.index_windows import WindowIndex
 from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 from lpn.retrieval import scoring
@@ -200,7 +200,7 @@ def retrieve(
     overlap: float = 0.75,
     centre: bool = True,
     on_progress: Progress | None = None,
-    indexed: IndexedWindows | None = None,
+    indexed: WindowIndex | None = None,
     shipped: ShippedAnswers | None = None,
 ) -> MapRetrieval:
     """Describe windows and frames, from the user's cache where they were described before.
@@ -212,7 +212,7 @@ def retrieve(
             of views that the model has not seen, and whiten the parts, see `whitening_of`. With fewer than 20 distinct frames
             neither is done, and a note says so.
         on_progress: called with "windows" or "frames", the number described, and the total.
-        indexed: windows that are described already; `sizes` and `overlap` do not count then.
+        indexed: an index of windows that are described already; `sizes` and `overlap` do not count then.
         shipped: descriptors that ship with the flight; those of other windows or frames are not taken.
 
     Raises:
@@ -220,10 +220,9 @@ def retrieve(
     """
     query: View = "drone" if "drone" in model.views else "satellite"
     model.check_view("satellite")
-    windows = [] if indexed is None else indexed.windows
-    chosen = sorted({window.size for window in windows} or sizes or pyramid_sizes(basemap, flight.frames))
-    windows = windows or basemap.pyramid(chosen, overlap)
-    if not windows:
+    chosen = sorted((indexed and indexed.sizes) or sizes or pyramid_sizes(basemap, flight.frames))
+    windows = [] if indexed is not None else basemap.pyramid(chosen, overlap)
+    if indexed is None and not windows:
         raise InputError(
             f"No window of {chosen[0]:.0f} m or more fits on the map {basemap.name}; give a smaller size of windows with --size."
         )
@@ -251,11 +250,9 @@ def retrieve(
     def bar(stage: str) -> AbstractContextManager[CountProgress]:
         return nullcontext(lambda done, total: None if on_progress is None else on_progress(stage, done, total))
 
-    if indexed is not None:
-        tiles, overlap = indexed.descriptors, indexed.overlap
-    elif shipped is not None and (ready := shipped.windows(windows, side)) is not None:
-        tiles = ready
-    else:
+    notes = _size_notes(flight.frames, levels)
+    tiles = None if shipped is None or indexed is not None else shipped.windows(windows, side)
+    if indexed is None and tiles is None:
         tiles = described_windows(model, basemap, windows, bar("windows"))
     rows = tuple(_frame_row(flight.frames[i], heading, share) for i, heading, share in jobs)
     manifest = Manifest.for_model(model, query, UNCHANGED, rows)
@@ -269,8 +266,12 @@ def retrieve(
     else:
         with in_cache():
             queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
+    if indexed is not None:
+        near = indexed.near(queries)
+        windows, tiles, overlap = near.windows, near.descriptors, near.overlap
+        notes += near.notes
+    assert tiles is not None
     bad = {jobs[j][0]: str(error) for j, error in broken.items()}
-    notes = _size_notes(flight.frames, levels)
     good = np.array([job[0] not in bad for job in jobs], bool)
     owner = np.array([job[0] for job in jobs], np.int64)
     means: dict[View, Float32Array] = {}

@@ -14,7 +14,8 @@ from lpn.cli.locate import locate_files
 from lpn.core.errors import InputError, StoreError
 from lpn.index import ExactIndex, create_index
 from lpn.index.base import DescriptorKind
-from lpn.locate.index_windows import indexed_windows
+from lpn.locate import index_windows
+from lpn.locate.index_windows import WindowIndex
 from lpn.locate.options import LocateOptions
 from lpn.locate.retrieval import retrieve
 from lpn.maps import Map, NamedWindow
@@ -38,7 +39,7 @@ def _refused(folder: Path, town: Map, names: list[str], vectors: np.ndarray) -> 
         if names:
             index.add(names, vectors)
     with pytest.raises(InputError) as refusal:
-        indexed_windows(str(folder), GridModel(), town)  # type: ignore[arg-type]
+        WindowIndex(str(folder), GridModel(), town)  # type: ignore[arg-type]
     return str(refusal.value)
 
 
@@ -53,21 +54,18 @@ def test_windows_of_an_index_are_those_that_would_be_described(town: Map, tmp_pa
                 named = [one.name for one in NamedWindow.all_of(plain.windows, town.frame)]
                 index.add(named[::-1], plain.windows_described[::-1])
         model.described = 0
-        indexed = indexed_windows(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
+        indexed = WindowIndex(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
         assert model.described == 4
-        assert indexed.overlap == pytest.approx(0.6, abs=0.001)
         found = retrieve(model, town, flight, None, 0.9, centre, indexed=indexed)  # type: ignore[arg-type]
         assert model.described == 4, "frames are in the cache, and no window is described"
-        assert found.overlap == indexed.overlap
+        assert found.overlap == pytest.approx(0.6, abs=0.001)
         order = [int(np.linalg.norm(found.places - place, axis=1).argmin()) for place in plain.places]
         np.testing.assert_allclose(found.places[order], plain.places, atol=0.02)
         for i in range(len(flight.frames)):
             np.testing.assert_allclose(found.scores(i)[order], plain.scores(i), atol=1e-4)
 
 
-def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(
-    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(town: Map, tmp_path: Path) -> None:
     windows = town.pyramid([60.0], 0.5)
     names = [one.name for one in NamedWindow.all_of(windows, town.frame)]
     side = GridModel.input_size[0]
@@ -77,16 +75,37 @@ def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(
     with create_index(tmp_path / "other", replace(KIND, fingerprint="another")):
         pass
     with pytest.raises(StoreError, match="holds descriptors of model another"):
-        indexed_windows(str(tmp_path / "other"), model, town)  # type: ignore[arg-type]
+        WindowIndex(str(tmp_path / "other"), model, town)  # type: ignore[arg-type]
     assert "holds no window" in _refused(tmp_path / "empty", town, [], vectors)
     turned = f"{names[0]},30deg"
     assert turned in _refused(tmp_path / "turned", town, [turned, *names[1:]], vectors)
     assert "tile.png" in _refused(tmp_path / "tiles", town, ["tile.png"], vectors[:1])
     elsewhere = write_map(tmp_path / "elsewhere.tif", cv2.resize(land(1), (400, 400), interpolation=cv2.INTER_AREA))
     assert "it is of another map, or the map has changed" in _refused(tmp_path / "index", elsewhere, names, vectors)
-    assert len(indexed_windows(str(tmp_path / "index"), model, town).windows) == len(windows)  # type: ignore[arg-type]
+
+
+def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "photos").mkdir()
+    flight = small_flight(tmp_path / "photos", town)
+    model = GridModel()
+    plain = retrieve(model, town, flight, [51.0], 0.6, centre=False)  # type: ignore[arg-type]
+    with create_index(tmp_path / "index", KIND) as index:
+        index.add([one.name for one in NamedWindow.all_of(plain.windows, town.frame)], plain.windows_described)
     monkeypatch.setattr(ExactIndex, "most", 3)
-    assert f"returns 3 of its {len(windows)} windows" in _refused(tmp_path / "index", town, [], vectors)
+    indexed = WindowIndex(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
+    assert indexed.sizes == [51.0]
+    found = retrieve(model, town, flight, centre=False, indexed=indexed)  # type: ignore[arg-type]
+    assert 3 < len(found.windows) < len(plain.windows)
+    assert any(f"were compared with the {len(found.windows)} of them" in note for note in found.notes)
+    for i in range(len(flight.frames)):
+        # The three nearest of each are among them, and windows that resemble nothing score alike.
+        np.testing.assert_allclose(np.sort(found.scores(i))[-3:], np.sort(plain.scores(i))[-3:], atol=1e-4)
+    monkeypatch.setattr(index_windows, "MOST", 3)
+    monkeypatch.setattr(ExactIndex, "most", None)
+    with pytest.raises(InputError, match="No frame of the flight can be read"):
+        WindowIndex(str(tmp_path / "index"), model, town).near(np.zeros((2, 2, 16), np.float32))  # type: ignore[arg-type]
 
 
 def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
