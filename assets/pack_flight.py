@@ -17,9 +17,9 @@ from PIL import Image
 
 from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.files import write_atomic
-from lpn.datasets.rendered import FLIGHT_PLAN, UNFINISHED
+from lpn.datasets.rendered import FLIGHT_PLAN, TRUTH, UNFINISHED
 from lpn.maps.folder import write_own_map
-from lpn.world.flight import MAP, TRUTH
+from lpn.world.flight import MAP
 from lpn.world.flight_files import compressed_map
 
 COUNT, FIRST = 40, 0.57

@@ -182,6 +182,7 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     from rich.table import Table
 
     from lpn.locate.measures import RIGHT_CALIBRATION
+    from lpn.locate.pose_errors import pose_errors
 
     summaries = located.summaries()
     table = Table(
@@ -246,6 +247,16 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
             f"Against the tags moved by that lag (a constant offset stays), the registration has {_in_words(summary)}.",
             soft_wrap=True,
         )
+    posed = sum(frame.stages[stage].pose is not None for frame in located.frames for stage in frame.stages)
+    if posed:
+        ground = (
+            "flat ground, as the map has no elevation" if located.basemap.elevation is None else "the map's elevation"
+        )
+        console.print(
+            f"{posed} of {len(located.frames)} photos have a pose of the camera, over {ground}.", soft_wrap=True
+        )
+    if (errors := pose_errors(located)) is not None:
+        console.print(errors.sentence, soft_wrap=True)
     if measured := located.field_measures():
         console.print(
             "Retrieval: " + ", ".join(f"{name} {value:.3g}" for name, value in measured.items()), soft_wrap=True

@@ -41,6 +41,11 @@ def apply_homography(homography: Float64Array, points: npt.ArrayLike) -> Float64
     return np.asarray(mapped[..., :2] / mapped[..., 2:], np.float64)
 
 
+def inverse(homography: Float64Array) -> Float64Array:
+    """Return the inverse of a homography, (3, 3)."""
+    return np.asarray(np.linalg.inv(homography), np.float64)
+
+
 def translation(by: npt.ArrayLike) -> Float64Array:
     """Return the homography, (3, 3), that moves points by (2,)."""
     matrix = np.eye(3)

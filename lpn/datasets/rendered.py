@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+from dataclasses import dataclass
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 
 PLAN = "world.json"
-FLIGHT_PLAN = "flight_world.json"
+FLIGHT_PLAN, TRUTH = "flight_world.json", "truth.csv"
 # Present in a world's folder until its last picture is rendered.
 UNFINISHED = "unfinished.txt"
 
@@ -33,3 +35,35 @@ def shows_rendered(root: Path) -> bool:
 def is_rendered_flight(photos: Path) -> bool:
     """Return whether `lpn world --flight` made a folder of photos; its plan lies beside the folder."""
     return (photos.parent / FLIGHT_PLAN).is_file()
+
+
+@dataclass(frozen=True)
+class TruePose:
+    """The exact pose of a rendered photo's camera: WGS 84 degrees, metres above the elevation's datum, and angles in degrees."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+    heading: float
+    pitch: float
+    roll: float
+
+
+def true_poses(photos: Path) -> dict[str, TruePose]:
+    """Return the exact poses of the photos in a folder of a rendered flight, by their names; none for another folder.
+
+    Raises:
+        DataError: if the flight's truth.csv is damaged.
+    """
+    file = photos.parent / TRUTH
+    if not is_rendered_flight(photos) or not file.is_file():
+        return {}
+    names = ("latitude", "longitude", "z", "true_heading", "true_pitch", "true_roll")
+    try:
+        with file.open(newline="", encoding="utf-8") as text:
+            return {row["file"]: TruePose(*(float(row[name]) for name in names)) for row in csv.DictReader(text)}
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise DataError(
+            f"{printable(str(file))} has no exact poses; expected the file that lpn world --flight wrote, so delete it or "
+            "bring it back."
+        ) from error

@@ -39,12 +39,12 @@ def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, fl
     """
     if roll == 0 or pitch > _STEEP:
         return yaw % 360.0, pitch, roll
-    return _angles(_yaw_pitch_roll(yaw, pitch, roll) @ _BODY_IN_GIMBAL)
+    return angles(_yaw_pitch_roll(yaw, pitch, roll) @ _BODY_IN_GIMBAL)
 
 
 def turned(heading: float, pitch: float, roll: float, turns: int) -> tuple[float, float, float]:
     """Return the angles of a picture after quarter turns clockwise, which bring what was at its left to its top; in degrees."""
-    return _angles(rotation(heading, pitch, roll) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
+    return angles(rotation(heading, pitch, roll) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
 
 
 def footprint(frame: Frame, height: float | None = None) -> Float64Array | None:
@@ -110,7 +110,7 @@ def fov_of_equivalent(equivalent: float, focal_length: float | None = None) -> f
     return fov_of_sensor(_FILM_DIAGONAL * proportion, equivalent)
 
 
-def _angles(matrix: Float64Array) -> tuple[float, float, float]:
+def angles(matrix: Float64Array) -> tuple[float, float, float]:
     """Return heading, pitch, and roll in degrees of the matrix that `rotation` makes of them."""
     tilt = -math.degrees(math.asin(min(1.0, max(-1.0, float(matrix[2, 0])))))
     heading = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))

@@ -15,9 +15,10 @@ from lpn.core.homography import apply_homography, middle_pixel
 from lpn.flights import Flight, Frame
 from lpn.locate import measures
 from lpn.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
+from lpn.locate.camera_pose import CameraPose
 from lpn.locate.options import TOP
 from lpn.locate.retrieval import MapRetrieval
-from lpn.locate.tracks import State, TrackPoint
+from lpn.locate.tracks import POSE_AXES, State, TrackPoint
 from lpn.maps import Map
 from lpn.retrieval import field_metrics
 
@@ -55,6 +56,7 @@ class StageRecord(msgspec.Struct, frozen=True):
         inliers: matches that agree.
         homography: from pixels to metres, 9 numbers by rows.
         unverified: whether it is refused for one reason alone: nothing shows that the map is of this place.
+        pose: of the camera; None where the matches do not tell it.
     """
 
     state: State
@@ -69,11 +71,17 @@ class StageRecord(msgspec.Struct, frozen=True):
     inliers: int | None = None
     homography: list[float] | None = None
     unverified: bool = False
+    pose: CameraPose | None = None
 
     @property
     def accepted(self) -> bool:
         """True if the position may be used."""
         return self.state == "accepted"
+
+    @property
+    def by_pose(self) -> bool:
+        """True if the position and its radius are those of the pose."""
+        return self.pose is not None and self.camera and (self.x, self.y) == (self.pose.east, self.pose.north)
 
     def distance(self, place: Float64Array) -> float:
         """Return the metres from the position, which must be known, to a place (2,)."""
@@ -239,6 +247,7 @@ class LocatedFlight:
             answer.radius,
             answer.heading,
             located.error(stage),
+            **_of_pose(answer.pose),
         )
 
     def without_lag(self) -> LocatedFlight:
@@ -306,6 +315,21 @@ class LocatedFlight:
         if len(read):
             figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
         return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
+
+
+def _of_pose(pose: CameraPose | None) -> dict[str, float | None]:
+    """Return the entries of a track's point that a pose has."""
+    if pose is None:
+        return {}
+    return {
+        "altitude": None if pose.flat else pose.altitude,
+        "height": pose.height,
+        "yaw": pose.heading,
+        "pitch": pose.pitch,
+        "roll": pose.roll,
+        "fov": pose.fov,
+        **dict(zip((f"sigma_{name}" for name in POSE_AXES), pose.sigmas.tolist(), strict=True)),
+    }
 
 
 def _sentence(what: str, metres: float | None) -> str:

@@ -22,17 +22,22 @@ from lpn.core.progress import Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
 from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
+from lpn.locate.camera_pose import CameraPose
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
+from lpn.locate.levelled import Levelled, level, pixel_grid
 from lpn.locate.located import LocatedFrame, StageRecord, tag_positions
 from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
 from lpn.locate.options import TOP, LocateOptions
+from lpn.locate.photo_pose import photo_pose
 from lpn.locate.registration import (
     Expectation,
     Ground,
     Registration,
     Similarity,
     contested,
+    pose,
     register,
+    turn_between,
 )
 from lpn.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
 from lpn.locate.tilts import COMMON, tilt_error
@@ -40,6 +45,8 @@ from lpn.maps import Map
 from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
+# Answers in the cache have poses of this version; those that ship have none.
+_POSES = 1
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
@@ -74,7 +81,8 @@ def register_frames(
     names = [matcher.name for matcher in matchers]
     searched = replace(options, top=TOP, map_error=None, tags="told")
     side = None if retrieval is None else float(np.median(retrieval.sizes))
-    key = [FORMAT, basemap.digest(), names, asdict(searched), model and model.fingerprint, side]
+    heights = None if basemap.elevation is None else basemap.elevation.digest()
+    key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]
     records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
     widths: list[float] = []
     ratios: list[float] = []
@@ -117,6 +125,7 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
             for located, answer in zip(frames, answers, strict=True)
             if located.stages["registration"].accepted
             and answer.camera
+            and not answer.by_pose
             and answer.radius is not None
             and answer.width is not None
             and located.frame.time is not None
@@ -258,6 +267,9 @@ def register_photo(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."
         )
     centres = None if places is None else np.array(places)
+    levelled = level(photo, frame)
+    shown, valid, wider = (photo, None, 1.0) if levelled is None else (levelled.picture, levelled.valid, levelled.wider)
+    grid = pixel_grid((shown.shape[1], shown.shape[0]), 9) if levelled is None else levelled.grid(25)
     known_width = ground_width(frame)
     if known_width is not None and ratios:
         known_width *= float(np.median(ratios[-_RECENT:]))
@@ -268,6 +280,7 @@ def register_photo(
         searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
         rivals: list[Similarity] = []
         for kind, (width, known) in product(features, list(tried_widths(basemap, known_width, widths))):
+            width *= wider
             reach = AROUND * width + (options.prior or 0.0 if side is None else 0.5 * side)
             ground = kind.around(centres, reach, width)
             if ground is None:
@@ -279,25 +292,29 @@ def register_photo(
             expected = Expectation(
                 width if known else None, frame.heading, heading_is_certain(frame), _guess(located, heading)
             )
-            answer = register(kind.matcher, photo, ground, expected, [width], basemap.bounds)
+            answer = register(kind.matcher, shown, ground, expected, [width], basemap.bounds, valid)
             alike = searches.setdefault(width, {})
             alike[answer.matcher] = kind.matcher, ground
             # A search that finds one of several equal places must not undo that an earlier one found more.
             if answer.accepted and rivals:
-                answer = contested(answer, photo, list(alike.values()), rivals)
+                answer = contested(answer, shown, list(alike.values()), rivals, valid)
             rivals += answer.places
             if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
                 best, searched = answer, reach
             if answer.accepted:
                 break
         assert best is not None
-        if again or side is None or centres is None or not _reaches_out(best, photo.shape[1::-1], centres, searched):
+        if again or side is None or centres is None or not _reaches_out(best, grid, centres, searched):
             break
         # A wrong place at the border of what was searched has no rival, as the true one beyond was not seen.
         assert best.centre is not None
         centres = best.centre[None]
     assert best is not None
-    return _record(frame, photo.shape[1::-1], best, searched if side is None and centres is not None else None)
+    size = (photo.shape[1], photo.shape[0])
+    if levelled is not None:
+        best = _of_photo(best, levelled, size, frame)
+    solved = photo_pose(basemap, frame, size, best, levelled) if best.accepted else ""
+    return _record(frame, size, best, searched if side is None and centres is not None else None, solved)
 
 
 def _guess(located: LocatedFrame, before: float | None) -> float | None:
@@ -308,11 +325,21 @@ def _guess(located: LocatedFrame, before: float | None) -> float | None:
     return before if before is not None or retrieval is None else retrieval.heading
 
 
-def _reaches_out(answer: Registration, size: tuple[int, int], centres: Float64Array, reach: float) -> bool:
-    """Return whether an accepted photo of this size lies beyond squares of side 2 `reach` about points (K, 2)."""
+def _of_photo(answer: Registration, levelled: Levelled, size: tuple[int, int], frame: Frame) -> Registration:
+    """Return the registration of a photo of this size, from that of its levelled picture."""
+    if answer.homography is None:
+        return answer
+    full = answer.homography @ levelled.matrix
+    full /= full[2, 2]
+    centre, heading, width = pose(full, *size)
+    turn = turn_between(frame.heading, heading)
+    return replace(answer, homography=full, centre=centre, heading=heading, width=width, turn=turn)
+
+
+def _reaches_out(answer: Registration, pixels: Float64Array, centres: Float64Array, reach: float) -> bool:
+    """Return whether an accepted photo lies beyond squares of side 2 `reach` about points (K, 2); `pixels` (N, 2) are a grid."""
     if not answer.accepted:
         return False
-    pixels = np.stack(np.meshgrid(*(np.linspace(0, side - 1, 9) for side in size)), axis=-1).reshape(-1, 2)
     off = np.abs(answer.to_metres(pixels)[:, None] - centres).max(axis=2).min(axis=1)
     return bool((off > reach).mean() > _BEYOND)
 
@@ -333,8 +360,15 @@ def tried_widths(basemap: Map, known_width: float | None, widths: Sequence[float
         width /= _WIDTHS
 
 
-def _record(frame: Frame, size: tuple[int, int], registration: Registration, reach: float | None) -> StageRecord:
-    """Return the record of a registration; `reach` is half the side of the square about the tag that was searched, if one was."""
+def _record(
+    frame: Frame, size: tuple[int, int], registration: Registration, reach: float | None, solved: CameraPose | str
+) -> StageRecord:
+    """Return the record of a registration.
+
+    Args:
+        reach: half the side of the square about the tag that was searched; None if none was.
+        solved: the pose of the camera, or why there is none.
+    """
     how = ""
     if reach is not None:
         how = f" The search used the tag: it saw the map in a square of {2 * reach:.0f} m about it."
@@ -343,22 +377,29 @@ def _record(frame: Frame, size: tuple[int, int], registration: Registration, rea
     place, radius = registration.centre, registration.radius
     if (below := camera_place(frame, size, registration)) is not None:
         place, radius = below
+    heading, camera = registration.heading, below is not None
+    solution = None if isinstance(solved, str) else solved
+    if solution is not None and (below is None or radius is None or solution.radius < radius):
+        place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
+        heading = solution.heading
     sentence = registration.reason
     if registration.accepted:
         agreed = f"{registration.inliers} matches of {registration.matcher} agree on {_AGREED[registration.model]}."
-        sentence = f"{agreed} {registration.turn_sentence}".rstrip()
+        told = solved if isinstance(solved, str) else solved.sentence
+        sentence = " ".join(part for part in (agreed, registration.turn_sentence, told) if part)
     return StageRecord(
         "accepted" if registration.accepted else "refused",
         sentence + how,
         float(place[0]),
         float(place[1]),
-        below is not None,
+        camera,
         radius,
-        registration.heading,
+        heading,
         registration.turn,
         registration.width,
         registration.inliers,
         [float(value) for value in registration.homography.ravel()],
+        pose=solution,
     )
 
 

@@ -100,6 +100,39 @@ class Similarity(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Matched:
+    """Matches of a photo with the map.
+
+    Attributes:
+        u: of the photo, (M,) complex, see the module.
+        m: of the map, (M,) complex.
+        ground: the map's features that the photo was matched with.
+    """
+
+    u: Complex
+    m: Complex
+    ground: Ground
+    _seen: _Described
+
+    def again(self, predicted: Complex, reach: float) -> tuple[Complex, Int64Array]:
+        """Match again near predicted places.
+
+        Args:
+            predicted: where the photo would show the map's features, (N,) complex; not finite for those that it does not.
+            reach: in units of the picture's width.
+
+        Returns:
+            Photo points u, (K,), and the numbers of their features of the map, (K,).
+        """
+        near = np.flatnonzero(np.isfinite(predicted) & (np.abs(predicted) < 1))
+        if not len(near) or not len(self._seen.u):
+            return np.zeros(0, np.complex128), np.zeros(0, np.int64)
+        features = self.ground.descriptors[near]
+        pairs = mutual_within(self._seen.u, predicted[near], reach, self._seen.features.descriptors, features)
+        return self._seen.u[pairs[:, 0]], near[pairs[:, 1]]
+
+
+@dataclass(frozen=True, eq=False)
 class Registration:
     """A photo laid over the map, or the reason why it is not.
 
@@ -117,6 +150,7 @@ class Registration:
         turn: degrees clockwise, -180 .. 180, from the heading that was expected to `heading`; None if none was.
         covariance: of the centre in square metres, (2, 2) float64.
         places: that were compared, this one first.
+        matched: the matches, of which `inliers` agree; None where nothing was matched.
     """
 
     accepted: bool
@@ -133,6 +167,7 @@ class Registration:
     turn: float | None = None
     covariance: Float64Array | None = None
     places: tuple[Similarity, ...] = ()
+    matched: Matched | None = None
 
     @property
     def radius(self) -> float | None:
@@ -205,6 +240,7 @@ def register(
     expected: Expectation,
     widths: Sequence[float] = (),
     bounds: tuple[float, float, float, float] | None = None,
+    valid: BoolArray | None = None,
 ) -> Registration:
     """Register a photo to described ground.
 
@@ -214,6 +250,7 @@ def register(
         expected: width and heading as far as they are known.
         widths: ground widths in metres to try if none is expected.
         bounds: x0, y0, x1, y1 of the map in metres; a centre outside of them is refused.
+        valid: pixels of the photo that show ground, (H, W); None for all.
     """
     tried = [expected.width] if expected.width else list(widths)
     factor = _WIDTH_FACTOR if expected.width else _FREE_FACTOR
@@ -232,7 +269,7 @@ def register(
             at_given, rival = best, runner_up
         for width in tried:
             for turn in turns:
-                seen = _described(matcher, photo, width / ground.resolution, turn)
+                seen = _described(matcher, photo, valid, width / ground.resolution, turn)
                 seeds += _seeds(matcher, seen, ground, width, factor, heading)
         chosen = _apart(seeds)
         known |= {seed: _guided(seed, ground) for seed in chosen if seed not in known}
@@ -248,11 +285,17 @@ def register(
         return Registration(False, "Fewer than four features of the photo match the map.", matcher.name)
     others = (known[seed] for seed in chosen if known[seed] is not best)
     places = tuple(Similarity(candidate.a, candidate.b) for candidate in (best, *others))
-    return replace(_concluded(matcher, photo, best, runner_up, expected, bounds), places=places)
+    matched = Matched(best.u, best.m, ground, best.seen)
+    answer = _concluded(matcher, photo, best, runner_up, expected, bounds)
+    return replace(answer, places=places, matched=matched)
 
 
 def contested(
-    answer: Registration, photo: UInt8Array, searches: Sequence[tuple[Matcher, Ground]], rivals: Sequence[Similarity]
+    answer: Registration,
+    photo: UInt8Array,
+    searches: Sequence[tuple[Matcher, Ground]],
+    rivals: Sequence[Similarity],
+    valid: BoolArray | None = None,
 ) -> Registration:
     """Compare an accepted answer with places that other searches found, by the features of all matchers together.
 
@@ -263,6 +306,7 @@ def contested(
         photo: (H, W, 3) uint8.
         searches: a matcher and features of the map where the photo may be, once for each matcher.
         rivals: places of the other searches; those within a quarter of the ground width of the answer are no rivals.
+        valid: as for `register`.
 
     Returns:
         The answer, refused if its support is less than 1.7 times that of a rival.
@@ -275,17 +319,21 @@ def contested(
     if not others:
         return answer
     support, *others_support = (
-        sum(_support_at(place, matcher, photo, ground) for matcher, ground in searches) for place in (own, *others)
+        sum(_support_at(place, matcher, photo, valid, ground) for matcher, ground in searches)
+        for place in (own, *others)
     )
     if not (reason := _rivalled(support, max(others_support))):
         return answer
     return replace(answer, accepted=False, reason=reason, support=support)
 
 
-def _support_at(place: Similarity, matcher: Matcher, photo: UInt8Array, ground: Ground) -> float:
+def _support_at(
+    place: Similarity, matcher: Matcher, photo: UInt8Array, valid: BoolArray | None, ground: Ground
+) -> float:
     """Return the support of a place by guided matching, 0 or more; 0 if the matches lead to another place."""
     heading = float(-np.degrees(np.angle(place.a)))
-    seen = _described(matcher, photo, abs(place.a) / ground.resolution, heading if matcher.tolerance < 90 else 0.0)
+    turn = heading if matcher.tolerance < 90 else 0.0
+    seen = _described(matcher, photo, valid, abs(place.a) / ground.resolution, turn)
     refined = _guided(_Seed(seen, place.a, place.b, 0.0), ground)
     return max(refined.support, 0.0) if abs(refined.b - place.b) <= _APART * abs(place.a) else 0.0
 
@@ -294,6 +342,7 @@ def _support_at(place: Similarity, matcher: Matcher, photo: UInt8Array, ground: 
 class _Candidate:
     """A similarity with its guided matches: photo points u, map points m, both (M,) complex, and its support."""
 
+    seen: _Described
     a: complex
     b: complex
     u: Complex
@@ -345,23 +394,28 @@ def _turns(matcher: Matcher, expected: Expectation) -> Iterator[tuple[list[float
         yield circle, None
 
 
-def _described(matcher: Matcher, photo: UInt8Array, pixels: float, heading: float) -> _Described:
-    """Resize a photo to a width in pixels, turn it north-up, and describe it."""
+def _described(
+    matcher: Matcher, photo: UInt8Array, shown: BoolArray | None, pixels: float, heading: float
+) -> _Described:
+    """Resize a photo, whose shown pixels are (H, W), to a width in pixels, turn it north-up, and describe it."""
     height, width = photo.shape[:2]
     pixels = int(np.clip(round(pixels), 64, width))
     small = cv2.resize(photo, (pixels, max(round(height * pixels / width), 32)), interpolation=cv2.INTER_AREA)
     rows, columns = small.shape[:2]
     matrix = cv2.getRotationMatrix2D(((columns - 1) / 2, (rows - 1) / 2), -heading, 1.0)
     valid = None
+    if shown is not None:
+        valid = cv2.resize(shown.astype(np.uint8), (columns, rows), interpolation=cv2.INTER_NEAREST) > 0
     if heading % 360:
         cos, sin = abs(matrix[0, 0]), abs(matrix[0, 1])
         canvas = (round(rows * sin + columns * cos), round(rows * cos + columns * sin))
         matrix[:, 2] += (np.array(canvas) - (columns, rows)) / 2
         turned = cv2.warpAffine(small, matrix, canvas, flags=cv2.INTER_LINEAR)
-        valid = cv2.warpAffine(np.ones((rows, columns), np.uint8), matrix, canvas, flags=cv2.INTER_NEAREST) > 0
+        whole = np.ones((rows, columns), np.uint8) if valid is None else valid.astype(np.uint8)
+        valid = cv2.warpAffine(whole, matrix, canvas, flags=cv2.INTER_NEAREST) > 0
         features = matcher.features(cast(UInt8Array, turned), valid, _FEATURES)
     else:
-        features = matcher.features(cast(UInt8Array, small), None, _FEATURES)
+        features = matcher.features(cast(UInt8Array, small), valid, _FEATURES)
     points = (features.points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
     x, y = points[:, 0] - (columns - 1) / 2, (rows - 1) / 2 - points[:, 1]
     return _Described(((x + 1j * y) / columns).astype(np.complex128), features)
@@ -438,7 +492,7 @@ def _guided(seed: _Seed, ground: Ground) -> _Candidate:
     u = m = np.zeros(0, np.complex128)
     support = 0.0
     if len(places) < 4:
-        return _Candidate(a, b, u, m, support)
+        return _Candidate(seen, a, b, u, m, support)
     features = ground.descriptors[near]
     for reach in (_REACH, _REACH, _REACH / 2):
         pairs = mutual_within(a * seen.u + b, places, reach * abs(a), seen.features.descriptors, features)
@@ -446,7 +500,7 @@ def _guided(seed: _Seed, ground: Ground) -> _Candidate:
         a, b = _fitted(a, b, u, m)
         if reach == _REACH:
             support = _counted(a, b, u, m, reach)
-    return _Candidate(a, b, u, m, support)
+    return _Candidate(seen, a, b, u, m, support)
 
 
 def _fitted(a: complex, b: complex, u: Complex, m: Complex) -> tuple[complex, complex]:

@@ -22,6 +22,8 @@ _FIRST_EPOCH = 10**8
 _GPX = "http://www.topografix.com/GPX/1/1"
 _OURS = "urn:lpn-explorer:track"
 _KML = "http://www.opengis.net/kml/2.2"
+# The six degrees of a pose in the order of its covariance.
+POSE_AXES = ("east", "north", "up", "yaw", "pitch", "roll")
 # "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
 State = Literal["accepted", "refused", "not verified"]
 
@@ -41,6 +43,12 @@ class TrackPoint:
         radius: 1-sigma radius in metres; None if unknown.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
         error: metres to the frame's correction, or to its tag if it has none. None without both, and in the stage "by hand".
+        altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
+        height: of the camera by its pose, metres above ground; None where that is unknown.
+        yaw, pitch, roll: of the camera by its pose, in degrees; -90 of pitch looks straight down.
+        fov: horizontal field of view of the pose in degrees.
+        sigma_east, sigma_north, sigma_up: 1-sigma errors of the pose in metres, without the map's own.
+        sigma_yaw, sigma_pitch, sigma_roll: 1-sigma errors of the pose in degrees.
     """
 
     frame: str
@@ -54,6 +62,18 @@ class TrackPoint:
     radius: float | None = None
     heading: float | None = None
     error: float | None = None
+    altitude: float | None = None
+    height: float | None = None
+    yaw: float | None = None
+    pitch: float | None = None
+    roll: float | None = None
+    fov: float | None = None
+    sigma_east: float | None = None
+    sigma_north: float | None = None
+    sigma_up: float | None = None
+    sigma_yaw: float | None = None
+    sigma_pitch: float | None = None
+    sigma_roll: float | None = None
 
 
 _COLUMNS = tuple(TrackPoint.__dataclass_fields__)

@@ -25,7 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import is_newer, newer_version
-from lpn.datasets.rendered import FLIGHT_PLAN, PLAN, UNFINISHED
+from lpn.datasets.rendered import FLIGHT_PLAN, PLAN, TRUTH, UNFINISHED
 from lpn.world import flight_files, photo
 from lpn.world.atlas import EDITION
 from lpn.world.cameras import SatelliteImage, Site
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from lpn.world.render import BlenderScene
 
 FORMAT = "lpn-world-flight/1"
-TRUTH = Path("truth.csv")
 MAP, ELEVATION = Path("map/map.tif"), Path("map/elevation.tif")
 _VIDEO = "video/LPN_FREE"
 # Metres around the map whose things may be seen, or throw shadows; and of a flight that looks aside.

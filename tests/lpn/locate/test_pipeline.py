@@ -427,8 +427,16 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
         LocateOptions(speed=0.0)
 
 
-def test_beyond_15_degrees_of_tilt_the_middle_is_told(town: Map, tmp_path: Path) -> None:
+def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_middle_is_told(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     frame = _tilted(tmp_path, -73.0, 0.0, -73.0)
+    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
+    assert answer.by_pose
+    assert answer.distance(np.zeros(2)) < 1.0
+    assert "above flat ground" in answer.sentence
+    monkeypatch.setattr(registered_stage, "photo_pose", lambda *_: "There is none.")
+    monkeypatch.setattr(registered_stage, "FORMAT", "another")  # the cache has the answer with a pose
     answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
     assert answer.accepted, answer.sentence
     assert not answer.camera

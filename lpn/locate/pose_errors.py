@@ -1,0 +1,82 @@
+"""Errors of poses against exact ones, which a rendered flight has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.numbers import wrap_degrees
+from lpn.datasets.rendered import TruePose, true_poses
+from lpn.locate.located import LocatedFlight
+
+# Metres beyond three sigmas from which an error counts as one that the covariance should have told.
+_TOLERANCE = 5.0
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Errors of a flight's poses.
+
+    Attributes:
+        frames: photos whose exact pose is known.
+        poses: of these, photos with an accepted pose.
+        position: metres, (poses,): in space, or in the plane where the ground counts as flat.
+        heading, pitch: degrees, (poses,), 0 or more.
+        beyond: poses whose position errs by more than three sigmas and 5 m.
+        flat: whether the ground counts as flat.
+    """
+
+    frames: int
+    poses: int
+    position: Float64Array
+    heading: Float64Array
+    pitch: Float64Array
+    beyond: int
+    flat: bool
+
+    @property
+    def sentence(self) -> str:
+        """A line for the console."""
+        share = f"Poses against the exact ones: {self.poses} of {self.frames} photos have one ({self.poses / self.frames:.0%})"
+        if not self.poses:
+            return f"{share}."
+        kind = "position in the plane" if self.flat else "position"
+        (metres, most), heading, pitch = np.quantile(self.position, (0.5, 0.9)), self.heading, self.pitch
+        return (
+            f"{share}; median errors: {kind} {metres:.2f} m (90 % within {most:.2f} m), heading {np.median(heading):.2f} "
+            f"degrees, pitch {np.median(pitch):.2f} degrees; {self.beyond} beyond 3 sigmas and {_TOLERANCE:g} m."
+        )
+
+
+def pose_errors(located: LocatedFlight) -> PoseErrors | None:
+    """Return the errors of a flight's poses; None unless `lpn world` rendered it.
+
+    Raises:
+        DataError: if the exact poses cannot be read.
+    """
+    folders = {located_frame.frame.file.parent for located_frame in located.frames}
+    truths: dict[str, TruePose] = {}
+    for folder in sorted(folders):
+        truths |= true_poses(folder)
+    return _compared(located, truths) if any(frame.frame.file.name in truths for frame in located.frames) else None
+
+
+def _compared(located: LocatedFlight, truths: Mapping[str, TruePose]) -> PoseErrors:
+    known = [frame for frame in located.frames if frame.frame.file.name in truths]
+    flat = located.basemap.elevation is None
+    rows, beyond = [], 0
+    for frame in known:
+        answer, truth = frame.stages.get("registration"), truths[frame.frame.file.name]
+        if answer is None or not answer.accepted or (pose := answer.pose) is None:
+            continue
+        east, north = located.basemap.frame.xy([truth.latitude], [truth.longitude])[0].tolist()
+        off = [pose.east - east, pose.north - north] + ([] if flat else [pose.altitude - truth.altitude])
+        metres = math.hypot(*off)
+        beyond += metres > 3 * math.hypot(*pose.sigmas[: len(off)].tolist()) + _TOLERANCE
+        rows.append((metres, abs(wrap_degrees(pose.heading - truth.heading)), abs(pose.pitch - truth.pitch)))
+    position, heading, pitch = np.array(rows, np.float64).reshape(-1, 3).T
+    return PoseErrors(len(known), len(rows), position, heading, pitch, beyond, flat)
