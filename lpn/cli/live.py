@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, ClassVar, Literal
+from typing import IO, TYPE_CHECKING, Literal
 
 import lpn
 from lpn.core.errors import InputError
@@ -112,8 +112,6 @@ class LiveCommand(LiveInput):
     A frame that comes while another is located waits, and a newer one replaces it.
     """
 
-    SERVES: ClassVar[bool] = True
-
     out: Path | None = None
     """File of GeoJSON lines, which are appended; by default they are printed."""
     send: str | None = None
@@ -138,6 +136,10 @@ class LiveCommand(LiveInput):
             run = self.open_run(_say, [LineOutput(lines)], stack)
             count = run.run()
         _say(f"{count} frames were located.")
+
+    def resume_hint(self) -> str:
+        """Return how to go on after a stop."""
+        return "The same command goes on from the belief that is kept." if self.belief else "Nothing was kept."
 
     def more_outputs(self, say: Say, telemetry: LiveTelemetry, stack: ExitStack) -> list[FixOutput]:
         from lpn.live.outputs import MavlinkOutput, WebsocketOutput, is_loopback

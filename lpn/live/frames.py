@@ -99,7 +99,7 @@ class NewestPicture:
             return self._ended and self._waiting is None
 
 
-class PictureSource(ABC):
+class LiveSource(ABC):
     """A source of pictures, read by a thread of its own.
 
     Args:
@@ -133,7 +133,7 @@ class PictureSource(ABC):
         """Put pictures until the source ends or `_stop` is set."""
 
 
-class FolderPictures(PictureSource):
+class FolderPictures(LiveSource):
     """Photos that come into a folder, with their EXIF and XMP; those that are there at the start are left out.
 
     Args:
@@ -172,7 +172,7 @@ class FolderPictures(PictureSource):
         self.newest.put(ArrivedPicture(replace(photo.frame, time=taken), now, None, photo.utc is not None))
 
 
-class StreamPictures(PictureSource):
+class StreamPictures(LiveSource):
     """Frames of a video file at their own pace, of a camera, or of an RTSP, UDP, or HTTP stream.
 
     A stream that stalls is opened again; a video ends.
@@ -244,7 +244,7 @@ class StreamPictures(PictureSource):
                 pass
 
 
-def open_source(source: str, say: Say, fov: float | None = None) -> PictureSource:
+def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
     """Open a folder, a video file, a camera by its number, or a stream by its address.
 
     Raises:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import math
+import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -173,6 +174,8 @@ class LiveLocator:
         self._variance = 0.0
         self._track = _Track()
         self._notes: list[str] = []
+        # When the belief that was taken up was written, in seconds since 1970; None after the first frame.
+        self._written: float | None = None
 
     def take_notes(self) -> list[str]:
         """Return the sentences since the last call."""
@@ -248,6 +251,9 @@ class LiveLocator:
 
     def _elapsed(self, frame: Frame) -> float:
         """Return the seconds since the last frame; NaN if they are unknown, or the clock has jumped."""
+        if self._written is not None:  # the pictures' clock may be another one since the restart
+            written, self._written = self._written, None
+            return max(time.time() - written, 0.0)
         if frame.time is None or self._track.time is None:
             return math.nan
         elapsed = frame.time - self._track.time
@@ -507,7 +513,7 @@ class LiveLocator:
         write_atomic(file, data.getvalue())
 
     def take_up(self, file: Path, clock: float) -> str | None:
-        """Take up the belief that an earlier run wrote, moved on by the time since; return a sentence about it, None without one.
+        """Take up the belief that an earlier run wrote; return a sentence about it, None without a file.
 
         Args:
             clock: the time now in seconds since 1970.
@@ -536,7 +542,7 @@ class LiveLocator:
         ground.squares, ground.frames = arrays["squares"], arrays["frames"]
         age = max(clock - header.clock, 0.0)
         ground.filter.belief, ground.filter.headings = arrays["belief"], arrays["headings"]
-        ground.filter.predict(age, arrays["headings"])
+        self._written = header.clock
         self._track = _Track(
             None, header.odds, header.widths, header.ratios, header.turns, None if header.last is None else header.last
         )

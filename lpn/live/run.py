@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from lpn.core.errors import LPNError, PictureError
-from lpn.live.frames import ArrivedPicture, PictureSource, Say
+from lpn.live.frames import ArrivedPicture, LiveSource, Say
 from lpn.live.locator import LiveLocator
 from lpn.live.outputs import LiveFix
 from lpn.live.telemetry import LiveTelemetry
@@ -61,7 +61,7 @@ class LiveRun:
 
     def __init__(
         self,
-        source: PictureSource,
+        source: LiveSource,
         telemetry: LiveTelemetry,
         locator: LiveLocator,
         outputs: Sequence[FixOutput],
@@ -95,11 +95,11 @@ class LiveRun:
                     self._watch(fix)
                 self._save(_SAVED)
         finally:
+            self._save(0.0)
             self._source.close()
             self._telemetry.close()
             for output in self._outputs:
                 output.close()
-        self._save(0.0)
         return count
 
     def _pictures(self) -> Iterator[ArrivedPicture]:

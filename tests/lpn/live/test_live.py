@@ -1,0 +1,465 @@
+"""A drawn flight that goes on over a drawn map, and a simulated vehicle over loopback MAVLink."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+import lpn.live.locator
+from lpn.cli.main import main
+from lpn.core.errors import DataError, InputError
+from lpn.flights import Flight, Frame
+from lpn.live.frames import (
+    ArrivedPicture,
+    FolderPictures,
+    NewestPicture,
+    LiveSource,
+    Say,
+    StreamPictures,
+    open_source,
+)
+from lpn.live.locator import LiveLocator, LiveOptions
+from lpn.live.outputs import LineOutput, LiveFix, MavlinkOutput, WebsocketOutput, is_loopback
+from lpn.live.run import LiveRun, LiveSettings
+from lpn.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_link, open_telemetry
+from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.maps import Map
+from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
+from tools.fixtures.photos import write_photo
+from tools.fixtures.simulated_vehicle import SimulatedVehicle
+from tools.fixtures.videos import write_video
+
+SIZE, HEIGHT, FOV = (360, 270), 60.0, 60.0
+WIDTH = 2 * HEIGHT * math.tan(math.radians(FOV / 2))
+# To the east through the map's middle.
+PLACES = [(x, 5.0) for x in (-50.0, -35.0, -20.0, -5.0, 10.0, 25.0)]
+OPTIONS = LiveOptions(matcher="sift")
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Map]:
+    basemap = write_map(tmp_path_factory.mktemp("map") / "town.tif", land())
+    yield basemap
+    basemap.close()
+
+
+@pytest.fixture(scope="module")
+def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    folder, degrees = tmp_path_factory.mktemp("photos"), town.frame.degrees(PLACES)
+    frames = []
+    for i, place in enumerate(PLACES):
+        file = folder / f"{i}.png"
+        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, 90.0, WIDTH, SIZE), SIZE, i)[..., ::-1])
+        known = {"heading": 90.0, "heading_source": "gimbal", "pitch": -90.0, "roll": 0.0, "fov": FOV}
+        latitude, longitude = degrees[i].tolist()
+        frames.append(Frame(file.name, file, *SIZE, 1.5 * i, latitude, longitude, HEIGHT, **known))  # type: ignore[arg-type]
+    return Flight("friday", tuple(frames))
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def until(condition: Callable[[], Any]) -> Any:
+    """Wait for another thread; ten seconds only bound a failure."""
+    end = time.monotonic() + 10
+    while not (value := condition()) and time.monotonic() < end:
+        time.sleep(0.005)
+    assert value
+    return value
+
+
+class StepByStep(LiveSource):
+    """Gives each frame once the one before was taken."""
+
+    def __init__(self, frames: list[Frame], say: Say) -> None:
+        super().__init__(say)
+        self._frames = frames
+
+    def _read(self) -> None:
+        for frame in self._frames:
+            until(lambda: self._stop.is_set() or not self.newest.waiting)
+            self.newest.put(ArrivedPicture(frame, time.monotonic()))
+
+
+def lines_of(
+    town: Map, frames: list[Frame], settings: LiveSettings | None = None, options: LiveOptions = OPTIONS
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the properties of the lines of a run, and its sentences."""
+    said: list[str] = []
+    stream = io.StringIO()
+    locator = LiveLocator(town, GridModel(), options)  # type: ignore[arg-type]
+    run = LiveRun(
+        StepByStep(frames, said.append), LiveTelemetry(), locator, [LineOutput(stream)], said.append, settings
+    )
+    count = run.run()
+    features = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert len(features) == count
+    return [feature["properties"] | {"geometry": feature["geometry"]} for feature in features], said
+
+
+def test_a_newer_picture_replaces_the_one_that_waits() -> None:
+    queue = NewestPicture()
+    for i in range(3):
+        queue.put(ArrivedPicture(Frame(str(i), Path(), 1, 1), 0.0))
+    taken = queue.take(0)
+    assert taken is not None
+    assert (taken.frame.name, queue.dropped) == ("2", 2)
+    assert queue.take(0) is None
+    queue.end()
+    assert queue.ended
+
+
+@pytest.fixture
+def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float] | None]:
+    """Registrations of frames by name, in place of matched features: where they lie, None where they are refused."""
+    places: dict[str, tuple[float, float] | None] = {f"{i}.png": place for i, place in enumerate(PLACES)}
+
+    def register(_basemap: Any, _features: Any, located: LocatedFrame, *_: Any) -> StageRecord:
+        if (place := places.get(located.frame.name)) is None:
+            return StageRecord("refused", "It fits nowhere.")
+        matrix = np.linalg.inv(ground_to_photo(place, 90.0, WIDTH, SIZE))
+        return StageRecord("accepted", "It fits.", *place, True, 1.0, 90.0, 0.0, WIDTH, 50, matrix.ravel().tolist())
+
+    monkeypatch.setattr(lpn.live.locator, "register_photo", register)
+    return places
+
+
+def test_frames_are_registered_near_the_prediction_while_the_flight_goes_on(town: Map, flight: Flight) -> None:
+    lines, said = lines_of(town, list(flight.frames[:2]))
+    assert [(line["stage"], line["state"]) for line in lines] == [("registration", "accepted")] * 2
+    assert max(line["error"] for line in lines) < 0.5
+    assert all(line["geometry"]["type"] == "Point" and line["age"] >= 0 and line["dropped"] == 0 for line in lines)
+    assert said == []
+
+
+@pytest.mark.usefixtures("laid")
+def test_registrations_prove_the_map_and_a_restart_takes_the_belief_up(
+    town: Map, flight: Flight, tmp_path: Path
+) -> None:
+    settings = LiveSettings(belief=tmp_path / "out.belief")
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    states = [
+        locator.locate(frame, ArrivedPicture(frame, 0).pixels()).stages["sequence"].state for frame in flight.frames
+    ]
+    assert states == ["refused"] * 4 + ["accepted"] * 2
+    assert settings.belief is not None
+    locator.save(settings.belief, time.time())
+    unseen = replace(flight.frames[-1], name="unregistered.png")
+    (line,), said = lines_of(town, [unseen], settings)
+    assert (line["stage"], line["state"]) == ("sequence", "accepted")
+    assert line["error"] < 10
+    assert said[0].startswith("The belief of ")
+    assert said[0].endswith(" s ago was taken up from out.belief.")
+    (line,), _ = lines_of(town, [unseen])
+    assert line["state"] == "refused"
+
+
+def test_a_registration_that_cannot_be_reached_is_refused_until_three_agree(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, float] | None]
+) -> None:
+    laid |= {"2.png": (80.0, 80.0), "4.png": (20.0, -80.0), "5.png": (25.0, -80.0), "6.png": (30.0, -80.0)}
+    frames = [replace(frame, time=float(i) / 2) for i, frame in enumerate(flight.frames)]
+    lines, said = lines_of(town, [*frames, replace(frames[-1], name="6.png", time=3.0)])
+    assert [line["stage"] == "registration" for line in lines] == [True, True, False, True, False, False, True]
+    assert said == ["3 registrations in a row lie elsewhere than those before, which count no longer."]
+
+
+def test_a_belief_of_another_map_or_damaged_starts_anew(town: Map, flight: Flight, tmp_path: Path) -> None:
+    settings, options = LiveSettings(belief=tmp_path / "b"), replace(OPTIONS, register=False)
+    lines_of(town, list(flight.frames[:1]), settings, options)
+    _, said = lines_of(town, list(flight.frames[:1]), settings, replace(options, overlap=0.4))
+    assert said[0] == "b is of another map, model, or size of windows; the flight starts anew."
+    (tmp_path / "b").write_bytes((tmp_path / "b").read_bytes()[:100])
+    lines, said = lines_of(town, list(flight.frames[:1]), settings, options)
+    assert said[0] == "b is damaged; the flight starts anew."
+    assert len(lines) == 1
+
+
+def test_the_sequence_alone_proves_no_map_and_says_so(town: Map, flight: Flight) -> None:
+    lines, _ = lines_of(town, list(flight.frames), options=replace(OPTIONS, register=False))
+    assert {line["state"] for line in lines} == {"refused"}
+    assert lines[-1]["error"] < 10
+    assert "Nothing shows yet that the map is of this place" in lines[-1]["reason"]
+
+
+def test_frames_that_cannot_be_read_and_clocks_that_jump_are_said_and_the_flight_goes_on(
+    town: Map, flight: Flight, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    first, second = flight.frames[:2]
+    frames = [first, replace(first, name="bad.png", file=tmp_path / "bad.png"), replace(second, time=-500.0)]
+    lines, said = lines_of(town, frames, options=replace(OPTIONS, register=False))
+    assert [line["frame"] for line in lines] == ["0.png", "1.png"]
+    assert said[0].endswith("The flight goes on without it.")
+    assert said[1].startswith("The clock of the pictures has jumped by -500.0 s at 1.png;")
+
+
+def test_a_flight_that_leaves_the_map_is_said(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, float] | None]
+) -> None:
+    laid["0.png"] = (-70.0, 5.0)
+    beyond = [replace(flight.frames[0], name=f"sea {i}", time=1.0 + i) for i in range(10)]
+    lines, said = lines_of(town, [flight.frames[0], *beyond])
+    assert [line["state"] for line in lines] == ["accepted"] + ["refused"] * 10
+    assert said == ["10 frames in a row were refused near the border of the map; the flight may have left it."]
+
+
+def test_memory_does_not_grow_with_the_flight(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lpn.live.locator, "_KEPT", 30)
+    monkeypatch.setattr(lpn.live.locator, "_PENDING", 8)
+    locator = LiveLocator(town, GridModel(), replace(OPTIONS, register=False))  # type: ignore[arg-type]
+    rng, photo = np.random.default_rng(0), np.zeros((*SIZE[::-1], 3), np.uint8)
+    for i in range(60):
+        photo[:] = np.kron(rng.integers(0, 255, (9, 12, 1), np.uint8), np.ones((30, 30, 3), np.uint8))
+        locator.locate(replace(flight.frames[0], time=2.0 * i), photo)
+    assert len(locator._kept) == 30
+    assert len(locator._pending) <= 8
+
+
+def test_photos_that_come_into_a_folder_are_read_when_they_are_whole(tmp_path: Path) -> None:
+    write_photo(tmp_path / "before.jpg")
+    write_photo(tmp_path / "whole")
+    whole = (tmp_path / "whole").read_bytes()
+    said: list[str] = []
+    source = FolderPictures(tmp_path, said.append)
+    source.start()
+    try:
+        (tmp_path / "new.jpg").write_bytes(whole[: len(whole) // 2])
+        assert source.newest.take(0.15) is None
+        (tmp_path / "new.jpg").write_bytes(whole)
+        picture = source.newest.take(10)
+    finally:
+        source.close()
+    assert picture is not None
+    assert picture.frame.name == "new.jpg"
+    assert picture.pixels().shape[2] == 3
+    assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
+
+
+def test_frames_of_a_video_have_their_times(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "v.mp4", 4)
+    source = StreamPictures(video, print, fov=70.0, paced=False)
+    source.start()
+    pictures = []
+    while not source.newest.ended:
+        if (picture := source.newest.take(1)) is not None:
+            pictures.append(picture)
+    source.close()
+    assert source.newest.dropped == 0
+    assert len(pictures) > 1
+    times = [picture.frame.time or 0.0 for picture in pictures]
+    assert times == sorted(times)
+    assert pictures[0].frame.fov == 70.0
+
+
+@pytest.mark.parametrize("source", ["nowhere", "udp://127.0.0.1:1/?timeout=1000", "text.mp4", "notes.txt"])
+def test_a_source_that_cannot_be_opened_is_refused_in_a_sentence(tmp_path: Path, source: str) -> None:
+    for name in ("text.mp4", "notes.txt"):
+        (tmp_path / name).write_text("no video")
+    path = source if "nowhere" in source or "://" in source else str(tmp_path / source)
+    with pytest.raises(InputError, match=r"There is no|cannot be opened|is no video"):
+        open_source(path, print)
+
+
+def arrived(frame: Frame, later: float = 0.0) -> ArrivedPicture:
+    bare = replace(frame, heading=None, heading_source=None, latitude=None, longitude=None, height_above_ground=None)
+    return ArrivedPicture(bare, time.monotonic() + later)
+
+
+def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(flight: Flight) -> None:
+    pytest.importorskip("pymavlink")
+    said: list[str] = []
+    port = free_port()
+    link = MavlinkLink(f"udp:127.0.0.1:{port}", said.append)
+    vehicle, other = SimulatedVehicle(flight, port=port, system=7), SimulatedVehicle(flight, port=port, system=9)
+    frame = flight.frames[0]
+    try:
+        assert link.value(arrived(frame)).age is None
+        vehicle.tell(frame)
+        until(lambda: link.system)
+        value = until(lambda: link.value(arrived(frame)).frame.latitude and link.value(arrived(frame)))
+        assert value.frame.latitude == pytest.approx(frame.latitude, abs=1e-6)
+        assert (value.frame.heading, value.frame.heading_source) == (pytest.approx(90), "gimbal")
+        assert value.frame.flying_height == HEIGHT
+        late = link.value(arrived(frame, 5.0)).frame
+        assert (late.heading, late.flying_height) == (None, HEIGHT)
+        assert link.value(arrived(frame, 50.0)).frame.flying_height is None
+        other.tell(frame)
+        until(lambda: any("System 9" in sentence for sentence in said))
+        vehicle.boot += 300
+        time.sleep(0.11)  # entries closer together count as one
+        vehicle.tell(frame)
+        until(lambda: any("clock has jumped" in sentence for sentence in said))
+        vehicle.tell_origin(47.0, 8.0)
+        until(lambda: link.origin == (47.0, 8.0))
+    finally:
+        for one in (link, vehicle, other):
+            one.close()
+    assert said[0].startswith("No position has come by udp:127.0.0.1")
+    assert any(sentence.startswith("Telemetry is 5.") for sentence in said)
+    assert any(sentence.endswith("those of system 7 are taken.") for sentence in said)
+
+
+def test_a_log_gives_frames_its_values_from_the_first_picture_on(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time,latitude,longitude,heading\n" + "".join(f"{100 + i},47.{i},8.0,{10 * i}\n" for i in range(4)))
+    said: list[str] = []
+    telemetry = open_telemetry(str(log), said.append)
+    assert isinstance(telemetry, LogTelemetry)
+    latitudes = [telemetry.value(ArrivedPicture(Frame("a", Path(), 1, 1, at), 0.0)).frame.latitude for at in (5.0, 6.5)]
+    assert latitudes == pytest.approx([47.0, 47.15])
+    assert telemetry.value(ArrivedPicture(Frame("late", Path(), 1, 1, 99.0), 0.0)).age is None
+    assert said == ["log.csv has nothing at the time of late; it may have ended."]
+    (tmp_path / "empty.csv").write_text("time,latitude,longitude\n")
+    with pytest.raises(DataError):
+        open_telemetry(str(tmp_path / "empty.csv"), print)
+    with pytest.raises(InputError, match="give a log, a track, or an address"):
+        open_telemetry("nothing", print)
+
+
+def fix(flight: Flight, state: str = "accepted", camera: bool = True) -> LiveFix:
+    answer = StageRecord(state, "Because.", 1.0, 2.0, camera, 3.0, 270.0)  # type: ignore[arg-type]
+    return LiveFix(LocatedFrame(flight.frames[0], None), "sequence", answer, 47.001, 8.0, 1_714_564_800.5, 0.2, 3)
+
+
+@pytest.mark.parametrize("kind", ["gps", "vision"])
+def test_accepted_places_are_sent_over_mavlink(flight: Flight, kind: Any) -> None:
+    pytest.importorskip("pymavlink")
+    said: list[str] = []
+    origins: list[tuple[float, float]] = []
+    receiver = open_link(f"udpin:127.0.0.1:{(port := free_port())}")
+    output = MavlinkOutput(
+        f"udpout:127.0.0.1:{port}", kind, said.append, lambda: origins[0] if origins else None, lambda: 7
+    )
+    try:
+        output.send(fix(flight, "refused"))
+        if kind == "vision":
+            output.send(fix(flight))
+            assert said == [
+                "The vehicle has not told its origin (GPS_GLOBAL_ORIGIN) yet; VISION_POSITION_ESTIMATE waits for it."
+            ]
+            origins.append((47.0, 8.0))
+        output.send(fix(flight))
+        message = receiver.recv_match(blocking=True, timeout=10)
+    finally:
+        output.close()
+        receiver.close()
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (7, 197)
+    if kind == "gps":
+        assert (message.lat, message.lon, message.fix_type) == (470010000, 80000000, 3)
+        assert message.horiz_accuracy == pytest.approx(3)
+        seconds = 604_800 * message.time_week + message.time_week_ms / 1000 + 315_964_800 - 18
+        assert seconds == pytest.approx(1_714_564_800.5)
+    else:
+        assert (message.x, message.y) == (pytest.approx(111.2, abs=0.1), pytest.approx(0))
+        assert message.yaw == pytest.approx(-math.pi / 2)
+        assert message.covariance[0] == pytest.approx(9)
+
+
+def test_the_middle_of_a_picture_counts_with_an_unknown_tilt(flight: Flight) -> None:
+    assert fix(flight).radius == 3.0
+    assert fix(flight, camera=False).radius == pytest.approx(math.hypot(3, HEIGHT * math.tan(math.radians(5))))
+
+
+def test_a_websocket_sends_lines_and_refuses_pages_of_other_sites(flight: Flight) -> None:
+    websockets = pytest.importorskip("websockets.sync.client")
+    from websockets.exceptions import InvalidStatus
+
+    output = WebsocketOutput("127.0.0.1", 0)
+    address = f"ws://127.0.0.1:{output.port}"
+    try:
+        with websockets.connect(address) as reader:
+            until(lambda: output._readers)
+            output.send(fix(flight))
+            feature = json.loads(reader.recv(timeout=10))
+        assert feature["geometry"] == {"type": "Point", "coordinates": [8.0, 47.001]}
+        assert (feature["properties"]["dropped"], feature["properties"]["age"]) == (3, 0.2)
+        with pytest.raises(InvalidStatus):
+            websockets.connect(address, origin="http://example.org")
+        with pytest.raises(InputError, match="cannot listen on"):
+            WebsocketOutput("127.0.0.1", output.port)
+    finally:
+        output.close()
+    assert [is_loopback(host) for host in ("localhost", "127.0.0.1", "::1", "0.0.0.0", "example.org")] == [
+        True, True, True, False, False,
+    ]  # fmt: skip
+
+
+def test_the_command_locates_what_a_vehicle_sends(
+    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pymavlink")
+    monkeypatch.setattr(lpn, "load", lambda *_, **__: GridModel())
+    photos, out, port = tmp_path / "photos", tmp_path / "lines.json", free_port()
+    photos.mkdir()
+    vehicle, started, start = SimulatedVehicle(flight, photos, port), threading.Event(), LiveSource.start
+    monkeypatch.setattr(LiveSource, "start", lambda source: (start(source), started.set()))
+
+    def fly() -> None:
+        started.wait(10)
+        for i, frame in enumerate(flight.frames[:3]):
+            vehicle.tell(frame)
+            time.sleep(0.15)  # the telemetry of this frame is the nearest one
+            vehicle.photograph(frame)
+            until(lambda i=i: out.read_text().count("\n") > i)
+
+    thread = threading.Thread(target=fly)
+    thread.start()
+    command = ["locate", "--live", str(photos), "--map", str(town.sheets[0].raster.path), "--model", "grid.onnx"]
+    command += ["--telemetry", f"udp:127.0.0.1:{port}", "--out", str(out), "--no-register"]
+    assert main([*command, "--size", "44", "--idle", "2"]) == 0
+    thread.join()
+    vehicle.close()
+    lines = [json.loads(line)["properties"] for line in out.read_text().splitlines()]
+    assert [line["frame"] for line in lines] == ["0.png", "1.png", "2.png"]
+    assert all(line["telemetry_age"] < 2 for line in lines)
+    assert "3 frames were located." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--live", "nowhere"], "There is no nowhere; give a folder that fills"),
+        (["--live", "FOLDER", "--fov", "500"], "--fov is 500; expected a number from 0.1 to 170."),
+        (["--live", "FOLDER", "--speed", "0"], "The speed is 0 m/s"),
+        (["--live", "FOLDER", "--telemetry", "none"], "There is no none; give a log, a track, or an address"),
+        (
+            ["--live", "FOLDER", "--send", "udpout:127.0.0.1:9", "--send-as", "vision"],
+            "give its MAVLink address with --telemetry",
+        ),
+    ],
+)
+def test_bad_options_of_the_command_are_refused_in_a_sentence(
+    town: Map,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    sentence: str,
+) -> None:
+    monkeypatch.setattr(lpn, "load", lambda *_, **__: GridModel())
+    given = [str(tmp_path) if one == "FOLDER" else one for one in options]
+    assert main(["locate", *given, "--map", str(town.sheets[0].raster.path), "--model", "grid.onnx"]) == 2
+    captured = capsys.readouterr()
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
