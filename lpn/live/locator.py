@@ -130,6 +130,7 @@ class _Track:
     widths: list[float] = field(default_factory=list)
     ratios: list[float] = field(default_factory=list)
     turns: list[float] = field(default_factory=list)
+    heading: float | None = None
     # The last accepted registration: place, radius, time; and those since that contradict it.
     last: tuple[float, float, float, float] | None = None
     apart: list[tuple[float, float, float, float]] = field(default_factory=list)
@@ -400,7 +401,9 @@ class LiveLocator:
         track = self._track
         options = LocateOptions(matcher=self.options.matcher)
         side = 2 * self.options.speed if self._sure and self._fresh else ground.side
-        answer = register_photo(self.basemap, self._features, located, photo, options, track.widths, track.ratios, side)
+        answer = register_photo(
+            self.basemap, self._features, located, photo, options, track.widths, track.ratios, side, track.heading
+        )
         answer = with_map_error(answer, self._map_error)
         if answer.accepted:
             answer = self._continuous(answer, frame)
@@ -428,6 +431,7 @@ class LiveLocator:
                 track.add("ratios", answer.width / expected)
         if answer.turn is not None:
             track.add("turns", answer.turn)
+        track.heading = answer.heading
 
     def _continuous(self, answer: StageRecord, frame: Frame) -> StageRecord:
         """Refuse a registration that the drone cannot have flown to since the last one, unless three in a row agree on it."""
@@ -544,7 +548,7 @@ class LiveLocator:
         ground.filter.belief, ground.filter.headings = arrays["belief"], arrays["headings"]
         self._written = header.clock
         self._track = _Track(
-            None, header.odds, header.widths, header.ratios, header.turns, None if header.last is None else header.last
+            odds=header.odds, widths=header.widths, ratios=header.ratios, turns=header.turns, last=header.last
         )
         # The clock of the pictures may be another one now, so that no time since the last registration is known.
         if self._track.last is not None:

@@ -24,8 +24,8 @@ from lpn.flights import Flight, Frame
 from lpn.live.frames import (
     ArrivedPicture,
     FolderPictures,
-    NewestPicture,
     LiveSource,
+    NewestPicture,
     Say,
     StreamPictures,
     open_source,
