@@ -36,6 +36,9 @@ class IndexCommand:
     """With --map: sides of the windows in metres, such as 70 100 140; by default five, of up to 300 m or 0.6 of the map."""
     overlap: float = 0.5
     """With --map: share of a window's side that its neighbour covers, too."""
+    turns: int = 1
+    """With --map: headings at which each window is described. With 8, lpn locate describes a photo of unknown heading once, not
+    eight times."""
     provider: ProviderName = "auto"
     """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     data: Path | None = None
@@ -61,7 +64,7 @@ class IndexCommand:
         if self.map is not None:
             self._index_map(self.map)
             return
-        if self.descriptors is None or self.model is not None or self.size:
+        if self.descriptors is None or self.model is not None or self.size or self.turns != 1:
             raise InputError(
                 "An index is of descriptors, or of a map's windows; give --descriptors, or --map with --model."
             )
@@ -104,6 +107,8 @@ class IndexCommand:
             )
         model = lpn.load(self.model, self.provider).in_role("satellite", None)
         basemap = open_map(where)
+        if not 1 <= self.turns <= 360:
+            raise InputError(f"Windows cannot be described at {self.turns} headings; expected 1 to 360 as --turns.")
         describe, sizes = window_describer(model, basemap), self.size or pyramid_sizes(basemap, [])
         if not basemap.count_pyramid(sizes, self.overlap):
             raise InputError(
@@ -114,7 +119,9 @@ class IndexCommand:
             create_index(self.out, kind, self.engine, self.precision, self.codes, self.structure) as index,
             counting_bar("Describing windows") as progress,
         ):
-            added = index_windows(index, basemap, describe, sizes, self.overlap, progress, replace=self.replace)
+            added = index_windows(
+                index, basemap, describe, sizes, self.overlap, progress, replace=self.replace, turns=self.turns
+            )
             print(f"{printable(_displayed(self.out))} holds {index.count()} windows, {added} of them added now.")
 
     def resume_hint(self) -> str:

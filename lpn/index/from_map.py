@@ -34,6 +34,7 @@ def index_windows(
     on_progress: CountProgress = lambda _done, _total: None,
     block: int = BLOCK,
     replace: bool = False,
+    turns: int = 1,
 ) -> int:
     """Describe the windows of a map that an index lacks, and add them under their names, with positions.
 
@@ -45,6 +46,8 @@ def index_windows(
         on_progress: called with the numbers of windows done and of all.
         block: windows that are described and added together.
         replace: describe all windows, also those that the index holds.
+        turns: headings at which each window is described, evenly spaced from north on. With 8 a photo of unknown heading
+            needs one description in place of eight, see `lpn.locate.index_windows`.
 
     Returns:
         The number of windows that were added.
@@ -53,12 +56,16 @@ def index_windows(
         PictureError: if a file of the map is damaged where a window lies.
         StoreError: if the index cannot be written.
     """
-    total = basemap.count_pyramid(sizes, overlap)
+    total = basemap.count_pyramid(sizes, overlap) * turns
     done = added = 0
     on_progress(0, total)
     for windows in basemap.pyramid_blocks(sizes, overlap):
-        for start in range(0, len(windows), block):
-            some = windows[start : start + block]
+        for start in range(0, len(windows), -(-block // turns)):
+            some = [
+                Window(window.x, window.y, window.size, 360 / turns * k)
+                for window in windows[start : start + -(-block // turns)]
+                for k in range(turns)
+            ]
             named = NamedWindow.all_of(some, basemap.frame)
             names = [one.name for one in named]
             missing = np.arange(len(named)) if replace else np.flatnonzero(~index.holds(names))
@@ -67,7 +74,7 @@ def index_windows(
                 degrees = np.array([(one.latitude, one.longitude) for one in chosen])
                 # The windows of the names, which are rounded, so that they are cut alike later.
                 places = basemap.frame.xy(*degrees.T).tolist()
-                rounded = [Window(x, y, one.size) for (x, y), one in zip(places, chosen, strict=True)]
+                rounded = [Window(x, y, one.size, one.heading) for (x, y), one in zip(places, chosen, strict=True)]
                 index.add([one.name for one in chosen], describe(rounded), degrees)
             added += len(missing)
             done += len(some)

@@ -126,10 +126,10 @@ def ground_of(
     return IndexGround(layout.origin, width, (west - pad, south - pad, east + pad, north + pad), None), ""
 
 
-def window_sizes(index: SharedIndex, model: Model) -> list[float]:
-    """Return the sides in metres of some windows that an index holds, ascending; empty if its tiles are no windows."""
-    names = [name for one in probes(index, model) for name in one.ids]
-    return sorted({size for name in names if (size := _window_size(name)) is not None})
+def some_windows(index: SharedIndex, model: Model) -> list[NamedWindow]:
+    """Return some windows that an index holds, which tell its sizes and headings; none if its tiles are no windows."""
+    named = (NamedWindow.parse(name) for one in probes(index, model) for name in one.ids)
+    return [one for one in named if one is not None]
 
 
 def probes(index: SharedIndex, model: Model) -> list[SearchResult]:

@@ -17,7 +17,7 @@ from lpn.datasets.geo import Position
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, FrameReader, TurnedFrame, cut_size
-from lpn.index.ground import window_sizes
+from lpn.index.ground import some_windows
 from lpn.index.queries import IndexQueries, fitting_tasks, view_pair
 from lpn.index.shared import SharedIndex
 from lpn.locate.retrieval import tried_headings
@@ -38,9 +38,9 @@ def flight_queries(
     """Describe frames as they are compared with the windows of an index.
 
     A frame is turned north-up by its heading. Where that is not certain, it takes the one of `tried_headings` whose nearest
-    window is nearest. Where its width on the ground is known, it is cut to the nearest size of window that the index holds. A
-    window shows a frame's place if it holds the frame's tag. A frame that cannot be read is logged and noted; its place is not
-    known.
+    window is nearest; if the index holds turned windows, these stand for the other headings. Where its width on the ground is
+    known, it is cut to the nearest size of window that the index holds. A window shows a frame's place if it holds the frame's
+    tag. A frame that cannot be read is logged and noted; its place is not known.
 
     Args:
         basemap: map of the windows.
@@ -52,11 +52,13 @@ def flight_queries(
         StoreError: if the index holds descriptors of another model.
     """
     name = fitting_tasks(model, [view_pair(model)], index)[0]
-    sizes, pixels = window_sizes(index, model), max(model.input_size)
+    held, pixels = some_windows(index, model), max(model.input_size)
+    sizes, turned_windows = sorted({one.size for one in held}), any(one.heading for one in held)
     cuts: list[TurnedFrame] = []
     owners: list[int] = []
     for i, frame in enumerate(flight.frames):
-        turned = [TurnedFrame(frame, heading, _share(frame, sizes), pixels) for heading in tried_headings(frame)]
+        headings = tried_headings(frame, (0.0,) if turned_windows else None)
+        turned = [TurnedFrame(frame, heading, _share(frame, sizes), pixels) for heading in headings]
         cuts += turned
         owners += [i] * len(turned)
     view, model = views_of(name)[0], model.for_task(*views_of(name))

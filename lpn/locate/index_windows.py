@@ -1,9 +1,13 @@
-"""The windows of a map that an index holds, so that they need not be described again."""
+"""The windows of a map that an index holds, so that they need not be described again.
+
+The index may hold each window at several headings (`lpn index --map --turns 8`). A photo whose heading is unknown is then
+described once: turned by t degrees against the map, it is compared with windows that are turned by t, too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,8 +28,8 @@ _ALIKE = 0.95
 _SAMPLE = 100
 # Windows up to which all are compared with each frame; 400 MB of 4 parts of 512 numbers are 50,000.
 MOST = 50_000
-# Of more windows, those that are nearest to one description of a frame.
-NEAREST = 500
+# Of more windows, those that are nearest to one description of a frame: the most, and the fewest for a flight of many frames.
+NEAREST, _FEWEST = 500, 20
 # Drawn descriptors whose nearest windows tell the sizes that an index holds.
 _PROBES, _PROBED = 8, 64
 
@@ -36,7 +40,7 @@ class IndexedWindows:
 
     Attributes:
         windows: of the map, north up.
-        descriptors: (W, n, D) float32.
+        descriptors: at each of `WindowIndex.turns`, (T, W, n, D) float32.
         notes: sentences about how they were chosen.
     """
 
@@ -67,11 +71,12 @@ class WindowIndex:
 
     Attributes:
         sizes: sides of its windows in metres, ascending; of an index that cannot return all, those that some searches return.
+        turns: headings at which it holds each window in degrees, from 0 on.
 
     Raises:
         StoreError: if there is no index, or it holds descriptors of another model.
-        InputError: if it is empty, or holds other tiles than north-up windows of this map: some are described again, and must be
-            alike.
+        InputError: if it is empty, or holds other tiles than windows of this map, evenly turned: some are described again, and
+            must be alike.
     """
 
     def __init__(self, where: str, model: Model, basemap: Map) -> None:
@@ -86,9 +91,16 @@ class WindowIndex:
             found = [index.search(one, None, self._count if self._all else self._most(index, _PROBED)) for one in drawn]
         # A search that misses windows compares nearest ones, too.
         self._every = found[0] if self._all and len(found[0]) == self._count else None
-        windows = [self._windows(one.ids) for one in found]
-        self.sizes = sorted({window.size for some in windows for window in some})
-        self._check(windows[0], found[0].vectors)
+        named = [self._named(one.ids) for one in found]
+        self.sizes = sorted({one.size for some in named for one in some})
+        self.turns = sorted({one.heading for some in named for one in some})
+        if self.turns != [360 / len(self.turns) * k for k in range(len(self.turns))]:
+            turned = next(one for some in named for one in some if one.heading == self.turns[-1])
+            raise InputError(
+                f"The index holds {turned.name} and others, at the headings {', '.join(f'{turn:g}' for turn in self.turns)}; "
+                "expected even turns from 0 on, as lpn index --map makes them."
+            )
+        self._check(named[0], found[0].vectors)
 
     def near(self, described: Float32Array) -> IndexedWindows:
         """Return the windows to compare with frames.
@@ -101,47 +113,60 @@ class WindowIndex:
         """
         notes: tuple[str, ...] = ()
         if self._every is not None:
-            names, vectors = self._every.ids, self._every.vectors
+            read = dict(zip(self._every.ids, self._every.vectors, strict=True))
+            places = self._places(self._every.ids)
         else:
-            names, vectors = self._nearest(described)
+            places, read = self._nearest(described)
             notes = (
-                f"The index holds {self._count:,} windows; frames were compared with the {len(names):,} of them that are nearest "
-                "to one.",
+                f"The index holds {self._count:,} windows; frames were compared with the {len(places) * len(self.turns):,} of "
+                "them that are nearest to one.",
             )
-        return IndexedWindows(self._windows(names), vectors.astype(np.float32, copy=False), notes)
+        vectors = np.stack([[read[replace(one, heading=turn).name] for one in places] for turn in self.turns])
+        return IndexedWindows(self._on_map(places), vectors.astype(np.float32, copy=False), notes)
 
-    def _nearest(self, described: Float32Array) -> tuple[list[str], Float32Array]:
-        """Return the names and descriptors of the windows nearest to descriptions, each once."""
-        found: dict[str, Float32Array] = {}
-        with open_index(self._where, self._model.fingerprint) as index:
-            for one in described[np.abs(described).sum(axis=(1, 2)) > 0]:
-                hits = index.search(one, None, self._most(index, NEAREST))
-                found.update(zip(hits.ids, hits.vectors, strict=True))
-        if not found:
+    def _nearest(self, described: Float32Array) -> tuple[list[NamedWindow], dict[str, Float32Array]]:
+        """Return the windows nearest to descriptions, north up and each once, and the descriptors of all their turns by name."""
+        asked = described[np.abs(described).sum(axis=(1, 2)) > 0]
+        if not len(asked):
             raise InputError(
                 "No frame of the flight can be read, so no window of the index can be near one; check the photos."
             )
-        return list(found), np.stack(list(found.values()))
+        wanted = min(NEAREST, max(_FEWEST, MOST // len(asked)))
+        with open_index(self._where, self._model.fingerprint) as index:
+            hits = [index.search(one, None, self._most(index, wanted)) for one in asked]
+            read = {name: vector for one in hits for name, vector in zip(one.ids, one.vectors, strict=True)}
+            places = self._places(read)
+            names = [replace(one, heading=turn).name for one in places for turn in self.turns]
+            if missing := [name for name in names if name not in read]:
+                read.update(zip(missing, index.read(missing)[0], strict=True))
+        return places, read
 
     def _most(self, index: Index, wanted: int) -> int:
         return min(wanted, self._count, index.most or wanted)
 
-    def _windows(self, names: Sequence[str]) -> list[Window]:
-        named = [NamedWindow.parse(name) for name in names]
-        if (i := next((i for i, one in enumerate(named) if one is None or one.heading), None)) is not None:
-            raise InputError(
-                f"The index holds {printable(names[i])[:80]}, which is no window with its top to the north; make it by lpn "
-                "index --map."
-            )
-        known = [one for one in named if one is not None]
-        places = self._map.frame.xy([one.latitude for one in known], [one.longitude for one in known]).tolist()
-        return [Window(x, y, one.size) for (x, y), one in zip(places, known, strict=True)]
+    def _named(self, names: Iterable[str]) -> list[NamedWindow]:
+        named = []
+        for name in names:
+            if (one := NamedWindow.parse(name)) is None:
+                raise InputError(
+                    f"The index holds {printable(name)[:80]}, which is no window of a map; make it by lpn index --map."
+                )
+            named.append(one)
+        return named
 
-    def _check(self, windows: Sequence[Window], vectors: Float32Array) -> None:
+    def _places(self, names: Iterable[str]) -> list[NamedWindow]:
+        """Return the windows of names, north up and each once."""
+        return list(dict.fromkeys(replace(one, heading=0.0) for one in self._named(names)))
+
+    def _on_map(self, named: Sequence[NamedWindow]) -> list[Window]:
+        places = self._map.frame.xy([one.latitude for one in named], [one.longitude for one in named]).tolist()
+        return [Window(x, y, one.size, one.heading) for (x, y), one in zip(places, named, strict=True)]
+
+    def _check(self, named: Sequence[NamedWindow], vectors: Float32Array) -> None:
         """Raise InputError unless some windows that are described again are like those of the index."""
         side, least = max(self._model.input_size), 1.0
-        some = sorted({round(i) for i in np.linspace(0, len(windows) - 1, _CHECKED)})
-        cuts = [WindowCut(self._map, windows[i], side) for i in some]
+        some = sorted({round(i) for i in np.linspace(0, len(named) - 1, _CHECKED)})
+        cuts = [WindowCut(self._map, window, side) for window in self._on_map([named[i] for i in some])]
         for batch in describe_each(self._model, cuts, lambda cut: self._model.prepare(cut(), "satellite"), "satellite"):
             for _, error in batch.broken:
                 raise error

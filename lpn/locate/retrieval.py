@@ -81,7 +81,8 @@ class MapRetrieval:
         places: their centres in metres, (W, 2) float64.
         sizes: their sides in metres, (W,) float64.
         windows_described: (W, n, D) float32.
-        frames_described: of each frame, (headings, n, D) float32; None if it cannot be read.
+        frames_described: of each frame at its headings, without the last T - 1 where windows are turned in its place,
+            (headings, n, D) float32; None if it cannot be read.
         headings: degrees at which each frame was described.
         levels: the size of windows that each frame was cut for; NaN if all sizes are compared.
         cut_shares: of its width that each frame's square shows, see `lpn.flights.cut.cut_square`, (N,).
@@ -92,6 +93,8 @@ class MapRetrieval:
         whitening: the matrix that multiplied each part after the mean was subtracted, (n, D, D); None if they were not whitened.
         by_aircraft: frames whose first five headings are within 20 degrees of an aircraft's, as the picture's mostly is.
         overlap: share of a window's side that its neighbour covers, too.
+        turned_windows: descriptors of windows at further headings, evenly turned, (T - 1, W, n, D); None unless an index has
+            them. A frame is compared with them at the last T - 1 of its headings, in its first description.
     """
 
     windows: list[Window]
@@ -109,6 +112,7 @@ class MapRetrieval:
     whitening: Float32Array | None = None
     by_aircraft: frozenset[int] = frozenset()
     overlap: float = 0.75
+    turned_windows: Float32Array | None = None
 
     def scores(self, frame: int) -> Float64Array:
         """Return the score of each window, (W,), the best heading counting."""
@@ -126,6 +130,9 @@ class MapRetrieval:
             return np.zeros((len(self.windows), 1))
         flat = self.windows_described.reshape(len(self.windows), -1)
         scores = (flat @ described.reshape(len(described), -1).T).astype(np.float64)
+        if self.turned_windows is not None and len(self.headings[frame]) > len(described):
+            turned = self.turned_windows.reshape(-1, flat.shape[1]) @ described[0].reshape(-1)
+            scores = np.concatenate([scores, turned.reshape(-1, len(flat)).T], axis=1)
         if frame in self.by_aircraft:
             scores[:, len(_AIRCRAFT_TURNS) :] -= _OTHER_TURN * scores.std()
         if not np.isnan(self.levels[frame]):
@@ -159,13 +166,20 @@ class MapRetrieval:
         if described is None:
             none = np.zeros((0, n), np.float32)
             return RankedWindows(order[:0], values[:0], values[:0], none, none)
-        cosines = np.stack(
-            [scoring.part_cosines(described[best[i]], self.windows_described[i : i + 1])[0] for i in order]
-        )
+        cosines = np.stack([scoring.part_cosines(*self._compared(frame, best[i], i))[0] for i in order])
         headings = np.array([self.headings[frame][best[i]] for i in order])
         return RankedWindows(
             order, values[order], headings, cosines, scoring.contributions(cosines, scoring.part_weights(n))
         )
+
+    def _compared(self, frame: int, heading: int, window: int) -> tuple[Float32Array, Float32Array]:
+        """Return the descriptors that are compared at a frame's heading: the frame's (n, D), and the window's (1, n, D)."""
+        described = self.frames_described[frame]
+        assert described is not None
+        if heading < len(described):
+            return described[heading], self.windows_described[window : window + 1]
+        assert self.turned_windows is not None
+        return described[0], self.turned_windows[heading - len(described), window : window + 1]
 
 
 def heading_is_certain(frame: Frame) -> bool:
@@ -173,11 +187,15 @@ def heading_is_certain(frame: Frame) -> bool:
     return frame.heading is not None and frame.heading_source not in ("course", "aircraft")
 
 
-def tried_headings(frame: Frame) -> list[float]:
-    """Return the headings in degrees at which a frame is described: its own if it is certain, else 8, or 12 if an aircraft's."""
+def tried_headings(frame: Frame, turns: Sequence[float] | None = None) -> list[float]:
+    """Return the headings in degrees at which a frame is compared: its own if it is certain, else 8, or 12 if an aircraft's.
+
+    Args:
+        turns: headings of windows that are compared with it, from 0 on; None if windows are north up, and the frame is turned.
+    """
     about = _AIRCRAFT_TURNS if frame.heading_source == "aircraft" else (0.0,)
-    others = () if heading_is_certain(frame) else tuple(360 / _TURNS * k for k in range(1, _TURNS))
-    return [((frame.heading or 0.0) + turn) % 360 for turn in (*about, *others)]
+    others = tuple(360 / _TURNS * k for k in range(1, _TURNS)) if turns is None else tuple(turns[1:])
+    return [((frame.heading or 0.0) + turn) % 360 for turn in (*about, *(() if heading_is_certain(frame) else others))]
 
 
 def pyramid_sizes(basemap: Map, frames: Sequence[Frame]) -> list[float]:
@@ -226,6 +244,7 @@ def retrieve(
         raise InputError(
             f"No window of {chosen[0]:.0f} m or more fits on the map {basemap.name}; give a smaller size of windows with --size."
         )
+    turns = [0.0] if indexed is None else indexed.turns
     side = max(model.input_size)
     levels = np.full(len(flight.frames), np.nan)
     cut_shares = np.zeros(len(flight.frames))
@@ -238,8 +257,9 @@ def retrieve(
             levels[i] = min(chosen, key=lambda size: abs(np.log(size / cut)))
             share *= levels[i] / cut
         cut_shares[i] = share
-        headings.append(tried_headings(frame))
-        jobs += [(i, heading, share) for heading in headings[-1]]
+        headings.append(tried_headings(frame, turns if len(turns) > 1 else None))
+        described_at = headings[-1][: None if heading_is_certain(frame) or len(turns) == 1 else 1 - len(turns)]
+        jobs += [(i, heading, share) for heading in described_at]
 
     reader = FrameReader(side)
 
@@ -268,7 +288,7 @@ def retrieve(
             queries = np.array(write_store(_cached(side, manifest), manifest, fill, whole=False).float32)
     if indexed is not None:
         near = indexed.near(queries)
-        windows, tiles, overlap = near.windows, near.descriptors, near.overlap
+        windows, tiles, overlap = near.windows, near.descriptors.reshape(-1, *near.descriptors.shape[2:]), near.overlap
         notes += near.notes
     assert tiles is not None
     bad = {jobs[j][0]: str(error) for j, error in broken.items()}
@@ -294,11 +314,12 @@ def retrieve(
     places = np.array([(window.x, window.y) for window in windows])
     window_sizes = np.array([window.size for window in windows])
     by_aircraft = frozenset(i for i, frame in enumerate(flight.frames) if frame.heading_source == "aircraft")
+    upright, turned = tiles[: len(windows)], tiles[len(windows) :]
     return MapRetrieval(
         windows,
         places,
         window_sizes,
-        tiles,
+        upright,
         described_frames,
         headings,
         levels,
@@ -310,6 +331,7 @@ def retrieve(
         whitening,
         by_aircraft,
         overlap,
+        turned.reshape(len(turns) - 1, *upright.shape) if len(turns) > 1 else None,
     )
 
 

@@ -12,14 +12,18 @@ from rich.console import Console
 
 from lpn.cli.locate import locate_files
 from lpn.core.errors import InputError, StoreError
+from lpn.flights import Flight, Frame
+from lpn.flights.base import HeadingSource
 from lpn.index import ExactIndex, create_index
 from lpn.index.base import DescriptorKind
+from lpn.index.from_map import index_windows as fill_index
+from lpn.index.from_map import window_describer
 from lpn.locate import index_windows
 from lpn.locate.index_windows import WindowIndex
 from lpn.locate.options import LocateOptions
 from lpn.locate.retrieval import retrieve
 from lpn.maps import Map, NamedWindow
-from tests.lpn.locate.scenery import GridModel, land, small_flight, write_map
+from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, small_flight, write_map
 
 KIND = DescriptorKind("grid", 2, 16)
 
@@ -114,3 +118,40 @@ def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
             locate_files(
                 tmp_path, tmp_path, model, None, "auto", LocateOptions(sizes=sizes), None, True, Console(), "index"
             )
+
+
+@pytest.mark.parametrize(("told", "most"), [(None, None), (90.0, None), (None, 60)])
+def test_of_turned_windows_a_photo_of_unknown_heading_is_described_once(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: float | None, most: int | None
+) -> None:
+    middle = town.pyramid([51.0], 0.6)[25]
+    place, width, size = (middle.x, middle.y), 60.0, (64, 64)
+    photo = photo_of(land(), ground_to_photo(place, 135.0, width, size), size)
+    cv2.imwrite(str(tmp_path / "photo.png"), photo[..., ::-1])
+    source: HeadingSource | None = None if told is None else "course"
+    frame = Frame(
+        "photo.png",
+        tmp_path / "photo.png",
+        *size,
+        height_above_ground=30.0,
+        heading=told,
+        heading_source=source,
+        fov=90.0,
+    )
+    model, flight = GridModel(), Flight("turned", (frame,))
+    with create_index(tmp_path / "index", KIND) as index:
+        fill_index(index, town, window_describer(model, town), [51.0], 0.6, turns=8)  # type: ignore[arg-type]
+    monkeypatch.setattr(ExactIndex, "most", most)
+    indexed = WindowIndex(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
+    assert indexed.turns == [45 * k for k in range(8)]
+    model.described = 0
+    found = retrieve(model, town, flight, centre=False, indexed=indexed)  # type: ignore[arg-type]
+    assert model.described == 1
+    assert len(found.headings[0]) == 8
+    top = found.top(0, 1)
+    assert top.headings[0] == 135
+    assert np.linalg.norm(found.places[top.indices[0]] - place) < 1
+    assert top.cosines[0].mean() == pytest.approx(top.scores[0], abs=1e-5)
+    turned = retrieve(model, town, flight, [51.0], 0.6, centre=False)  # type: ignore[arg-type]
+    assert turned.headings == found.headings
+    assert turned.scores(0).max() == pytest.approx(found.scores(0).max(), abs=0.1)
