@@ -119,7 +119,7 @@ class Manifest:
         values = self._values()
         if self.checksums is not None:
             values["checksums"] = asdict(self.checksums)
-        return json.dumps(values, indent=1).encode()
+        return json.dumps(values, separators=(",", ":")).encode()
 
     def with_checksums(self, array: Path) -> Manifest:
         """Return the manifest with checksums of the array's file and of itself."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import socket
 import subprocess
@@ -249,8 +250,9 @@ def test_files_of_earlier_versions_without_checksums_are_read(model_file: Path, 
         metadata = {key: value for key, value in file.metadata().items() if key != "seal"}
         save_file({key: file.get_tensor(key) for key in file.keys()}, tmp_path / "old.safetensors", metadata)  # noqa: SIM118
     assert lpn.load(tmp_path / "old.safetensors").n_parts == 4
-    text = (store / "manifest.json").read_text()
-    (store / "manifest.json").write_text(text[: text.index(',\n "checksums"')] + "\n}")
+    manifest = json.loads((store / "manifest.json").read_text())
+    del manifest["checksums"]
+    (store / "manifest.json").write_text(json.dumps(manifest))
     assert not descriptors.open_store(store).damaged().any()
     assert main.main(["verify", str(tmp_path)]) == 0
 
