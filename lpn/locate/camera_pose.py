@@ -107,8 +107,7 @@ class PoseMatches:
         points: of the map with heights, (M, 3) metres.
         size: width and height of the photo in pixels.
         plane: the homography from pixels to metres by which the photo was registered, (3, 3).
-        plane_parameters: 8 of a homography; 6 of a similarity, which is the special case of a pose whose tilt is known, over flat
-            ground.
+        plane_parameters: 8 of a homography; 4 of a similarity, or 6 where it is the special case of a pose whose tilt is known.
         noise: 1-sigma error of a match in pixels that is to be expected.
     """
 
@@ -143,6 +142,7 @@ def solve_pose(
     flat: bool,
     ground_below: Callable[[Float64Array], float | None],
     rematch: Callable[[Callable[[Float64Array], Float64Array]], PoseMatches | None] | None = None,
+    proven: bool = False,
 ) -> CameraPose | str:
     """Solve the pose of a camera from matches of its photo with the map.
 
@@ -157,6 +157,7 @@ def solve_pose(
         fov: horizontal field of view in degrees; None if the photo does not tell it.
         flat: whether heights are those of flat ground.
         ground_below: returns the height in metres at a place (2,); None if that is unknown.
+        proven: the pose stands only if it explains the matches clearly better than the plane's model.
         rematch: matches again near the pixels that a function from map points (N, 3) to pixels (N, 2) predicts.
 
     Returns:
@@ -170,8 +171,12 @@ def solve_pose(
         return solved
     camera, source, inliers = solved
     # Matches of a second round lie near the pose's own places, which the plane's model could not explain.
-    if not _explains(matches, _residuals(camera, matches, middle), 6 + (source == "solved")):
-        return "The matches lie on the map as on a plane, and no pose of a camera with this field of view explains them as well."
+    if not _explains(matches, _residuals(camera, matches, middle), 6 + (source == "solved"), proven):
+        return (
+            "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
+            if proven
+            else "The matches lie on the map as on a plane, and no camera with this field of view explains them as well."
+        )
     if rematch is not None:
         first = camera
         again = rematch(lambda points: _project(first, points - middle, matches.size))
@@ -346,8 +351,8 @@ def _residuals(camera: _Camera, matches: PoseMatches, middle: Float64Array) -> F
     return np.where(np.isnan(off), np.inf, off)
 
 
-def _explains(matches: PoseMatches, residuals: Float64Array, parameters: int) -> bool:
-    """Return whether a pose explains the matches, with these residuals in pixels, at least as well as the plane's model."""
+def _explains(matches: PoseMatches, residuals: Float64Array, parameters: int, clearly: bool) -> bool:
+    """Return whether a pose, by its residuals in pixels, explains the matches as well as the plane's model, or clearly better."""
     flat = np.linalg.norm(apply_homography(inverse(matches.plane), matches.points[:, :2]) - matches.pixels, axis=1)
     sigma = _threshold(matches) / 3
     cells = _cells(matches.pixels, matches.size)
@@ -356,7 +361,8 @@ def _explains(matches: PoseMatches, residuals: Float64Array, parameters: int) ->
     def gric(values: Float64Array, count: int) -> float:
         return share * float(np.minimum((values / sigma) ** 2, _CUT).sum()) + count * math.log(4 * cells)
 
-    return gric(residuals, parameters) <= gric(flat, matches.plane_parameters) + math.log(4 * cells)
+    margin = -math.log(4 * cells) if clearly else math.log(4 * cells)
+    return gric(residuals, parameters) <= gric(flat, matches.plane_parameters) + margin
 
 
 def _normal(

@@ -46,12 +46,14 @@ def photo_pose(
     flat = basemap.elevation is None
     noise = _MATCH_ERROR * max(1.0, matched.ground.resolution * size[0] / metres)
     view = _View(size, levelled)
+    # Where neither heights nor the photo tell the tilt, noise and relief would pass for one.
+    proven = flat and (frame.pitch is None or frame.roll is None)
 
     def collected(u: Complex, places: Float64Array) -> PoseMatches:
         heights = np.zeros(len(places)) if flat else basemap.heights(places)
         known = np.isfinite(heights)
         points = np.column_stack([places, heights])[known]
-        parameters = 8 if registration.model == "homography" else 6
+        parameters = 8 if registration.model == "homography" else 4 if proven else 6
         return PoseMatches(view.pixels(u)[known], points, size, plane, parameters, noise)
 
     def again(predict: Callable[[Float64Array], Float64Array]) -> PoseMatches:
@@ -70,7 +72,7 @@ def photo_pose(
         return height if np.isfinite(height) else None
 
     first = collected(matched.u, np.stack([matched.m.real, matched.m.imag], axis=1))
-    solved = solve_pose(first, frame.fov, flat, ground_below, again)
+    solved = solve_pose(first, frame.fov, flat, ground_below, None if flat else again, proven)
     return solved if isinstance(solved, str) else _contradiction(frame, solved, registration.turned) or solved
 
 

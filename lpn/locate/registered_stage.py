@@ -46,7 +46,7 @@ from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
 # Answers in the cache have poses of this version; those that ship have none.
-_POSES = 1
+_POSES = 2
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
@@ -314,7 +314,8 @@ def register_photo(
     if levelled is not None:
         best = _of_photo(best, levelled, size, frame)
     solved = photo_pose(basemap, frame, size, best, levelled) if best.accepted else ""
-    return _record(frame, size, best, searched if side is None and centres is not None else None, solved)
+    around_tag = searched if side is None and centres is not None else None
+    return _record(frame, size, best, around_tag, solved, basemap.elevation is not None or levelled is not None)
 
 
 def _guess(located: LocatedFrame, before: float | None) -> float | None:
@@ -361,13 +362,20 @@ def tried_widths(basemap: Map, known_width: float | None, widths: Sequence[float
 
 
 def _record(
-    frame: Frame, size: tuple[int, int], registration: Registration, reach: float | None, solved: CameraPose | str
+    frame: Frame,
+    size: tuple[int, int],
+    registration: Registration,
+    reach: float | None,
+    solved: CameraPose | str,
+    placed: bool,
 ) -> StageRecord:
     """Return the record of a registration.
 
     Args:
         reach: half the side of the square about the tag that was searched; None if none was.
         solved: the pose of the camera, or why there is none.
+        placed: whether the pose may give the position. On flat ground that of a photo from nearly straight above is worse than
+            the middle of its picture.
     """
     how = ""
     if reach is not None:
@@ -379,7 +387,7 @@ def _record(
         place, radius = below
     heading, camera = registration.heading, below is not None
     solution = None if isinstance(solved, str) else solved
-    if solution is not None and (below is None or radius is None or solution.radius < radius):
+    if placed and solution is not None and (below is None or radius is None or solution.radius < radius):
         place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
         heading = solution.heading
     sentence = registration.reason

@@ -86,6 +86,17 @@ def test_flat_ground_from_straight_above_tells_no_focal_length() -> None:
     assert pose.sigmas[2] > 0.1 * PLACE[2]
 
 
+def test_on_flat_ground_a_tilt_that_nothing_tells_has_to_be_proven() -> None:
+    nadir, tilted = matches(30.0, -90.0, 0.0, 0.0), matches(30.0, -70.0, 0.0, 0.0)
+    corners = np.array([(0, 0), (639, 0), (639, 479), (0, 479)], np.float32)
+    turned = PLACE + rays(30.0, -90.0, 0.0, corners.astype(np.float64)) * PLACE[2]
+    similarity = cv2.getPerspectiveTransform(corners, turned[:, :2].astype(np.float32))
+    plain = replace(nadir, plane=np.asarray(similarity, np.float64), plane_parameters=4)
+    answer = solve_pose(plain, FOV, True, lambda _: 0.0, proven=True)
+    assert answer == "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
+    assert isinstance(solve_pose(tilted, FOV, True, lambda _: 0.0, proven=True), CameraPose)
+
+
 def test_matches_that_agree_by_chance_or_lie_on_a_plane_of_their_own_have_no_pose() -> None:
     answer = solve_pose(matches(30.0, -80.0, 0.0, 15.0, false=395), FOV, False, lambda _: 0.0)
     assert isinstance(answer, str)
