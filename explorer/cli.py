@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
@@ -15,6 +17,7 @@ import tyro
 
 from explorer.parameters import DATA
 from lpn.cli import by_source
+from lpn.cli.live import LiveInput
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.files import printable
@@ -146,12 +149,45 @@ class ExploreFlight(ExploreSource):
 
 
 @dataclass(kw_only=True)
+class ExploreLive(LiveInput):
+    """Follow a flight in a browser while it flies, as lpn locate --live locates it."""
+
+    SERVES: ClassVar[bool] = True
+
+    serve: ServeOptions = field(default_factory=ServeOptions)
+
+    def run(self) -> None:
+        from explorer.live_window.record import LiveRecord
+        from explorer.live_window.server import LiveApp
+        from lpn.maps import open_map
+
+        authenticator = self.serve.authenticator()
+        with ExitStack() as stack:
+            basemap = stack.enter_context(closing(open_map(self.map)))
+            record = LiveRecord(printable(Path(self.live).name or self.live), basemap)
+            stack.callback(record.forget)
+            app = LiveApp(record, self.serve.host or "0.0.0.0", self.serve.port, authenticator)
+            stack.callback(app.close)
+
+            def say(sentence: str) -> None:
+                print(printable(sentence), file=sys.stderr, flush=True)
+                record.note(sentence)
+
+            run = self.open_run(say, [record], stack)
+            print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
+            say(f"The flight has ended; {run.run()} frames were located, and the page goes on showing them.")
+            while True:
+                time.sleep(3600)
+
+
+@dataclass(kw_only=True)
 class Explore(ExploreSource):
     """Open the explorer in a browser."""
 
-    SOURCES: ClassVar[dict[str, type[ExploreSource]]] = {
+    SOURCES: ClassVar[dict[str, type[ExploreSource | ExploreLive]]] = {
         **by_source.of_sources(ExploreNamed, Published, Arrays, Indexed),
         Flown.WORD: ExploreFlight,
+        "live": ExploreLive,
     }
 
     data: Path | None = None

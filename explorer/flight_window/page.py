@@ -36,14 +36,15 @@ def label(name: str) -> str:
     return "By hand" if name == "corrected" else capitalised(say(name))
 
 
-def shell(part_names: Sequence[str], height: int, tall: bool = False) -> str:
+def shell(part_names: Sequence[str], height: int, tall: bool = False, live: bool = False) -> str:
     """Return the elements that the script fills.
 
     Args:
         height: of the window in pixels.
         tall: on a phone, fill the whole screen.
+        live: the flight goes on, so that nothing is corrected, and no scores are painted.
     """
-    return render("flight/shell", part_names=part_names, height=height, tall=tall)
+    return render("flight/shell", part_names=part_names, height=height, tall=tall, live=live)
 
 
 def data(view: FlightView, address: str) -> dict[str, Any]:

@@ -7,20 +7,19 @@ import re
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
+from typing import Protocol, cast
 
 import cv2
 import numpy as np
 
 from explorer.compute.cache import SingleFlightCache
 from explorer.server.picture_route import PREFIX, EncodedPicture
-from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.homography import apply_homography, middle_pixel
 from lpn.locate.belief import belief
-from lpn.locate.located import LocatedFrame
+from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.maps import Map, Window
 from lpn.maps.map import OVERVIEW
 
@@ -68,22 +67,28 @@ class Pyramid:
         return Window(self.west + (column + 0.5) * size, self.north - (row + 0.5) * size, size)
 
 
+class HasFlight(Protocol):
+    """What has a located flight, which may be replaced while it is shown, such as a workspace."""
+
+    flight: LocatedFlight | None
+
+
 class FlightPictures:
-    """The pictures of a workspace's flight, encoded once for all browsers; thread-safe.
+    """The pictures of a flight, encoded once for all browsers; thread-safe.
 
     Attributes:
         address: folder of the pictures, relative to the page; it is another one each time that the app starts.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
-        self._workspace, self._name = workspace, secrets.token_hex(4)
+    def __init__(self, flown: HasFlight) -> None:
+        self._flown, self._name = flown, secrets.token_hex(4)
         self.address = f"{PREFIX.lstrip('/')}{self._name}/"
         self._tiles: SingleFlightCache[tuple[int, ...], EncodedPicture] = SingleFlightCache(_TILES)
         self._photos: SingleFlightCache[tuple[str, int], EncodedPicture] = SingleFlightCache(_PHOTOS)
 
     def find(self, path: str) -> Callable[[], EncodedPicture] | None:
         """Return what computes the picture of a path; None if there is no such picture. The path is untrusted."""
-        flight = self._workspace.flight
+        flight = self._flown.flight
         name, _, rest = path.partition("/")
         if flight is None or name != self._name:
             return None

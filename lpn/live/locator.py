@@ -55,7 +55,7 @@ FORMAT = "lpn-live/1"
 _TEMPERATURE, _PRIOR_FRAMES = 0.4, 30
 # Distinct frames whose descriptors are kept to centre by, and the frames whose scores wait until the drone is elsewhere.
 _KEPT, _PENDING = 320, 64
-# Registrations whose widths and turns correct the next frame's, and those after which a turn against the heading is believed.
+# Registrations whose widths and turns correct the next frame's, and those after which these corrections are believed.
 _RECENT, _TURNS = 7, 3
 # Registrations in a row that agree with each other, after which they count although they contradict those before.
 _NEW_TRACK = 3
@@ -204,6 +204,9 @@ class LiveLocator:
         motion = MotionModel(self.options.speed, step / 2)
         self._ground = _Windows(windows, raw, ForwardFilter(places, motion), places, extents, side, step)
         self._centre()
+        noise = np.random.default_rng(0).integers(0, 255, (256, 256, 3), np.uint8)
+        for kind in self._features:  # loading a matcher's network takes seconds, which the first frame has not
+            kind.matcher.features(noise, None, 16)
 
     def locate(self, frame: Frame, photo: UInt8Array) -> LocatedFrame:
         """Locate the next frame.
@@ -402,7 +405,16 @@ class LiveLocator:
         options = LocateOptions(matcher=self.options.matcher)
         side = 2 * self.options.speed if self._sure and self._fresh else ground.side
         answer = register_photo(
-            self.basemap, self._features, located, photo, options, track.widths, track.ratios, side, track.heading
+            self.basemap,
+            self._features,
+            located,
+            photo,
+            options,
+            track.widths,
+            track.ratios,
+            side,
+            track.heading,
+            quick=len(track.ratios) >= _TURNS,
         )
         answer = with_map_error(answer, self._map_error)
         if answer.accepted:

@@ -250,6 +250,7 @@ def register_photo(
     ratios: Sequence[float],
     side: float | None,
     heading: float | None = None,
+    quick: bool = False,
 ) -> StageRecord:
     """Register the picture of a frame, RGB (H, W, 3), and describe the answer in a sentence.
 
@@ -259,6 +260,7 @@ def register_photo(
         ratios: of these widths to those that heights and fields of view tell.
         side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
         heading: of the accepted frame before, in degrees.
+        quick: try the width by height and field of view alone, where it is known.
     """
     frame = located.frame
     places = _candidates(located, options)
@@ -279,7 +281,8 @@ def register_photo(
         best = None
         searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
         rivals: list[Similarity] = []
-        for kind, (width, known) in product(features, list(tried_widths(basemap, known_width, widths))):
+        tried = list(tried_widths(basemap, known_width, widths))
+        for kind, (width, known) in product(features, tried[:1] if quick and known_width is not None else tried):
             width *= wider
             reach = AROUND * width + (options.prior or 0.0 if side is None else 0.5 * side)
             ground = kind.around(centres, reach, width)

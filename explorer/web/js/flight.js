@@ -62,6 +62,12 @@
     if (flight.root) flight.root.dataset.seq = sequence;
     refresh();
   };
+  // A flight that goes on: each photo is laid over the map as it comes.
+  flight.live = () => {
+    document.getElementById("lpn-first")?.remove();
+    flight.photo.use("swipe");
+    refresh();
+  };
   flight.spot = (spot) => {
     flight.spotted = spot;
     list = "spot";

@@ -63,7 +63,8 @@
       }
       for (let i = 0; i < flight.total(); i++) {
         const at = place(track, i);
-        if (at) dot(pen, map.toPixels(at), name === "tag" ? 3 : 4, track.colour, track.state[i] === 2);
+        const refused = track.state[i] === 2;
+        if (at) dot(pen, map.toPixels(at), name === "tag" ? 3 : 4, (refused && flight.data.refused) || track.colour, refused);
       }
     }
   };

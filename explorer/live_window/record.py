@@ -1,0 +1,147 @@
+"""What a flight that goes on has shown so far, for all browsers: its last frames, their photos, and sentences."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from explorer.flight_window.pictures import FlightPictures
+from explorer.flight_window.service import FlightView
+from explorer.server.picture_route import EncodedPicture
+from lpn.core import images
+from lpn.core.arrays import UInt8Array
+from lpn.flights import Flight
+from lpn.live.outputs import LiveFix
+from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.maps import Map
+
+# When there are this many frames, the older half is forgotten: the page gets all frames again at each change.
+MOST = 400
+# Longer side and quality of the photos that are kept.
+_PHOTO, _QUALITY = 1280, 82
+_SENTENCES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSight:
+    """The flight so far.
+
+    Attributes:
+        view: of its frames; None before the first.
+        pictures: of these frames.
+        status: age of the last answer and dropped frames in words.
+    """
+
+    view: FlightView | None
+    pictures: FlightPictures
+    status: str = ""
+
+
+class _Flown:
+    """The flight whose pictures are served."""
+
+    def __init__(self, flight: LocatedFlight) -> None:
+        self.flight: LocatedFlight | None = flight
+
+
+class LiveRecord:
+    """Takes the fixes of a run and its sentences; thread-safe. Photos are kept as small files in a folder of its own.
+
+    Args:
+        name: of the flight.
+        basemap: that it flies over.
+    """
+
+    def __init__(self, name: str, basemap: Map) -> None:
+        self._name, self._basemap = name, basemap
+        self._folder = TemporaryDirectory(prefix="lpn-live-")
+        self._lock = threading.Lock()
+        self._frames: list[LocatedFrame] = []
+        self._count = 0
+        self._sentences: list[str] = []
+        self._watchers: list[Callable[[], None]] = []
+        self._flown = _Flown(self._flight())
+        self._pictures = FlightPictures(self._flown)
+        self._sight = LiveSight(None, self._pictures)
+
+    def send(self, fix: LiveFix) -> None:
+        """Add a frame."""
+        file = Path(self._folder.name) / f"{self._count}.jpg"
+        if fix.pixels is not None:
+            file.write_bytes(_small(fix.pixels))
+        self._count += 1
+        frame = replace(fix.located.frame, file=file)
+        located = replace(fix.located, frame=frame, stages=dict(fix.located.stages))
+        with self._lock:
+            self._frames.append(located)
+            if len(self._frames) > MOST:
+                for old in self._frames[: MOST // 2]:
+                    old.frame.file.unlink(missing_ok=True)
+                del self._frames[: MOST // 2]
+                # Frames have other numbers now, and a browser keeps pictures by their addresses.
+                self._flown = _Flown(self._flight())
+                self._pictures = FlightPictures(self._flown)
+            flight = self._flight()
+            self._flown.flight = flight
+            dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
+            status = f"Answered in {fix.age:.2f} s{dropped}"
+            self._sight = LiveSight(FlightView.of(flight, {}, ""), self._pictures, status)
+        self._tell()
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence; the last twenty are kept."""
+        with self._lock:
+            self._sentences = [*self._sentences, sentence][-_SENTENCES:]
+            if self._sight.view is not None:
+                flight = self._flight()
+                self._flown.flight = flight
+                self._sight = replace(self._sight, view=FlightView.of(flight, {}, ""))
+        self._tell()
+
+    def close(self) -> None:
+        """Keep what there is; the page goes on showing it."""
+
+    def forget(self) -> None:
+        """Remove the photos."""
+        self._folder.cleanup()
+
+    @property
+    def sight(self) -> LiveSight:
+        """The flight so far."""
+        with self._lock:
+            return self._sight
+
+    def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
+        """Return what computes the picture of a path; None if there is no such picture. The path is untrusted."""
+        with self._lock:
+            pictures = self._pictures
+        return pictures.find(path)
+
+    def watch(self, on_change: Callable[[], None]) -> None:
+        """Call a function after each change; it must return at once."""
+        with self._lock:
+            self._watchers.append(on_change)
+
+    def unwatch(self, on_change: Callable[[], None]) -> None:
+        """Call a function of `watch` no longer."""
+        with self._lock:
+            if on_change in self._watchers:
+                self._watchers.remove(on_change)
+
+    def _flight(self) -> LocatedFlight:
+        frames = list(self._frames)
+        flight = Flight(self._name, tuple(located.frame for located in frames))
+        return LocatedFlight(flight, self._basemap, frames, None, list(self._sentences), None)
+
+    def _tell(self) -> None:
+        with self._lock:
+            watchers = list(self._watchers)
+        for on_change in watchers:
+            on_change()
+
+
+def _small(pixels: UInt8Array) -> bytes:
+    return images.jpeg(images.shrink(pixels, _PHOTO), _QUALITY)
