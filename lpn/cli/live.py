@@ -16,6 +16,7 @@ from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
+    from lpn.core.progress import Progress
     from lpn.live.frames import Say
     from lpn.live.locator import LiveOptions
     from lpn.live.run import FixOutput, LiveRun
@@ -92,9 +93,8 @@ class LiveInput:
         stack.callback(telemetry.close)
         source = open_source(self.live, say, self.fov)
         stack.callback(source.close)
-        locator = LiveLocator(basemap, network, options)
+        locator = LiveLocator(basemap, network, options, _progress(say))
         if options.sizes is not None:
-            say("The map's windows are described; this is done once for a map and a model.")
             locator.prepare(options.sizes)
         more = self.more_outputs(say, telemetry, stack)
         return LiveRun(source, telemetry, locator, [*outputs, *more], say, LiveSettings(self.idle, self.belief))
@@ -169,6 +169,21 @@ class LiveCommand(LiveInput):
             say(f"The websocket is ws://{printable(self.host)}:{server.port}.")
             outputs.append(server)
         return outputs
+
+
+def _progress(say: Say) -> Progress:
+    """Return a function that says once that windows are described, which may take minutes."""
+    said = False
+
+    def report(_stage: str, done: int, total: int) -> None:
+        nonlocal said
+        if done < total and not said:
+            said = True
+            say(
+                f"{total:,} windows of the map are described, once for a map, a model, and a size; --size does it before."
+            )
+
+    return report
 
 
 def _say(sentence: str) -> None:

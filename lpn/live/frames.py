@@ -73,6 +73,12 @@ class NewestPicture:
             self._waiting = picture
             self._changed.notify()
 
+    def replaced(self) -> bool:
+        """Count the picture that was taken last as dropped if a newer one waits; return whether one does."""
+        with self._changed:
+            self.dropped += self._waiting is not None
+            return self._waiting is not None
+
     def end(self) -> None:
         """Say that no picture will come any more."""
         with self._changed:

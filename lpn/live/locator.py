@@ -65,6 +65,8 @@ _MOST_SPEEDS = 3.0
 _FALSE = 0.05
 # Bounds of the log odds that the map is of this place: they may turn within some frames.
 _ODDS = (-8.0, 12.0)
+# Ratio of one side of windows to the next where the first frame tells it.
+_GRID = 1.15
 # A step of more seconds is a jump of the clock.
 _LONGEST_STEP = 3600.0
 # Scores of an aircraft's heading count before others, see `lpn.locate.retrieval`.
@@ -235,13 +237,21 @@ class LiveLocator:
             self._track.time = frame.time
         return located
 
+    def begin(self, frame: Frame) -> bool:
+        """Describe the map's windows in the size that a first frame shows; return whether they had to be described."""
+        if self._ground is not None:
+            return False
+        # In few different sizes, so that the next flight finds its windows described.
+        sizes = [_GRID ** round(math.log(size, _GRID)) for size in pyramid_sizes(self.basemap, [frame])]
+        self.prepare(self.options.sizes or sizes)
+        return True
+
     def _windows_for(self, frame: Frame) -> _Windows:
-        """Return the windows; at the first frame their sides are chosen. Say once if later frames show other ground."""
+        """Return the windows, and say once if frames show other ground."""
+        self.begin(frame)
+        assert self._ground is not None
         cut = cut_size(frame)
-        if self._ground is None:
-            self.prepare(self.options.sizes or pyramid_sizes(self.basemap, [frame]))
-            assert self._ground is not None
-        elif cut is not None and not self._unfit_said:
+        if cut is not None and not self._unfit_said:
             nearest = self._ground.sizes[np.abs(np.log(self._ground.sizes / cut)).argmin()]
             if abs(math.log(nearest / cut)) > math.log(1.5):
                 self._unfit_said = True

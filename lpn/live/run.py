@@ -128,6 +128,9 @@ class LiveRun:
             frame = replace(frame, time=picture.received)
         try:
             pixels = picture.pixels()
+            # Describing the map takes long, so the first frame may be old by then.
+            if self._locator.begin(frame) and self._source.newest.replaced():
+                return None
             located = self._locator.locate(frame, pixels)
         except PictureError as error:
             self._say(f"{error} The flight goes on without it.")

@@ -108,6 +108,7 @@ def lines_of(
     said: list[str] = []
     stream = io.StringIO()
     locator = LiveLocator(town, GridModel(), options)  # type: ignore[arg-type]
+    locator.prepare([44.0])
     run = LiveRun(
         StepByStep(frames, said.append), LiveTelemetry(), locator, [LineOutput(stream)], said.append, settings
     )
@@ -124,6 +125,11 @@ def test_a_newer_picture_replaces_the_one_that_waits() -> None:
     taken = queue.take(0)
     assert taken is not None
     assert (taken.frame.name, queue.dropped) == ("2", 2)
+    assert not queue.replaced()
+    queue.put(taken)
+    assert queue.replaced()
+    assert queue.dropped == 3
+    assert queue.take(0) is taken
     assert queue.take(0) is None
     queue.end()
     assert queue.ended
@@ -134,7 +140,7 @@ def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float] | Non
     """Registrations of frames by name, in place of matched features: where they lie, None where they are refused."""
     places: dict[str, tuple[float, float] | None] = {f"{i}.png": place for i, place in enumerate(PLACES)}
 
-    def register(_basemap: Any, _features: Any, located: LocatedFrame, *_: Any) -> StageRecord:
+    def register(_basemap: Any, _features: Any, located: LocatedFrame, *_: Any, **__: Any) -> StageRecord:
         if (place := places.get(located.frame.name)) is None:
             return StageRecord("refused", "It fits nowhere.")
         matrix = np.linalg.inv(ground_to_photo(place, 90.0, WIDTH, SIZE))
