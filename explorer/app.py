@@ -86,6 +86,7 @@ class App:
         self._pictures = PictureRoute(self._find_picture)
         self.gateway = Gateway(self.authenticator, self._pictures, embedders)
         viser_compat.use_thread_safe_buffers()
+        viser_compat.keep_icons()
         make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
         with redirect_stdout(io.StringIO()), _no_cell_output():  # viser prints an address without the token
             self.server = self.gateway.protect(make)

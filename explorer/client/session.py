@@ -126,11 +126,11 @@ class ClientSession:
 
     def fit_camera(self) -> None:
         """Fit the stage to the page's window, whose camera has changed."""
-        self.views.stage.fit()
+        self.views.fit_camera()
 
     def _refit(self) -> None:
         """Draw the stage for its new size; the worker does it, as it does all drawing."""
-        if self._shown is not None and self.views.stage.outgrown:
+        if self._shown is not None and self.views.outgrown(self._shown):
             self._worker.wake()
 
     def leave(self) -> None:
@@ -265,7 +265,7 @@ class ClientSession:
                 self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             return None
         shown = self._shown
-        if shown is not None and shown.state == self._state and self.views.stage.outgrown:
+        if shown is not None and shown.state == self._state and self.views.outgrown(shown):
             self.views.refit(shown)
             return None
         slow = DelayedCall(_SLOW, self.views.panels.answer.show_busy)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
+from threading import Lock
 from typing import Any
 
 import msgspec
@@ -140,7 +141,26 @@ class ClientViews:
         commands.append(("Glossary", None, self.glossary.show))
         commands.append(("First screen", None, lambda: self.first_screen.act("start")))
         shortcuts.add(client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close)
-        self.stage = Stage(client, workspace, on_select, model, viewport)
+        self._make_stage = partial(Stage, client, workspace, on_select, model, viewport)
+        self._stage: Stage | None = None
+        self._building = Lock()
+
+    @property
+    def stage(self) -> Stage:
+        """The 3-D view, built when it is first needed: behind the first screen nobody sees it."""
+        with self._building:
+            if self._stage is None:
+                self._stage = self._make_stage()
+            return self._stage
+
+    def fit_camera(self) -> None:
+        """Fit the stage to the page's window, whose camera has changed."""
+        if self._stage is not None:
+            self._stage.fit()
+
+    def outgrown(self, analysis: StateAnalysis) -> bool:
+        """Return True if the stage shows the analysis, and has another size than it was drawn for."""
+        return not analysis.state.first_screen and self.stage.outgrown
 
     def _try_combinations(self) -> None:
         self.panels.expand()
@@ -176,7 +196,7 @@ class ClientViews:
             self.explain_window.show_tab(state.why_tab)
 
     def show(self, analysis: StateAnalysis, drawn: Callable[[], None]) -> None:
-        """Draw an analysis.
+        """Draw an analysis. The stage and its panels are drawn only when the first screen, which covers them, is left.
 
         Args:
             drawn: called when all but the panels is drawn.
@@ -186,17 +206,22 @@ class ClientViews:
 
     def _show(self, analysis: StateAnalysis, drawn: Callable[[], None]) -> None:
         self.sequence += 1
-        self.first_screen.show(analysis, self.stories.names)  # before the stage, which takes longer
+        covered = analysis.state.first_screen
+        if covered:
+            self.first_screen.show(analysis, self.stories.names)
         with self._client.atomic():  # the page draws one frame
-            self.stage.show(analysis)
-            self.bridge.set_ground(self.stage.ground)
-            self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
+            if not covered:
+                self.stage.show(analysis)
+                self.bridge.set_ground(self.stage.ground)
+                self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
             self.explain_window.show(analysis)
             self.lab.show(analysis)
             self.flight.show(analysis)
             self.stories.show(analysis)
             drawn()
-            self.panels.show(analysis, self.sequence)
+            self.panels.show(analysis, self.sequence, covered)
+        if not covered:  # it goes when what it covered is there
+            self.first_screen.show(analysis, self.stories.names)
 
     def refit(self, analysis: StateAnalysis) -> None:
         """Draw the stage of an analysis that is shown for the stage's new size."""
@@ -225,7 +250,8 @@ class ClientViews:
         """Stop all threads and computations of the views."""
         self.reporter.leave()
         self.explain_window.leave()
-        self.stage.leave()
+        if self._stage is not None:
+            self._stage.leave()
         self.lab.leave()
         self.flight.leave()
         self.panels.leave()

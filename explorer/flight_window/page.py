@@ -112,7 +112,8 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
             rows.append((answer.x, answer.y, _STATES[answer.state], answer.radius, located.error(name)))
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
-        track[key] = list(values) if key == "state" else [_number(value, 2) for value in values]
+        # Two digits more than are shown: rounded twice, a figure would differ from that of the card.
+        track[key] = list(values) if key == "state" else [_number(value, 4) for value in values]
     states, total = track["state"], len(flight.frames)
     if name in ("tag", "corrected"):
         track["count"] = f"{sum(x is not None for x in track['x'])} of {total}"

@@ -64,14 +64,19 @@ class AnswerPanel:
 
         return on_click
 
-    def show(self, analysis: StateAnalysis, sequence: int) -> None:
-        """Show an analysis."""
+    def show(self, analysis: StateAnalysis, sequence: int, covered: bool = False) -> None:
+        """Show an analysis.
+
+        Args:
+            covered: the first screen covers the panel, so that only the verdict is shown, which screen readers hear.
+        """
         workspace = self._workspace
         self._last = pages.ShownAnalysis(analysis, sequence)
         self.show_results(self._workspace.rankings[analysis.task.key])
         self._verdict.show(pages.verdict(analysis, workspace))
-        self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
-        self._table.show(pages.parts_table(analysis, workspace))
+        if not covered:
+            self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
+            self._table.show(pages.parts_table(analysis, workspace))
         self.show_idle()
 
     def show_results(self, ranking: RankingJob) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -24,7 +25,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
-from lpn.core.arrays import Float64Array, FloatingArray
+from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.numbers import distance
 from lpn.core.views import View
@@ -35,7 +36,7 @@ from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.coverage import outline
 from lpn.locate.retrieval import heading_is_certain
-from lpn.maps.map import OVERVIEW
+from lpn.maps import Map
 from lpn.maps.named_window import WindowCut
 from lpn.retrieval import DescribedPicture
 
@@ -335,13 +336,12 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
     if answer is None or not answer.accepted or ground is None or answer.x is None or answer.y is None:
         return None
     west, south, east, north = flight.basemap.bounds
-    picture, valid = flight.basemap.overview(OVERVIEW)
+    picture, valid = _map_picture(flight.basemap)
     # The map lies in the middle of a square, as large as the pictures beside it.
-    height, width = (round(_SIZE[0] * side / max(picture.shape[:2])) for side in picture.shape[:2])
+    height, width = valid.shape
     top, left = (_SIZE[0] - height) // 2, (_SIZE[0] - width) // 2
     drawn = np.full((_SIZE[0], _SIZE[0], 3), _NOTHING, np.uint8)
-    known = cv2.resize(valid.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
-    drawn[top : top + height, left : left + width][known] = images.resize(picture, height, width)[known]
+    drawn[top : top + height, left : left + width][valid] = picture[valid]
 
     def pixels(points: FloatingArray) -> NDArray[np.int32]:
         shares = (np.asarray(points).reshape(-1, 2) - (west, north)) / (east - west, south - north)
@@ -357,6 +357,12 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
     return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
+
+
+@lru_cache(maxsize=4)
+def _map_picture(basemap: Map) -> tuple[UInt8Array, BoolArray]:
+    """Return a map and its valid pixels, see `Map.overview`; a small one is read several times as quickly as a large one."""
+    return basemap.overview(_SIZE[0])
 
 
 def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool | None:

@@ -58,12 +58,17 @@ class Panels:
         self.controls.write(state)
         self.query.update(state)
 
-    def show(self, analysis: StateAnalysis, sequence: int) -> None:
-        """Show an analysis."""
+    def show(self, analysis: StateAnalysis, sequence: int, covered: bool = False) -> None:
+        """Show an analysis.
+
+        Args:
+            covered: see `AnswerPanel.show`; the other panels are covered, too.
+        """
         with self._client.atomic():
-            self.query.show(analysis)
-            self.answer.show(analysis, sequence)
-            self.parts.show(analysis.state)
+            self.answer.show(analysis, sequence, covered)
+            if not covered:
+                self.query.show(analysis)
+                self.parts.show(analysis.state)
 
     def fit(self, folded: bool) -> None:
         """Fold the left panel, so that the stage has its room, or unfold it."""

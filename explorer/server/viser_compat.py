@@ -10,9 +10,14 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from functools import cache, lru_cache
 from typing import Any
+from zipfile import ZipFile
 
 import viser
+import viser._gui_api as viser_gui_api
+import viser._gui_handles as viser_gui_handles
+import viser._icons as viser_icons
 import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -53,6 +58,23 @@ def use_thread_safe_buffers() -> None:
     """Make every viser server of this process use `SendBuffer` for browsers that connect from now on."""
     infra: Any = viser_infra
     infra.AsyncMessageBuffer = SendBuffer
+
+
+@cache
+def _icon(name: str) -> str:
+    return _icons().read(f"{name}.svg").decode()
+
+
+@lru_cache(maxsize=1)
+def _icons() -> ZipFile:
+    return ZipFile(viser_icons.ICONS_DIR / "tabler-icons.zip")
+
+
+def keep_icons() -> None:
+    """Read each of viser's icons once; viser keeps 32 and opens their archive, of thousands of files, for each other one."""
+    modules: tuple[Any, ...] = viser_gui_api, viser_gui_handles
+    for module in modules:
+        module.svg_from_icon = _icon
 
 
 def message_fields(kind: str) -> set[str] | None:

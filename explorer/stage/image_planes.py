@@ -11,12 +11,14 @@ from PIL import ImageDraw
 
 from explorer.layout import CAPTION, Box
 from lpn.core.arrays import UInt8Array
-from lpn.drawing import captions, theme, words
+from lpn.drawing import captions, words
 from lpn.drawing.theme import Palette
 from lpn.retrieval import Match
 
 # Height of a caption in pixels, and its text's size: it is drawn twice as fine as the screen.
 CAPTION_PIXELS, _CAPTION_TEXT = 2 * CAPTION, 28
+# The grey of a plane whose picture is on its way, for bright and dark pages.
+_SKELETON = 128
 # A quaternion (w, x, y, z).
 Rotation = tuple[float, float, float, float]
 # Scene images have y down and face away from +z; half a turn about x sets them upright, facing the camera.
@@ -35,7 +37,7 @@ class Plane:
         position: tuple[float, float, float],
         encoding: Literal["jpeg", "png"] = "jpeg",
     ) -> None:
-        blank = np.full((2, 2, 3), theme.BACKGROUND, np.uint8)
+        blank = np.full((2, 2, 3), _SKELETON, np.uint8)
         self._picture: UInt8Array = blank
         self.handle = scene.add_image(
             name,

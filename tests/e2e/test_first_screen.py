@@ -148,7 +148,8 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     fresh.keyboard.press("Escape")
     expect(first.locator(".reason")).to_have_count(0)
     link = first.get_by_role("button", name="Link", exact=True)
-    expect(link).to_be_disabled()
+    link.click()
+    expect(fresh.locator("#lpn-notice")).to_have_text("A link cannot carry your own picture.")
     expect(link).to_have_accessible_description("A link cannot carry your own picture")
     expect(first.locator(".overall")).to_contain_text("stays in this server's memory")
 

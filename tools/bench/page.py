@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
@@ -71,7 +72,7 @@ counted(viser.GuiApi, ["add_html"], "add_html")
 def show(self, answer):
     with self.client.atomic():
         self.views.stage.show(answer)
-        self.views.panels.show(answer, self.views.sequence, 0.0)
+        self.views.panels.show(answer, self.views.sequence)
 """
 _RUN = """
 ClientSession._work = work
@@ -87,7 +88,7 @@ def work(self):
         with open(os.environ["LPN_BENCH_COUNTS"], "w") as file:
             file.write(" ".join(str(count) for count in counts.values()))
     else:
-        shown = pages.ShownAnalysis(replace(self._idle, state=self._state), self.views.sequence, 0.0)
+        shown = pages.ShownAnalysis(replace(self._idle, state=self._state), self.views.sequence)
         self.views.panels.answer._status.show(pages.status(shown))
 {_RUN}"""
 READY = f"""{_COUNTED}
@@ -120,6 +121,13 @@ WATCH = """
   window.watcher.observe(document.body, {subtree: true, childList: true, attributes: true});
 }
 """
+PLACE_SHOWN = """
+place => (!place || document.querySelector('#lpn-first .choice.chosen')?.textContent === place)
+  && document.querySelector('#lpn-first [data-query]')
+  && [...document.querySelectorAll('#lpn-first figure img')].every(picture => picture.naturalWidth)
+"""
+# Milliseconds in which a place's session is built behind its first screen.
+SETTLED = 4000
 DRAG = """
 async (box, events) => {
   const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
@@ -166,6 +174,39 @@ def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
     page.goto(f"{url}/?screen=all")
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=60_000)
     return time.perf_counter() - started, page
+
+
+def processor_seconds(process: ServerProcess) -> float:
+    """Return the processor time of a process so far; it depends less than the time on what else the machine does."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def first_screens(browser: Browser) -> list[Figure]:
+    """Open the demo and then each of its places, twice: seconds to the first screen with its pictures, and the server's share."""
+    measured = []
+    with ServerProcess(
+        [sys.executable, "-m", "lpn", "explore", "--port", str(free_port())], dict(os.environ)
+    ) as process:
+        page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
+
+        def measure(label: str, act: Callable[[], object], place: str, limit: float) -> None:
+            processor, started = processor_seconds(process), time.perf_counter()
+            act()
+            page.wait_for_function(PLACE_SHOWN, arg=place, timeout=60_000)
+            seconds, processor = time.perf_counter() - started, processor_seconds(process) - processor
+            measured.append(below(f"{label} ({processor:.2f} s of the server's processor)", seconds, limit, "s"))
+            page.wait_for_timeout(SETTLED)
+
+        measure("the demo's address to its first screen", lambda: page.goto(process.url), "", 2.0)
+        chips = page.locator("#lpn-first .choice")
+        start, *others = chips.all_text_contents()
+        for again, limit in ((False, 2.0), (True, 1.0)):
+            for place in (*others, start):
+                chip = chips.get_by_text(place, exact=True)
+                measure(f"chip to {place}{', again' if again else ''}", chip.click, place, limit)
+        page.context.close()
+    return measured
 
 
 def slider_seconds(page: Page) -> float:
@@ -275,6 +316,7 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         before = resident(warm)
         drags = [drag(page) for _ in range(5)]
         after = resident(warm)
+        places = first_screens(browser)
         browser.close()
         forward = forward_ms(model, data) / 1000
     wasted, last = max(lost for lost, _ in drags), all(shown for _, shown in drags)
@@ -296,6 +338,7 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         ),
         below("resident memory of the server", after, 700, "MB"),
         Figure(f"its growth over {5 * EVENTS} turns", after - before, "MB"),
+        *places,
     ]
 
 

@@ -9,6 +9,9 @@ from typing import Any
 
 import pytest
 import viser
+import viser._gui_api as viser_gui_api
+import viser._gui_handles as viser_gui_handles
+import viser._icons as viser_icons
 import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from viser._messages import Message, RunJavascriptMessage
@@ -69,6 +72,7 @@ CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
     "AsyncMessageBuffer.event_loop": lambda *_: "event_loop" in AsyncMessageBuffer.__dataclass_fields__,
     "AsyncMessageBuffer.message_event": lambda *_: "message_event" in AsyncMessageBuffer.__dataclass_fields__,
     "AsyncMessageBuffer._warned_push_after_done": lambda *_: hasattr(AsyncMessageBuffer, "_warned_push_after_done"),
+    "viser._icons.svg_from_icon in its two modules": lambda _, client: _keeps_icons(client),
     "GuiHandle._impl.uuid": lambda _, client: bool(viser_compat.uuid_of(client.gui.add_text("text", ""))),
     "GuiHandle._impl.removed": lambda _, client: _is_removed_by_a_reset(client),
     "GuiApi._thread_executor": lambda _, client: viser_compat.thread_pool(client.gui).submit(lambda: True).result(),
@@ -87,6 +91,21 @@ def _tells_upload_buttons(server: viser.ViserServer, client: viser.ClientHandle)
     return viser_compat.is_upload_button(server, viser_compat.uuid_of(button)) and not viser_compat.is_upload_button(
         server, viser_compat.uuid_of(text)
     )
+
+
+def _keeps_icons(client: viser.ClientHandle) -> bool:
+    """Add a button and a tab with icons, and tell if both have viser's own drawings, of which the archive was opened once."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (viser_gui_api, viser_gui_handles):
+            patch.setattr(module, "svg_from_icon", module.svg_from_icon)  # it is put back
+        viser_compat.keep_icons()
+        button = client.gui.add_button("button", icon=viser.Icon.DRONE)
+        drawn = viser_gui_handles.svg_from_icon(viser.Icon.MAP_2)  # type: ignore[attr-defined]
+    own = viser_icons.svg_from_icon
+    return (button._icon_html, drawn) == (
+        own(viser.Icon.DRONE),
+        own(viser.Icon.MAP_2),
+    ) and own is not viser_compat._icon
 
 
 def _is_removed_by_a_reset(client: viser.ClientHandle) -> bool:
