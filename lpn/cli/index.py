@@ -39,6 +39,8 @@ class IndexCommand:
     turns: int = 1
     """With --map: headings at which each window is described. With 8, lpn locate describes a photo of unknown heading once, not
     eight times."""
+    box: tuple[float, float, float, float] | None = None
+    """With --map: south, west, north, and east in degrees; windows with their centres elsewhere are left to other machines."""
     provider: ProviderName = "auto"
     """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     data: Path | None = None
@@ -64,7 +66,7 @@ class IndexCommand:
         if self.map is not None:
             self._index_map(self.map)
             return
-        if self.descriptors is None or self.model is not None or self.size or self.turns != 1:
+        if self.descriptors is None or self.model is not None or self.size or self.turns != 1 or self.box is not None:
             raise InputError(
                 "An index is of descriptors, or of a map's windows; give --descriptors, or --map with --model."
             )
@@ -96,7 +98,7 @@ class IndexCommand:
     def _index_map(self, where: Path) -> None:
         from lpn.core.consoles import counting_bar
         from lpn.index import create_index
-        from lpn.index.base import DescriptorKind
+        from lpn.index.base import DescriptorKind, check_box
         from lpn.index.from_map import index_windows, window_describer
         from lpn.locate.retrieval import pyramid_sizes
         from lpn.maps import open_map
@@ -109,6 +111,7 @@ class IndexCommand:
         basemap = open_map(where)
         if not 1 <= self.turns <= 360:
             raise InputError(f"Windows cannot be described at {self.turns} headings; expected 1 to 360 as --turns.")
+        box = check_box(self.box)
         describe, sizes = window_describer(model, basemap), self.size or pyramid_sizes(basemap, [])
         if not basemap.count_pyramid(sizes, self.overlap):
             raise InputError(
@@ -120,7 +123,7 @@ class IndexCommand:
             counting_bar("Describing windows") as progress,
         ):
             added = index_windows(
-                index, basemap, describe, sizes, self.overlap, progress, replace=self.replace, turns=self.turns
+                index, basemap, describe, sizes, self.overlap, progress, replace=self.replace, turns=self.turns, box=box
             )
             print(f"{printable(_displayed(self.out))} holds {index.count()} windows, {added} of them added now.")
 

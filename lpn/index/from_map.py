@@ -13,7 +13,7 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.progress import CountProgress
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.index.base import Index
+from lpn.index.base import DegreeBox, Index, within
 from lpn.maps import Map, NamedWindow, Window
 from lpn.maps.named_window import WindowCut
 from lpn.models.base import Model
@@ -35,6 +35,7 @@ def index_windows(
     block: int = BLOCK,
     replace: bool = False,
     turns: int = 1,
+    box: DegreeBox | None = None,
 ) -> int:
     """Describe the windows of a map that an index lacks, and add them under their names, with positions.
 
@@ -43,11 +44,12 @@ def index_windows(
     Args:
         describe: see `window_describer`.
         sizes, overlap: see `Map.pyramid`.
-        on_progress: called with the numbers of windows done and of all.
+        on_progress: called with the numbers of windows done and of all; those outside a box count as done.
         block: windows that are described and added together.
         replace: describe all windows, also those that the index holds.
         turns: headings at which each window is described, evenly spaced from north on. With 8 a photo of unknown heading
             needs one description in place of eight, see `lpn.locate.index_windows`.
+        box: describe the windows whose centres lie in it only, so that several machines share a map.
 
     Returns:
         The number of windows that were added.
@@ -60,6 +62,10 @@ def index_windows(
     done = added = 0
     on_progress(0, total)
     for windows in basemap.pyramid_blocks(sizes, overlap):
+        if box is not None:
+            inside = within(basemap.frame.degrees([(window.x, window.y) for window in windows]), box)
+            done += turns * (len(windows) - int(inside.sum()))
+            windows = [windows[i] for i in np.flatnonzero(inside).tolist()]
         for start in range(0, len(windows), -(-block // turns)):
             some = [
                 Window(window.x, window.y, window.size, 360 / turns * k)

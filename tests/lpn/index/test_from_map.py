@@ -65,6 +65,20 @@ def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_p
         assert index_windows(index, town, describe, [40.0], replace=True) == index.count() == len(windows)
 
 
+def test_machines_share_a_map_by_boxes(town: Map, tmp_path: Path) -> None:
+    def describe(windows: Sequence[Window]) -> Float32Array:
+        return normalise(np.ones((len(windows), 2, 8), np.float32))
+
+    middle = town.frame.degrees([(0.0, 0.0)])[0, 1]
+    with create_index(tmp_path / "index", DescriptorKind("drawn", 2, 8)) as index:
+        west, east = (
+            index_windows(index, town, describe, [40.0], box=box)
+            for box in ((-90, -180, 90, middle), (-90, middle, 90, 180))
+        )
+        assert min(west, east) > 3
+        assert index.count() == town.count_pyramid([40.0]) == west + east
+
+
 @pytest.mark.usefixtures("town")
 @pytest.mark.parametrize(
     ("options", "said"),
