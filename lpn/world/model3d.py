@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
+from lpn.core.glb import MOST_VERTICES, Primitive, glb
 from lpn.datasets.city_model import MAX_BYTES
 from lpn.world import light, paint, solids, textures
 from lpn.world.atlas import Atlas
 from lpn.world.cameras import TILE, Site, Tile
 from lpn.world.city import City
-from lpn.world.glb import MOST_VERTICES, Primitive, glb
 from lpn.world.meshes import BAYS, STOREYS
 from lpn.world.solids import PLAIN, TREE_BYTES, Solid, Solids
 

@@ -15,6 +15,7 @@ import pytest
 import trimesh
 
 from lpn.core.errors import DataError, InputError
+from lpn.core.glb import Primitive, glb
 from lpn.datasets import geo
 from lpn.datasets.city_model import MAX_BYTES, NAME, city_model
 from lpn.datasets.geo import Position
@@ -23,7 +24,6 @@ from lpn.world.atlas import Atlas, Settings, make_atlas
 from lpn.world.cameras import Site
 from lpn.world.city import City
 from lpn.world.geometry import turned, within
-from lpn.world.glb import Primitive, glb
 from tools.fixtures import small_worlds
 
 Points = np.ndarray[Any, np.dtype[np.float64]]
