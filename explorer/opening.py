@@ -30,6 +30,7 @@ from lpn.descriptors.weather import Weather, WeatherName
 from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
+from lpn.locate.relief import relief_model
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
@@ -423,7 +424,7 @@ def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
         first.contract,
         dict(first.map_sizes) if model is None else {view: model.map_size(view) for view in model.views},
         model,
-        _city(first) if with_city else None,
+        _city(first) if with_city else _relief(source),
         first.root,
     )
     workspace.flight, workspace.basemap = source.located, source.map
@@ -472,6 +473,15 @@ def _terminal() -> Console:
 def _status(text: str) -> AbstractContextManager[object]:
     """Show a line on the terminal while work goes on."""
     return _terminal().status(f"{text} (Ctrl-C stops)")
+
+
+def _relief(source: OpenedSource) -> CityModel | None:
+    """Return the relief of a flight's map; None without a map, or if its heights are damaged, which logs a warning."""
+    try:
+        return None if source.located is None else relief_model(source.located.basemap)
+    except DataError as error:
+        log.warning("The map has no relief: %s", error)
+        return None
 
 
 def _city(task: Task) -> CityModel | None:

@@ -41,6 +41,7 @@ from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary
 from lpn.explain.lead_places import TileGround
+from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -78,7 +79,7 @@ class Workspace:
         map_sizes: (h, w) of the feature map of each view.
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
-        city: the 3-D model for the map.
+        city: the 3-D model for the map: a city's, or the relief of a flight's map.
         root: the data set's folder.
     """
 
@@ -249,6 +250,11 @@ class Workspace:
         ranked = self.rankings[task.key].result is not None
         quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
+
+    def pose(self, query: int) -> CameraPose | None:
+        """Return the pose of the camera of a flight's frame by its accepted registration; None without one."""
+        answer = None if self.flight is None else self.flight.frames[query].stages.get("registration")
+        return answer.pose if answer is not None and answer.accepted else None
 
     @property
     def has_flight(self) -> bool:

@@ -139,6 +139,14 @@ class ClientViews:
         commands += [(label, None, call) for window in windows for label, call in window.commands()]
         commands.append(("Try all combinations of parts", None, self._try_combinations))
         commands.append(("Glossary", None, self.glossary.show))
+        if workspace.has_flight:
+            commands.append(
+                (
+                    "Look through the photo's camera on the map, then hide the photo",
+                    "Z",
+                    lambda: self.stage.look_through(),
+                )
+            )
         commands.append(("First screen", None, lambda: self.first_screen.act("start")))
         shortcuts.add(client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close)
         self._make_stage = partial(Stage, client, workspace, on_select, model, viewport)

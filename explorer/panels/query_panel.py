@@ -97,7 +97,7 @@ class QueryPanel:
             controls.checkbox("Take apart", "exploded", visible=has_model or fixed)
             has_places = any(task.geometry is not None for task in workspace.tasks.values())
             controls.checkbox("Map", "map", visible=has_places, apply=session_state.show_map)
-            self._city = controls.checkbox("City", "city", visible=False)
+            self._city = controls.checkbox("Relief" if workspace.has_flight else "City", "city", visible=False)
             has_cells = not workspace.without_cells
             controls.checkbox("Heatmap", "heat", visible=has_cells)
             controls.dropdown("Heat type", "heat_kind", _HEAT_KINDS, visible=has_cells, hint=pages.HEAT_NOTE)
@@ -111,7 +111,7 @@ class QueryPanel:
                 gui.add_html(pages.note(workspace.without_cells, "lpn-without-cells"))
 
     def update(self, state: SessionState) -> None:
-        """Show the checkbox City only if the state has a city to show."""
+        """Show the checkbox only if the state has a city or a relief to show."""
         visible = city_available(self._workspace, state)
         if self._city.visible != visible:
             self._city.visible = visible

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -14,25 +15,45 @@ from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_CAPTION, SIGN_PICTURE, 
 from explorer.stage.image_planes import Plane, Rotation, query_title, rank_title
 from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.core import images
 from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.core.numbers import distance
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from lpn.drawing import captions, overlays, theme
+from lpn.flights.cameras import rotation
+from lpn.locate.camera_pose import CameraPose
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Height of lines over the mosaic, in stage units.
 _LINE_HEIGHT = 0.2
-# Height of tiles and lines over the city, in metres.
-_ROOFS = 42.0
 # Smallest side of a view of the city, in metres.
 _MIN_VIEW = 520.0
 # Half the width of the mark of a GPS tag, in stage units.
 _TAG = 0.1
 # The view includes the query's camera up to this distance from the compared tile, in metres.
 _MAX_CAMERA_DISTANCE = 5000.0
+# Longer side of the photo in the query's camera, in pixels.
+_PHOTO = 512
 # Rotation from glTF (y is up) to the stage (z is up).
 _Z_UP: Rotation = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
+
+
+class Eye(NamedTuple):
+    """The query's camera on the stage.
+
+    Attributes:
+        position: in stage units, (3,).
+        forward, up: unit vectors of the view's direction, and of the picture's top, (3,) each.
+        across: tangent of half of the horizontal field of view.
+        aspect: width of the picture over its height.
+    """
+
+    position: Float64Array
+    forward: Float64Array
+    up: Float64Array
+    across: float
+    aspect: float
 
 
 class GalleryMap:
@@ -41,6 +62,7 @@ class GalleryMap:
     Args:
         slots: number of ranked tiles.
         on_select: called with the shown state and the gallery position of a clicked tile.
+        on_look: called with where the query's camera stands, when it is clicked.
     """
 
     def __init__(
@@ -49,8 +71,11 @@ class GalleryMap:
         workspace: Workspace,
         slots: int,
         on_select: Callable[[SessionState, int], None],
+        on_look: Callable[[Eye], None] = lambda _: None,
     ) -> None:
         self._workspace = workspace
+        self.eye: Eye | None = None
+        self._photo: tuple[Path, UInt8Array] | None = None
         self._analysis: StateAnalysis | None = None
         self._task = ""
         self._scale, self._middle = 1.0, np.zeros(2)
@@ -79,6 +104,7 @@ class GalleryMap:
             visible=False,
             cast_shadow=False,
         )
+        self._camera.on_click(lambda _: on_look(self.eye) if self.eye is not None else None)
 
     def show(self, analysis: StateAnalysis, lettering: Lettering) -> Viewpoint:
         """Draw an analysis whose task has positions, and return the view of it."""
@@ -91,8 +117,10 @@ class GalleryMap:
         camera = self._show_camera(analysis, places)
         viewpoint = self._city_viewpoint(analysis, places, camera) if city else self._map_viewpoint(places)
         pixels = lettering.ground / viewpoint.scale
-        self._show_tiles(analysis, places, city, _ROOFS * self._scale if city else 0.03, pixels)
-        self._show_lines(analysis, places, camera, _ROOFS * self._scale if city else _LINE_HEIGHT)
+        model = self._workspace.city
+        top = model.top * self._scale if city and model is not None else None
+        self._show_tiles(analysis, places, city, 0.03 if top is None else top, pixels)
+        self._show_lines(analysis, places, camera, _LINE_HEIGHT if top is None else top)
         self._lines.thickness = 5.0 if city else 3.0
         self._camera.scale = 0.5 * viewpoint.scale
         self._caption.show(self._draw_caption(analysis, lettering.sign))
@@ -102,6 +130,14 @@ class GalleryMap:
         colour = theme.verdict_colour(analysis.chosen.true)
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
+
+    def flip_photo(self) -> None:
+        """Hide the photo of the query's camera, so that the map lies bare, or show it again."""
+        self._camera.visible = not self._camera.visible
+
+    def show_photo(self) -> None:
+        """Show the query's camera again, if its pose is known."""
+        self._camera.visible = self._camera.visible or self.eye is not None
 
     def ground(self, places: GalleryGeometry) -> dict[str, object]:
         """Return what the page needs to measure on the ground, as JSON takes it.
@@ -214,7 +250,14 @@ class GalleryMap:
             plane.handle.position = self._to_stage(places.ground[match.index], 0.0, lift + height)
 
     def _show_camera(self, analysis: StateAnalysis, places: GalleryGeometry) -> Float64Array | None:
-        """Show the frustum at the query's pose and return its position; None when the pose is not known."""
+        """Show the frustum at the query's pose and return its position; None when the pose is not known.
+
+        A registered frame of a flight stands where its pose has it, with its whole photo.
+        """
+        pose = None if analysis.state.upload else self._workspace.pose(analysis.state.query)
+        if pose is not None:
+            return self._show_pose(pose, analysis.state.query, places)
+        self.eye = None
         place = None if analysis.state.upload else places.queries[analysis.state.query]
         stands = None if place is None else geo.camera(place, places.origin)
         self._camera.visible = stands is not None
@@ -229,7 +272,30 @@ class GalleryMap:
         self._camera.fov = math.radians(place.fov or 40.0)
         self._camera.position = at
         self._camera.wxyz = _quaternion(np.stack([right, np.cross(forward, right), forward], axis=1))
+        self._camera.aspect = 1.0
         self._camera.image = overlays.square(analysis.query.picture, 128)
+        return at
+
+    def _show_pose(self, pose: CameraPose, query: int, places: GalleryGeometry) -> Float64Array:
+        """Show the frustum of a frame's pose, and return its position."""
+        flight, model = self._workspace.flight, self._workspace.city
+        assert flight is not None
+        frame = flight.frames[query].frame
+        degrees = flight.basemap.frame.degrees([(pose.east, pose.north)])[0].tolist()
+        base = model.base if model is not None and not pose.flat else 0.0
+        at = self._to_stage(geo.on_plane([Position(*degrees)], places.origin)[0], pose.altitude - base)
+        # Columns of the camera's body, (north, east, down), become (east, north, up).
+        top, right, forward = (rotation(pose.heading, pose.pitch, pose.roll)[[1, 0, 2]] * [[1], [1], [-1]]).T
+        turn = _quaternion(np.stack([right, -top, forward], axis=1))
+        aspect = frame.width / frame.height
+        across = math.tan(math.radians(pose.fov) / 2)
+        self._camera.visible, self._camera.aspect = True, aspect
+        self._camera.fov = 2 * math.atan(across / aspect)
+        self._camera.position, self._camera.wxyz = at, turn
+        if self._photo is None or self._photo[0] != frame.file:
+            self._photo = frame.file, images.shrink(images.load_picture(frame.file), _PHOTO)
+        self._camera.image = self._photo[1]
+        self.eye = Eye(at, np.asarray(forward), np.asarray(top), across, aspect)
         return at
 
     def _show_lines(

@@ -17,7 +17,7 @@ from explorer.stage.camera import FOV, Viewpoint
 from explorer.stage.cards import SHOWN, Cards
 from explorer.stage.image_planes import UPRIGHT, Plane, Rotation, query_title, rank_title, title
 from explorer.stage.lettering import Lettering
-from explorer.stage.map_view import GalleryMap
+from explorer.stage.map_view import Eye, GalleryMap
 from explorer.stage.viewport import Viewport
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import AnyArray, UInt8Array
@@ -167,6 +167,8 @@ class Stage:
         self._drawn: list[tuple[DescribedPicture, Evidence | None, View, object, UInt8Array] | None] = [None, None]
         self._viewpoint: Viewpoint | None = None
         self._map: GalleryMap | None = None
+        # The camera that the view looks through.
+        self._looking: Eye | None = None
         self.ground: dict[str, object] | None = None
         self._lettering = Lettering.of(viewport)
         self.layout = self._new_layout()
@@ -208,6 +210,25 @@ class Stage:
         with self._framing:
             self._point_camera()
 
+    def look_through(self) -> None:
+        """Look at the map through the camera of the query's photo, if its pose is known; the second time, flip its photo."""
+        if self._viewpoint is not None and self._map is not None and self._map.eye is not None:
+            if self._looking is self._map.eye:
+                self._map.flip_photo()
+            else:
+                self._look_through(self._map.eye)
+
+    def _look_through(self, eye: Eye) -> None:
+        """Put the view's camera where a photo's camera was, so that the whole photo fits into it."""
+        with self._framing, self._client.atomic():
+            camera = self._client.camera
+            camera.fov = 2 * math.atan(eye.across / min(self._aspect or eye.aspect, eye.aspect))
+            camera.up_direction = eye.up
+            camera.position = eye.position + 1.0
+            camera.position = eye.position
+            camera.look_at = eye.position + eye.forward
+            self._looking = eye
+
     def _point_camera(self) -> None:
         """Point the camera at the pair and the ranked tiles, or at the map."""
         if not self._aspect:
@@ -217,7 +238,9 @@ class Stage:
         width = HEIGHT * self.layout.stage[0] / self.layout.stage[1]
         distance = max(HEIGHT / 2 / tangent, width / 2 / (tangent * self._aspect))
         position, target = np.array([0.0, 0.0, distance]), np.zeros(3)
+        self._looking = None
         if viewpoint is not None and self._map is not None:
+            self._map.show_photo()
             self._map.put_sign(viewpoint, self._aspect)
             position, target = viewpoint.camera(self._aspect, FOV)
         with self._client.atomic():
@@ -240,7 +263,9 @@ class Stage:
                 self._point_camera()
         viewpoint, ground = None, None
         if state.map and task.geometry is not None:
-            self._map = self._map or GalleryMap(self._client, self._workspace, SHOWN, self._on_select)
+            self._map = self._map or GalleryMap(
+                self._client, self._workspace, SHOWN, self._on_select, self._look_through
+            )
             with self._client.atomic():
                 viewpoint = self._map.show(analysis, self._lettering)
             ground = self._map.ground(task.geometry)

@@ -34,10 +34,14 @@ class CityModel:
     Attributes:
         data: the file.
         origin: the position of the model's origin.
+        base: metres above the datum of heights at which the model's height is 0.
+        top: height of the model in metres above which tiles and lines are drawn.
     """
 
     data: bytes
     origin: Position
+    base: float = 0.0
+    top: float = 42.0
 
 
 def city_model(root: Path) -> CityModel | None:

@@ -11,10 +11,15 @@ import pytest
 
 from explorer.opening import open_model
 from explorer.session_state import SessionState
+from explorer.stage.camera import MAP_CENTRE
 from explorer.stage.lettering import Lettering
-from explorer.stage.map_view import GalleryMap
+from explorer.stage.map_view import Eye, GalleryMap
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
+from lpn.flights import Frame
+from lpn.locate.camera_pose import CameraPose
+from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.maps import LocalFrame
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -29,7 +34,8 @@ class Scene:
         return self.lines
 
     def add_camera_frustum(self, *_: Any, **__: Any) -> SimpleNamespace:
-        return SimpleNamespace(visible=True)
+        self.camera = SimpleNamespace(visible=True, on_click=lambda function: setattr(self, "click", function))
+        return self.camera
 
 
 @pytest.fixture(scope="module")
@@ -65,3 +71,39 @@ def test_the_ground_shows_a_tile_as_it_is_where_the_model_unrolls_it(
     assert workspace.ground_picture(task, 1) is workspace.card(task, 1)
     monkeypatch.setattr(type(workspace.contract), "unrolled", lambda *_: True)
     np.testing.assert_array_equal(workspace.ground_picture(task, 1), task.gallery[1].load())
+
+
+def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
+    assert task.geometry is not None
+    pose = CameraPose(30.0, 40.0, 150.0, 100.0, 90.0, -60.0, 0.0, 70.0, "told", True, 50, np.eye(6).ravel().tolist())
+    frame = Frame("a", task.queries[4].path, 400, 300)
+    located = LocatedFrame(frame, None, {"registration": StageRecord("accepted", "", 30.0, 40.0, True, pose=pose)})
+    other = LocatedFrame(frame, None, {"registration": StageRecord("refused", "", pose=pose)})
+    origin = task.geometry.origin
+    basemap = SimpleNamespace(frame=LocalFrame(origin.latitude, origin.longitude))
+    workspace.flight = SimpleNamespace(basemap=basemap, frames=[other] * 4 + [located])  # type: ignore[assignment]
+    looked: list[Eye] = []
+    scene = Scene()
+    try:
+        shown = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None, looked.append)  # type: ignore[arg-type]
+        analyse = StateAnalyser(workspace).analyse
+        shown.show(analyse(SessionState(TASK, 4, query=4, map=True), 6), Lettering(24, 100.0))
+        scene.click(None)
+        upright = scene.camera.fov
+        ground = shown.ground(task.geometry)
+        shown.flip_photo()
+        assert not scene.camera.visible
+        shown.show_photo()
+        shown.show(analyse(SessionState(TASK, 4, map=True), 6), Lettering(24, 100.0))
+        assert shown.eye is None
+    finally:
+        workspace.flight = None
+    (eye,) = looked
+    metres = (eye.position - [*ground["middle"], MAP_CENTRE[2]]) * ground["metres"]  # type: ignore[misc, operator]
+    np.testing.assert_allclose(metres, [30.0, 40.0, 150.0], rtol=0.01)
+    # The camera looks east and 60 degrees down.
+    np.testing.assert_allclose(eye.forward, [0.5, 0, -np.sqrt(0.75)], atol=1e-9)
+    np.testing.assert_allclose(eye.up, [np.sqrt(0.75), 0, 0.5], atol=1e-9)
+    assert (eye.across, eye.aspect) == pytest.approx((np.tan(np.radians(35)), 4 / 3))
+    assert upright == pytest.approx(2 * np.arctan(eye.across * 3 / 4))
