@@ -33,6 +33,8 @@ _MIN_VIEW = 520.0
 _TAG = 0.1
 # The view includes the query's camera up to this distance from the compared tile, in metres.
 _MAX_CAMERA_DISTANCE = 5000.0
+# Size of the query's camera while the view looks through it, in stage units.
+_NEAR = 0.1
 # Longer side of the photo in the query's camera, in pixels.
 _PHOTO = 512
 # Rotation from glTF (y is up) to the stage (z is up).
@@ -76,6 +78,7 @@ class GalleryMap:
         self._workspace = workspace
         self.eye: Eye | None = None
         self._photo: tuple[Path, UInt8Array] | None = None
+        self._camera_scale = 0.5
         self._analysis: StateAnalysis | None = None
         self._task = ""
         self._scale, self._middle = 1.0, np.zeros(2)
@@ -122,7 +125,7 @@ class GalleryMap:
         self._show_tiles(analysis, places, city, 0.03 if top is None else top, pixels)
         self._show_lines(analysis, places, camera, _LINE_HEIGHT if top is None else top)
         self._lines.thickness = 5.0 if city else 3.0
-        self._camera.scale = 0.5 * viewpoint.scale
+        self._camera_scale = self._camera.scale = 0.5 * viewpoint.scale
         self._caption.show(self._draw_caption(analysis, lettering.sign))
         palette = analysis.state.palette
         self._camera.color = palette.text
@@ -131,13 +134,18 @@ class GalleryMap:
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
 
+    def draw_near(self) -> None:
+        """Bring the photo so near to the query's camera that nothing of the map stands between them."""
+        self._camera.visible, self._camera.scale = True, _NEAR
+
     def flip_photo(self) -> None:
         """Hide the photo of the query's camera, so that the map lies bare, or show it again."""
         self._camera.visible = not self._camera.visible
 
     def show_photo(self) -> None:
-        """Show the query's camera again, if its pose is known."""
-        self._camera.visible = self._camera.visible or self.eye is not None
+        """Show the query's camera again in its usual size, if its pose is known."""
+        if self.eye is not None:
+            self._camera.visible, self._camera.scale = True, self._camera_scale
 
     def ground(self, places: GalleryGeometry) -> dict[str, object]:
         """Return what the page needs to measure on the ground, as JSON takes it.

@@ -228,6 +228,8 @@ class Stage:
             camera.position = eye.position
             camera.look_at = eye.position + eye.forward
             self._looking = eye
+            if self._map is not None:
+                self._map.draw_near()
 
     def _point_camera(self) -> None:
         """Point the camera at the pair and the ranked tiles, or at the map."""

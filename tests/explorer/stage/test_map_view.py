@@ -92,9 +92,13 @@ def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(work
         scene.click(None)
         upright = scene.camera.fov
         ground = shown.ground(task.geometry)
+        usual = scene.camera.scale
+        shown.draw_near()
+        assert scene.camera.scale < usual
         shown.flip_photo()
         assert not scene.camera.visible
         shown.show_photo()
+        assert (scene.camera.visible, scene.camera.scale) == (True, usual)
         shown.show(analyse(SessionState(TASK, 4, map=True), 6), Lettering(24, 100.0))
         assert shown.eye is None
     finally:
