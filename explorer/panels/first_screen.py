@@ -261,14 +261,25 @@ def _because(
             (grounds[0], grounds[1]),
             None if turn is None else turn.degrees,
         )
+        against = float(side * cells[list(parts)].sum()) < 0
+        if against:  # the picture shows it so, and no place of it is a reason
+            place = replace(place, cells=np.zeros_like(place.cells), uses=((), ()))
         names = workspace.part_names
-        sentences.append(verdicts.describe_lead_place(place, names, task.query_view, (ahead[0], behind[0]), whose))
+        said = verdicts.describe_lead_place(place, names, task.query_view, (ahead[0], behind[0]), whose)
+        its = "their places speak" if len(parts) > 1 else "its places speak"
+        besides = f", by {_itself(task.gallery_view)}; {its} for {behind[0]}." if against else "."
+        sentences.append(said.removesuffix(".") + besides)
     return [*sentences, *_besides_places(lead, float(cells.sum()), task.gallery_view)]
+
+
+def _itself(gallery_view: View) -> str:
+    """Return what comes from no place of the query, in words."""
+    return f"what the model gives the two {gallery_view} pictures themselves, wherever it looks"
 
 
 def _besides_places(lead: answer_text.Lead, places: float, gallery_view: View) -> list[str]:
     """Say what comes from no place of the picture, where the places alone would tell another story than the answer."""
-    itself = f"what the model gives the two {gallery_view} pictures themselves, wherever it looks"
+    itself = _itself(gallery_view)
     if places * lead.total < 0:
         ahead = lead.leader if places > 0 else lead.follower
         return [f"All places together speak for {ahead}; what decides is {itself}."]

@@ -492,6 +492,12 @@ def test_on_the_demo_what_comes_from_no_place_is_what_the_constants_of_both_tile
     share = terms[lead.decisive].sum() / np.maximum(terms, 0).sum()
     assert f"({100 * share:.0f} % of all)" in said[0]
     assert said[1].startswith("No ") == (terms.min() >= 0), "no part speaks against the answer as a whole"
+    # Where the places of the named part speak otherwise, as they are painted, the sentence says so.
+    painted = (1 if found else -1) * cells[lead.decisive].sum()
+    assert ("places speak for" in said[0]) == (painted < 0)
+    # The constants of the part may turn what its places say.
+    turned = first_screen._because(analysis, demo, lead, -cells)
+    assert ("places speak for" in turned[0]) == (painted > 0)
     assert ("what decides is" in "".join(said[2:])) == (float(cells.sum()) * lead.total < 0)
     assert re.search("show", said[0] + said[1]), "the plan of the city tells what lies there"
     places, further = rounded_to_sum([lead.total - rest, rest])
