@@ -127,7 +127,8 @@ def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments:
             continue
         words = [word for word, other in sources.items() if names & set(options(other))]
         if words:
+            others = " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
             raise InputError(
                 f"{program} has no {written} for a data set, which is the source if none is named (see {program} --help); "
-                f"{' and '.join(f'{program} {word}' for word in words)} {'has' if len(words) == 1 else 'have'} it."
+                f"{program} {others} {'has' if len(words) == 1 else 'have'} it."
             )

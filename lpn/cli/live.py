@@ -47,8 +47,6 @@ class LiveInput:
     """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed."""
     size: tuple[float, ...] | None = None
     """Sides of the map's windows in metres; by default the ground that the first frame of known height shows."""
-    overlap: float = 0.75
-    """Share of a window's side that its neighbour covers, 0 to below 1."""
     speed: float = 10.0
     """Metres a second that the flight moves, one standard deviation."""
     map_error: float | None = None
@@ -64,7 +62,7 @@ class LiveInput:
         """Return how frames are located."""
         from lpn.live.locator import LiveOptions
 
-        return LiveOptions(self.register, self.matcher, self.size, self.overlap, self.speed, map_error=self.map_error)
+        return LiveOptions(self.register, self.matcher, self.size, speed=self.speed, map_error=self.map_error)
 
     def open_run(self, say: Say, outputs: Sequence[FixOutput], stack: ExitStack) -> LiveRun:
         """Open map, model, pictures, and telemetry.

@@ -250,7 +250,7 @@ def measure(windows: int, folder: Path, model_file: Path, with_page: bool) -> di
         patch.object(WindowIndex, "_check"),
     ):
         indexed = WindowIndex(str(index_folder), model, basemap)
-        located = locate(basemap, flight, model, LocateOptions(register=False), indexed=indexed)
+        located = locate(basemap, flight, model, LocateOptions(sequence=False, register=False), indexed=indexed)
     found["locate a frame"] = (time.perf_counter() - begun) / len(flight.frames)
     assert located.retrieval is not None
     found["windows compared"] = len(located.retrieval.windows)
