@@ -127,8 +127,9 @@ def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments:
             continue
         words = [word for word, other in sources.items() if names & set(options(other))]
         if words:
-            others = " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+            *others, last = [f"{program} {word}" for word in words]
+            listed = f"{', '.join(others)} and {last}" if others else last
             raise InputError(
                 f"{program} has no {written} for a data set, which is the source if none is named (see {program} --help); "
-                f"{program} {others} {'has' if len(words) == 1 else 'have'} it."
+                f"{listed} {'has' if len(words) == 1 else 'have'} it."
             )

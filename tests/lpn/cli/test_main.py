@@ -87,7 +87,7 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
         (["evaluate", "--data", "DATA", "--model", "MODEL", "--branch", "street"], "no 'street' view"),
         (
             ["evaluate", "--data", "DATA", "--model", "MODEL", "--n-parts", "4"],
-            "lpn evaluate published and arrays have it",
+            "lpn evaluate published and lpn evaluate arrays have it",
         ),
         (["evaluate", "--data", "DATA", "--saved", "x.mat"], "lpn evaluate published"),
         (["evaluate", "published", "--saved", "x.mat"], "no saved result at x.mat"),
