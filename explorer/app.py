@@ -3,37 +3,27 @@
 from __future__ import annotations
 
 import gc
-import io
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
-from functools import partial
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
 
-import rich
 import viser
 
 from explorer.client.services import WorkspaceServices
 from explorer.client.session import ClientSession
 from explorer.parameters import DATA
-from explorer.server import viser_compat
-from explorer.server.auth import Authenticator, is_loopback, make_authenticator
-from explorer.server.gateway import Gateway
+from explorer.server.auth import Authenticator, make_authenticator
+from explorer.server.page_server import CLOSE_TIMEOUT, check_free, close_server, no_cell_output, open_server
 from explorer.server.picture_route import EncodedPicture, PictureRoute
 from explorer.workspace import LazyWorkspace, StateAnalysis, Workspace
 from lpn.core import images
-from lpn.core.errors import InputError
-from lpn.core.log import conceal
-from lpn.core.resources import limit_malloc_arenas, port_error, return_memory
+from lpn.core.resources import is_loopback, limit_malloc_arenas, return_memory
 from lpn.core.served_page import ServedPage
 from lpn.core.shutdown import writes_finished
 
 log = logging.getLogger(__name__)
 
-# Seconds that closing the app may take.
-_CLOSE_TIMEOUT = 1.5
 # Seconds that a workspace may take to open before a page says so.
 _UNNOTICED = 0.4
 # Pages that may show a page of a notebook: those of this machine, and editors.
@@ -73,10 +63,7 @@ class App:
         embedders: Sequence[str] = (),
         key: str = DATA,
     ) -> None:
-        _check_free(host, port)
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
-        conceal(self.authenticator.token)
-        conceal(self.authenticator.cookie_value)
         self._others, self._lock = others or {}, threading.Lock()
         self._changing: set[int] = set()
         self._opens_quick = False
@@ -84,15 +71,7 @@ class App:
         self._choices = {key: label} | {key: other.label for key, other in self._others.items()} if others else {}
         self._first = self._add(key, workspace)
         self._pictures = PictureRoute(self._find_picture)
-        self.gateway = Gateway(self.authenticator, self._pictures, embedders)
-        viser_compat.use_thread_safe_buffers()
-        viser_compat.keep_icons()
-        make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
-        with redirect_stdout(io.StringIO()), _no_cell_output():  # viser prints an address without the token
-            self.server = self.gateway.protect(make)
-        # Otherwise any page could open a public tunnel to this machine.
-        self.server.request_share_url = _refuse_share  # type: ignore[method-assign]
-        self.server.scene.world_axes.visible = False
+        self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, embedders)
         self._sessions: dict[int, ClientSession] = {}
         self.server.on_client_connect(self._connected)
         self.server.on_client_disconnect(self._disconnected)
@@ -104,15 +83,11 @@ class App:
 
     def close(self) -> None:
         """Stop all sessions and the server, and wait for files that are being written, 1.5 seconds at most."""
-        until = time.monotonic() + _CLOSE_TIMEOUT
+        until = time.monotonic() + CLOSE_TIMEOUT
         for session in list(self._sessions.values()):
             session.leave()
         self._pictures.close()
-        # viser waits for its connections, up to six seconds.
-        stopping = threading.Thread(target=self.server.stop, name="explorer-stop", daemon=True)
-        with redirect_stdout(io.StringIO()), _no_cell_output():
-            stopping.start()
-            stopping.join(_CLOSE_TIMEOUT)
+        close_server(self.server)
         if not writes_finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
 
@@ -290,7 +265,7 @@ def serve_in_background(
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
-    with _no_cell_output():
+    with no_cell_output():
         app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, label, key, _NOTEBOOKS)
     # A browser sends no cookie, so no proof of a token, from a frame in another site's page.
     return ServedPage(app.link, app.close, framed=app.authenticator.token is None)
@@ -306,28 +281,7 @@ def _start(
     key: str,
     embedders: Sequence[str] = (),
 ) -> App:
-    _check_free(host, port)
+    check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
     return App(open_workspace(), host, port, authenticator, label, others, embedders, key)
-
-
-@contextmanager
-def _no_cell_output() -> Iterator[None]:
-    """Let rich write to the streams, where it would write into a notebook's cell."""
-    console = rich.get_console()
-    before, console.is_jupyter = console.is_jupyter, False
-    try:
-        yield
-    finally:
-        console.is_jupyter = before
-
-
-def _check_free(host: str, port: int) -> None:
-    """Raise InputError if the port is taken; viser would silently use the next one."""
-    if problem := port_error(host, port):
-        raise InputError(f"{problem}; give another with --port or --host.")
-
-
-def _refuse_share(*_: Any, **__: Any) -> None:
-    return None

@@ -15,6 +15,7 @@ from typing import Final
 from urllib.parse import parse_qsl, quote, unquote_plus, urlsplit
 
 from lpn.core.errors import InputError
+from lpn.core.resources import is_loopback
 
 # The environment variable with the token; unlike an option, it is hidden from the machine's other users.
 TOKEN_VARIABLE: Final = "LPN_TOKEN"
@@ -217,12 +218,6 @@ def make_authenticator(
     if token is None and (ask_token or not is_loopback(host)):
         return Authenticator(host, secrets.token_urlsafe(32), allowed_hosts, show_token=True)
     return Authenticator(host, token, allowed_hosts)
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether a listening address is reachable from this machine only."""
-    ip = _ip_address(host)
-    return host.lower() == "localhost" or (ip is not None and ip.is_loopback)
 
 
 def same_origin(origin: str, host: str) -> bool:

@@ -140,7 +140,8 @@ class LiveCommand(LiveInput):
         return "The same command goes on from the belief that is kept." if self.belief else "Nothing was kept."
 
     def more_outputs(self, say: Say, telemetry: LiveTelemetry, stack: ExitStack) -> list[FixOutput]:
-        from lpn.live.outputs import MavlinkOutput, WebsocketOutput, is_loopback
+        from lpn.core.resources import is_loopback
+        from lpn.live.outputs import MavlinkOutput, WebsocketOutput
         from lpn.live.telemetry import MavlinkLink
 
         outputs: list[FixOutput] = []

@@ -10,6 +10,7 @@ import socket
 import sys
 import threading
 from contextlib import suppress
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -127,3 +128,13 @@ def port_error(host: str, port: int) -> str | None:
         used = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
         return f"Port {port} on {host} is in use" if used else f"Port {port} on {host} cannot be listened on ({error})"
     return None
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a listening address is reachable from this machine only."""
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

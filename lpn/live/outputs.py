@@ -9,7 +9,6 @@ import queue
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from ipaddress import ip_address
 from typing import IO, Any, Literal, get_args
 from urllib.parse import urlsplit
 
@@ -287,16 +286,6 @@ class WebsocketOutput:
         if origin is None or urlsplit(origin).hostname == urlsplit(f"//{host}").hostname:
             return None
         return connection.respond(403, "Pages of other sites cannot connect.\n")
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether a host's name is that of this machine alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _rounded(value: float | None, digits: int) -> float | None:

@@ -20,6 +20,7 @@ import pytest
 import lpn.live.locator
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
+from lpn.core.resources import is_loopback
 from lpn.flights import Flight, Frame
 from lpn.live.frames import (
     ArrivedPicture,
@@ -31,7 +32,7 @@ from lpn.live.frames import (
     open_source,
 )
 from lpn.live.locator import LiveLocator, LiveOptions
-from lpn.live.outputs import LineOutput, LiveFix, MavlinkOutput, WebsocketOutput, is_loopback
+from lpn.live.outputs import LineOutput, LiveFix, MavlinkOutput, WebsocketOutput
 from lpn.live.run import LiveRun, LiveSettings
 from lpn.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_link, open_telemetry
 from lpn.locate.located import LocatedFrame, StageRecord
