@@ -68,7 +68,7 @@ class Pyramid:
 
 
 class HasFlight(Protocol):
-    """What has a located flight, which may be replaced while it is shown, such as a workspace."""
+    """A holder of a located flight, which may be replaced while it is shown, such as a workspace."""
 
     flight: LocatedFlight | None
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from explorer.compute.watchers import Watchers
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
@@ -66,11 +66,15 @@ class FlightView:
 
 
 class FlightService:
-    """The view of a workspace's flight; thread-safe."""
+    """The view of a workspace's flight; thread-safe.
+
+    Attributes:
+        watchers: are told of each correction.
+    """
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._lock = workspace, threading.RLock()
-        self._watchers: list[Callable[[], None]] = []
+        self.watchers = Watchers()
         self._view: FlightView | None = None
 
     @property
@@ -107,20 +111,7 @@ class FlightService:
             correction = None if corners is None else Correction.of(corners, basemap.frame)
             kept = corrections.set_correction(self.corrections_file, name, correction)
             self._view = replace(view, corrections=kept, corrections_error="")
-            watchers = list(self._watchers)
-        for on_change in watchers:
-            on_change()
-
-    def watch(self, on_change: Callable[[], None]) -> None:
-        """Call a function after each correction; it must return at once."""
-        with self._lock:
-            self._watchers.append(on_change)
-
-    def unwatch(self, on_change: Callable[[], None]) -> None:
-        """Call a function of `watch` no longer."""
-        with self._lock:
-            if on_change in self._watchers:
-                self._watchers.remove(on_change)
+        self.watchers.tell()
 
     def _read(self) -> tuple[dict[str, Correction], str]:
         try:

@@ -108,7 +108,7 @@ class FlightWindow:
             self._data, self._chosen, self._spot, self._progress = (Html(gui) for _ in range(4))
         self._worker = Worker(self._spoken, on_error)
         viewport.watch(self._resize)
-        service.watch(self._worker.wake)
+        service.watchers.watch(self._worker.wake)
 
     def commands(self) -> list[tuple[str, Callable[[], None]]]:
         """Return the window's commands for the palette."""
@@ -127,7 +127,7 @@ class FlightWindow:
 
     def leave(self) -> None:
         """Stop working for a browser that left."""
-        self._service.unwatch(self._worker.wake)
+        self._service.watchers.unwatch(self._worker.wake)
         self._worker.stop()
 
     def _paint(self, part: Painted) -> None:

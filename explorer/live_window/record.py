@@ -1,4 +1,4 @@
-"""What a flight that goes on has shown so far, for all browsers: its last frames, their photos, and sentences."""
+"""The record of a flight that goes on, for all browsers: its last frames, their photos, and sentences."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from explorer.compute.watchers import Watchers
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightView
 from explorer.server.picture_route import EncodedPicture
@@ -53,6 +54,9 @@ class LiveRecord:
     Args:
         name: of the flight.
         basemap: that it flies over.
+
+    Attributes:
+        watchers: are told of each frame and sentence.
     """
 
     def __init__(self, name: str, basemap: Map) -> None:
@@ -62,7 +66,7 @@ class LiveRecord:
         self._frames: list[LocatedFrame] = []
         self._count = 0
         self._sentences: list[str] = []
-        self._watchers: list[Callable[[], None]] = []
+        self.watchers = Watchers()
         self._flown = _Flown(self._flight())
         self._pictures = FlightPictures(self._flown)
         self._sight = LiveSight(None, self._pictures)
@@ -89,7 +93,7 @@ class LiveRecord:
             dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
             status = f"Answered in {fix.age:.2f} s{dropped}"
             self._sight = LiveSight(FlightView.of(flight, {}, ""), self._pictures, status)
-        self._tell()
+        self.watchers.tell()
 
     def note(self, sentence: str) -> None:
         """Add a sentence; the last twenty are kept."""
@@ -99,7 +103,7 @@ class LiveRecord:
                 flight = self._flight()
                 self._flown.flight = flight
                 self._sight = replace(self._sight, view=FlightView.of(flight, {}, ""))
-        self._tell()
+        self.watchers.tell()
 
     def close(self) -> None:
         """Keep what there is; the page goes on showing it."""
@@ -120,27 +124,10 @@ class LiveRecord:
             pictures = self._pictures
         return pictures.find(path)
 
-    def watch(self, on_change: Callable[[], None]) -> None:
-        """Call a function after each change; it must return at once."""
-        with self._lock:
-            self._watchers.append(on_change)
-
-    def unwatch(self, on_change: Callable[[], None]) -> None:
-        """Call a function of `watch` no longer."""
-        with self._lock:
-            if on_change in self._watchers:
-                self._watchers.remove(on_change)
-
     def _flight(self) -> LocatedFlight:
         frames = list(self._frames)
         flight = Flight(self._name, tuple(located.frame for located in frames))
         return LocatedFlight(flight, self._basemap, frames, None, list(self._sentences), None)
-
-    def _tell(self) -> None:
-        with self._lock:
-            watchers = list(self._watchers)
-        for on_change in watchers:
-            on_change()
 
 
 def _small(pixels: UInt8Array) -> bytes:

@@ -57,12 +57,12 @@ class LiveWindow:
         properties = {"title": "Live · LPN Explorer", "keys": []}
         self._bridge = PageBridge(client.gui, receivers, properties, style.STYLE)
         self.viewport.watch(self._worker.wake)
-        record.watch(self._worker.wake)
+        record.watchers.watch(self._worker.wake)
         self._worker.wake()
 
     def leave(self) -> None:
         """Stop working for a browser that left."""
-        self._record.unwatch(self._worker.wake)
+        self._record.watchers.unwatch(self._worker.wake)
         self._worker.stop()
 
     def _receive(self, message: LivePageMessage) -> None:

@@ -94,13 +94,13 @@ class NewestPicture:
 
     @property
     def waiting(self) -> bool:
-        """Whether a picture waits."""
+        """True while a picture waits."""
         with self._changed:
             return self._waiting is not None
 
     @property
     def ended(self) -> bool:
-        """Whether no picture waits, and none will come."""
+        """True once no picture waits, and none will come."""
         with self._changed:
             return self._ended and self._waiting is None
 

@@ -51,7 +51,8 @@ from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 
 FORMAT = "lpn-live/1"
-# Of the softmax of scores, and the frames of unit score beside those of other places, as in `lpn.locate.sequence`.
+# The temperature of the softmax of scores, and the number of frames of unit score that count as seen at other places; both as in
+# `lpn.locate.sequence`.
 _TEMPERATURE, _PRIOR_FRAMES = 0.4, 30
 # Distinct frames whose descriptors are kept to centre by, and the frames whose scores wait until the drone is elsewhere.
 _KEPT, _PENDING = 320, 64
@@ -125,7 +126,7 @@ class _Windows:
 
 @dataclass(eq=False)
 class _Track:
-    """What the frames so far tell, beside the belief; all of it is bounded."""
+    """The findings of the frames so far, beside the belief; each list is bounded."""
 
     time: float | None = None
     odds: float = 0.0
@@ -176,6 +177,8 @@ class LiveLocator:
         self._pending: deque[tuple[float, Float64Array, BoolArray]] = deque(maxlen=_PENDING)
         self._variance = 0.0
         self._track = _Track()
+        # The sequence is sure of a place; the last frame was registered; frames of other ground were spoken of.
+        self._sure = self._fresh = self._unfit_said = False
         self._notes: list[str] = []
         # When the belief that was taken up was written, in seconds since 1970; None after the first frame.
         self._written: float | None = None
@@ -260,8 +263,6 @@ class LiveLocator:
                     "are poor; give the sides that the flight shows with --size."
                 )
         return self._ground
-
-    _unfit_said = False
 
     def _elapsed(self, frame: Frame) -> float:
         """Return the seconds since the last frame; NaN if they are unknown, or the clock has jumped."""
@@ -381,9 +382,6 @@ class LiveLocator:
                 located.windows.append(WindowRecord(x, y, float(ground.sizes[i]), float(best[i]), heading, [], []))
             if len(located.windows) == 2:
                 break
-
-    # Whether the prediction alone is searched, and whether the last frame was registered.
-    _sure = _fresh = False
 
     def _sequence(self, ground: _Windows) -> StageRecord:
         """Return the answer of the sequence."""
@@ -582,7 +580,7 @@ class LiveLocator:
 
 
 class _Header(msgspec.Struct):
-    """What a file of the belief says beside its arrays."""
+    """The header of a belief's file, beside its arrays."""
 
     format: str
     of: list[Any]

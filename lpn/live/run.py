@@ -25,7 +25,7 @@ _LOOK = 0.2
 
 
 class FixOutput(Protocol):
-    """What takes the fixes of a flight."""
+    """A receiver of the fixes of a flight."""
 
     def send(self, fix: LiveFix) -> None:
         """Take a fix."""

@@ -36,7 +36,7 @@ class TelemetryValue(NamedTuple):
 
 
 class LiveTelemetry:
-    """What tells a picture's heading, height, and position; this one adds nothing to what the picture's own file says."""
+    """A source of heading, height, and position of pictures; this one adds nothing to what the picture's own file says."""
 
     def value(self, picture: ArrivedPicture) -> TelemetryValue:
         """Return the picture's frame with the telemetry of its moment."""

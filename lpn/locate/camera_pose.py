@@ -100,7 +100,7 @@ class CameraPose(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class PoseMatches:
-    """What a pose is solved from.
+    """The observations that a pose is solved from.
 
     Attributes:
         pixels: of the photo, (M, 2).

@@ -28,7 +28,8 @@ _ALIKE = 0.95
 _SAMPLE = 100
 # Windows up to which all are compared with each frame; 400 MB of 4 parts of 512 numbers are 50,000.
 MOST = 50_000
-# Of more windows, those that are nearest to one description of a frame: the most, and the fewest for a flight of many frames.
+# The number of windows nearest to one description of a frame that are compared, where an index has more: the most, and the
+# fewest for a flight of many frames.
 NEAREST, _FEWEST = 500, 20
 # Drawn descriptors whose nearest windows tell the sizes that an index holds.
 _PROBES, _PROBED = 8, 64

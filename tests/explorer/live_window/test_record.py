@@ -42,7 +42,7 @@ def served(record: LiveRecord, frame: int) -> Any:
 
 def test_frames_are_shown_as_they_come_with_their_photos(record: LiveRecord, flight: LocatedFlight) -> None:
     woken: list[int] = []
-    record.watch(lambda: woken.append(1))
+    record.watchers.watch(lambda: woken.append(1))
     assert record.sight.view is None
     first, refused = flight.frames[0], flight.frames[2]
     record.send(fix(first))
