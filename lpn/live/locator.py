@@ -45,15 +45,12 @@ from lpn.locate.retrieval import (
     tried_headings,
     whitening_of,
 )
-from lpn.locate.sequence import ForwardFilter, MotionModel, emissions
+from lpn.locate.sequence import PRIOR_FRAMES, ForwardFilter, MotionModel, emissions
 from lpn.locate.tracks import State
 from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 
 FORMAT = "lpn-live/1"
-# The temperature of the softmax of scores, and the number of frames of unit score that count as seen at other places; both as in
-# `lpn.locate.sequence`.
-_TEMPERATURE, _PRIOR_FRAMES = 0.4, 30
 # Distinct frames whose descriptors are kept to centre by, and the frames whose scores wait until the drone is elsewhere.
 _KEPT, _PENDING = 320, 64
 # Registrations whose widths and turns correct the next frame's, and those after which these corrections are believed.
@@ -347,7 +344,7 @@ class LiveLocator:
         values = scores if not known else best[:, None]
         mean, deviation = float(best[compared].mean()), float(best[compared].std())
         scale = 1 / deviation if deviation > 1e-9 else 0.0
-        unit = np.sqrt((ground.squares + _PRIOR_FRAMES) / (ground.frames + _PRIOR_FRAMES))
+        unit = np.sqrt((ground.squares + PRIOR_FRAMES) / (ground.frames + PRIOR_FRAMES))
         standardised = (values - mean) * scale / unit[:, None]
         least = float(standardised[compared].min())
         standardised = np.where(compared[:, None], standardised, least)
@@ -357,7 +354,7 @@ class LiveLocator:
         ground.filter.predict(elapsed, of_state.astype(np.float64))
         weight = 1.0 if math.isnan(moved) else min(1.0, moved / ground.step)
         if weight > 0:
-            ground.filter.weigh(weight * emissions(standardised, _TEMPERATURE))
+            ground.filter.weigh(weight * emissions(standardised))
 
     def _count(self, ground: _Windows, squares: Float64Array, compared: BoolArray, moved: float) -> None:
         """Count the squares of scores of frames as soon as the drone is at another place."""

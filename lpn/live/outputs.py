@@ -15,13 +15,14 @@ from urllib.parse import urlsplit
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.numbers import wrap_degrees
 from lpn.live.frames import Say
 from lpn.live.telemetry import open_link
 from lpn.locate.located import LocatedFrame, StageRecord
 
 # Messages that are sent over MAVLink.
 SentAs = Literal["gps", "vision"]
-# Degrees by which a camera of unknown tilt looks away from straight down, one standard deviation; see `lpn.locate.belief`.
+# Degrees by which a camera of unknown tilt looks away from straight down, one standard deviation.
 _TILT = 5.0
 # MAVLink's component of visual odometry, flags for what is unknown (altitude; dilution, speeds, vertical accuracy), a 3-D fix.
 _COMPONENT = 197
@@ -205,7 +206,7 @@ class MavlinkOutput:
             math.nan if height is None else -height,
             math.nan,
             math.nan,
-            math.nan if heading is None else math.radians((heading + 180) % 360 - 180),
+            math.nan if heading is None else math.radians(wrap_degrees(heading)),
             covariance,
         )
 

@@ -25,7 +25,7 @@ from lpn.core.numbers import wrap_degrees
 OfFrame = Callable[[int], Float64Array]
 
 # Frames of unit score that count beside those of other places in a window's mean square.
-_PRIOR_FRAMES = 30
+PRIOR_FRAMES = 30
 # Speeds in metres a second and temperatures that are compared, and the frames that they are compared on.
 SPEEDS = (4.0, 6.0, 9.0, 13.0, 19.0, 28.0)
 TEMPERATURES = (0.25, 0.33, 0.4, 0.5, 0.67, 1.0)
@@ -207,8 +207,8 @@ def score_units(
     variance = np.concatenate([[0.0], np.cumsum(np.square(steps))])
     near = np.searchsorted(variance, [variance - side**2, np.nextafter(variance + side**2, np.inf)], "left")
     first, last = np.minimum(near[0], np.arange(len(values))), np.maximum(near[1], np.arange(len(values)) + 1)
-    mean_square = (squares[-1] - squares[last] + squares[first] + _PRIOR_FRAMES) / (
-        frames[-1] - frames[last] + frames[first] + _PRIOR_FRAMES
+    mean_square = (squares[-1] - squares[last] + squares[first] + PRIOR_FRAMES) / (
+        frames[-1] - frames[last] + frames[first] + PRIOR_FRAMES
     )
     units = np.sqrt(mean_square)
     least = np.min(values / units, axis=1, where=counted, initial=0.0)
