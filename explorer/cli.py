@@ -159,12 +159,13 @@ class ExploreLive(LiveInput):
     def run(self) -> None:
         from explorer.live_window.record import LiveRecord
         from explorer.live_window.server import LiveApp
+        from lpn.live.frames import shown_name
         from lpn.maps import open_map
 
         authenticator = self.serve.authenticator()
         with ExitStack() as stack:
             basemap = stack.enter_context(closing(open_map(self.map)))
-            record = LiveRecord(printable(Path(self.live).name or self.live), basemap)
+            record = LiveRecord(shown_name(self.live), basemap)
             stack.callback(record.forget)
             app = LiveApp(record, self.serve.host or "0.0.0.0", self.serve.port, authenticator)
             stack.callback(app.close)

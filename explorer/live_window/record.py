@@ -69,7 +69,9 @@ class LiveRecord:
         self.watchers = Watchers()
         self._flown = _Flown(self._flight())
         self._pictures = FlightPictures(self._flown)
-        self._sight = LiveSight(None, self._pictures)
+        self._status = ""
+        # None after a change.
+        self._sight: LiveSight | None = None
 
     def send(self, fix: LiveFix) -> None:
         """Add a frame."""
@@ -88,21 +90,16 @@ class LiveRecord:
                 # Frames have other numbers now, and a browser keeps pictures by their addresses.
                 self._flown = _Flown(self._flight())
                 self._pictures = FlightPictures(self._flown)
-            flight = self._flight()
-            self._flown.flight = flight
             dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
-            status = f"Answered in {fix.age:.2f} s{dropped}"
-            self._sight = LiveSight(FlightView.of(flight, {}, ""), self._pictures, status)
+            self._status = f"Answered in {fix.age:.2f} s{dropped}"
+            self._sight = None
         self.watchers.tell()
 
     def note(self, sentence: str) -> None:
         """Add a sentence; the last twenty are kept."""
         with self._lock:
             self._sentences = [*self._sentences, sentence][-_SENTENCES:]
-            if self._sight.view is not None:
-                flight = self._flight()
-                self._flown.flight = flight
-                self._sight = replace(self._sight, view=FlightView.of(flight, {}, ""))
+            self._sight = None
         self.watchers.tell()
 
     def close(self) -> None:
@@ -114,8 +111,14 @@ class LiveRecord:
 
     @property
     def sight(self) -> LiveSight:
-        """The flight so far."""
+        """The flight so far; it is derived when a browser asks, and not for each frame."""
         with self._lock:
+            if self._sight is None:
+                view = None
+                if self._frames:
+                    self._flown.flight = self._flight()
+                    view = FlightView.of(self._flown.flight, {}, "")
+                self._sight = LiveSight(view, self._pictures, self._status)
             return self._sight
 
     def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:

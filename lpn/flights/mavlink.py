@@ -25,6 +25,8 @@ class MavlinkTelemetry:
 
     Args:
         system: id of the vehicle, 1 to 255. None takes the first that sends a position.
+        needs_position: whether entries have positions. Without, attitudes make entries, too, while no position comes, and the
+            first system that sends one is the vehicle.
 
     Attributes:
         foreign: positions of other systems, by id.
@@ -33,8 +35,8 @@ class MavlinkTelemetry:
 
     _JUMP = 5.0
 
-    def __init__(self, system: int | None = None) -> None:
-        self.system = system
+    def __init__(self, system: int | None = None, needs_position: bool = True) -> None:
+        self.system, self._needs_position = system, needs_position
         self.foreign: Counter[int] = Counter()
         self.jumps = 0
         # An attitude may come before the position that tells which vehicle counts.
@@ -55,7 +57,8 @@ class MavlinkTelemetry:
         """
         kind = message.get_type()
         sender = message.get_srcSystem()
-        if self.system is None and kind in _POSITIONS and (message.lat or message.lon):
+        placed = kind in _POSITIONS and (message.lat or message.lon)
+        if self.system is None and (placed or (kind == "ATTITUDE" and not self._needs_position)):
             self.system = sender
         if self.system not in (None, sender):
             self.foreign[sender] += kind in _POSITIONS
@@ -64,6 +67,7 @@ class MavlinkTelemetry:
         match kind:
             case "GLOBAL_POSITION_INT":
                 self._watch(message.time_boot_ms / 1000, time)
+                state.above_takeoff(time, message.relative_alt / 1000)
                 return state.position(
                     time,
                     message.lat / 1e7,
@@ -78,6 +82,7 @@ class MavlinkTelemetry:
                 )
             case "ATTITUDE":
                 state.attitude(time, *(math.degrees(angle) for angle in (message.roll, message.pitch, message.yaw)))
+                return None if self._needs_position else state.unplaced(time, clock)
             case "MOUNT_ORIENTATION":
                 north = getattr(message, "yaw_absolute", math.nan)
                 known = math.isfinite(north) and bool(north)

@@ -27,6 +27,8 @@ class VehicleState:
     _attitude: tuple[float, float, float, float] | None = None
     _gimbal: tuple[float, float, float, float] | None = None
     _above_ground: tuple[float, float] | None = None
+    _above_takeoff: tuple[float, float] | None = None
+    _unplaced: float = -math.inf
     _filtered: float = -math.inf
     _last: float = -math.inf
     outside: int = field(default=0, init=False)
@@ -48,6 +50,19 @@ class VehicleState:
         """Take a measured height above ground."""
         if math.isfinite(metres) and metres > 0:
             self._above_ground = time, metres
+
+    def above_takeoff(self, time: float, metres: float) -> None:
+        """Take a height above the place of take-off, for entries without a position."""
+        if math.isfinite(metres):
+            self._above_takeoff = time, metres
+
+    def unplaced(self, time: float, clock: float | None = None) -> TelemetryEntry | None:
+        """Return an entry without a position; None less than 1 s after one with a position, and 0.1 s after any."""
+        if 0 <= time - self._last < _HOLD or 0 <= time - self._unplaced < _LEAST_STEP - 1e-6:
+            return None
+        self._unplaced = time
+        height = self._current(self._above_takeoff, time)
+        return self._entry(time, clock, None, None, None, None if height is None else height[1])
 
     def position(
         self,
@@ -77,6 +92,17 @@ class VehicleState:
         if 0 <= time - self._last < _LEAST_STEP - 1e-6:
             return None
         self._last = time
+        return self._entry(time, clock, latitude, longitude, altitude, above_takeoff)
+
+    def _entry(
+        self,
+        time: float,
+        clock: float | None,
+        latitude: float | None,
+        longitude: float | None,
+        altitude: float | None,
+        above_takeoff: float | None,
+    ) -> TelemetryEntry:
         height = self._current(self._above_ground, time)
         heading = pitch = roll = source = None
         if (gimbal := self._current(self._gimbal, time)) is not None and any(gimbal[1:]):

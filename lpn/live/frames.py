@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import cv2
 
@@ -26,7 +27,7 @@ from lpn.flights.videos import SUFFIXES as VIDEOS
 # Called with sentences for the user.
 Say = Callable[[str], None]
 # Seconds between two looks at a folder, and for which a file that cannot be read may still be written.
-_POLL, _UNFINISHED = 0.05, 2.0
+_POLL, _UNFINISHED = 0.2, 2.0
 # Milliseconds for which a stream may be silent, and seconds between two tries to open it.
 _SILENT_MS, _RETRY = 5000, 2.0
 
@@ -131,6 +132,8 @@ class LiveSource(ABC):
     def _run(self) -> None:
         try:
             self._read()
+        except Exception as error:  # a folder or camera that is taken away
+            self._say(f"Pictures can be read no longer ({printable(str(error))[:150]}); the flight counts as ended.")
         finally:
             self.newest.end()
 
@@ -193,7 +196,7 @@ class StreamPictures(LiveSource):
         super().__init__(say)
         self._source, self._fov, self._paced = source, fov, paced
         self._is_file = isinstance(source, Path)
-        self._name = printable(source.name if isinstance(source, Path) else str(source))
+        self._name = shown_name(source)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
         self._capture = self._opened()
         if self._capture is None:
@@ -248,6 +251,14 @@ class StreamPictures(LiveSource):
         else:
             while self.newest.waiting and not self._stop.wait(0.002):
                 pass
+
+
+def shown_name(source: Path | int | str) -> str:
+    """Return a source's name for sentences and pages: of a file its name, of a stream its address without user and password."""
+    if isinstance(source, Path) or "://" not in str(source):
+        return printable(Path(str(source)).name or str(source))
+    parts = urlsplit(str(source))
+    return printable(f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}")
 
 
 def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:

@@ -51,6 +51,8 @@ from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 
 FORMAT = "lpn-live/1"
+# Windows that are compared at most, unless their sides are given: a frame taken on the ground would make millions.
+_MOST_WINDOWS = 200_000
 # Distinct frames whose descriptors are kept to centre by, and the frames whose scores wait until the drone is elsewhere.
 _KEPT, _PENDING = 320, 64
 # Registrations whose widths and turns correct the next frame's, and those after which these corrections are believed.
@@ -243,6 +245,14 @@ class LiveLocator:
             return False
         # In few different sizes, so that the next flight finds its windows described.
         sizes = [_GRID ** round(math.log(size, _GRID)) for size in pyramid_sizes(self.basemap, [frame])]
+        if self.options.sizes is None:
+            west, south, east, north = self.basemap.bounds
+            step = min(sizes) * (1 - self.options.overlap)
+            if (count := (east - west) * (north - south) / step**2) > _MOST_WINDOWS:
+                raise InputError(
+                    f"The ground of {min(sizes):.1f} m that the first frame shows makes {count:,.0f} windows of the map, "
+                    f"and {_MOST_WINDOWS:,} are compared at most; fly higher, or give sides with --size."
+                )
         self.prepare(self.options.sizes or sizes)
         return True
 
@@ -517,7 +527,7 @@ class LiveLocator:
             "widths": track.widths,
             "ratios": track.ratios,
             "turns": track.turns,
-            "last": track.last,
+            "last": None if track.last is None else [None if math.isnan(value) else value for value in track.last],
             "distinct": self._distinct,
             "sizes": sorted(set(ground.sizes.tolist())),
         }
@@ -555,7 +565,11 @@ class LiveLocator:
         ground = self._ground
         assert ground is not None
         shape = len(ground.windows), len(arrays["headings"])
-        if arrays["belief"].shape != shape or arrays["kept"].shape[1:] != ground.raw.shape[1:]:
+        if (
+            arrays["belief"].shape != shape
+            or any(arrays[name].shape != shape[:1] for name in ("squares", "frames"))
+            or arrays["kept"].shape[1:] != ground.raw.shape[1:]
+        ):
             return f"{printable(file.name)} does not fit the windows; the flight starts anew."
         self._kept.extend(arrays["kept"].astype(np.float32))
         self._distinct = header.distinct
@@ -564,12 +578,10 @@ class LiveLocator:
         age = max(clock - header.clock, 0.0)
         ground.filter.belief, ground.filter.headings = arrays["belief"], arrays["headings"]
         self._written = header.clock
-        self._track = _Track(
-            odds=header.odds, widths=header.widths, ratios=header.ratios, turns=header.turns, last=header.last
-        )
+        self._track = _Track(odds=header.odds, widths=header.widths, ratios=header.ratios, turns=header.turns)
         # The clock of the pictures may be another one now, so that no time since the last registration is known.
-        if self._track.last is not None:
-            self._track.last = (*self._track.last[:3], math.nan)
+        if header.last is not None:
+            self._track.last = (*header.last[:3], math.nan)
         return f"The belief of {age:.1f} s ago was taken up from {printable(file.name)}."
 
     def _identity(self) -> list[Any]:
@@ -589,4 +601,4 @@ class _Header(msgspec.Struct):
     distinct: int
     sizes: list[float]
     time: float | None = None
-    last: tuple[float, float, float, float] | None = None
+    last: tuple[float, float, float, float | None] | None = None

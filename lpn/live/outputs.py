@@ -16,21 +16,23 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
+from lpn.core.resources import is_loopback
+from lpn.flights.cameras import rotation
 from lpn.live.frames import Say
 from lpn.live.telemetry import open_link
 from lpn.locate.located import LocatedFrame, StageRecord
 
 # Messages that are sent over MAVLink.
 SentAs = Literal["gps", "vision"]
-# Degrees by which a camera of unknown tilt looks away from straight down, one standard deviation.
-_TILT = 5.0
+# Degrees by which a camera looks away from straight down: one standard deviation of an unknown tilt, and the most that counts.
+_TILT, _MOST_TILT = 5.0, 85.0
 # MAVLink's component of visual odometry, flags for what is unknown (altitude; dilution, speeds, vertical accuracy), a 3-D fix.
 _COMPONENT = 197
-_UNKNOWN_ALTITUDE, _UNKNOWN_REST, _FIX_3D = 1, 2 | 4 | 8 | 16 | 32 | 128, 3
+_UNKNOWN_ALTITUDE, _UNKNOWN_RADIUS, _UNKNOWN_REST, _FIX_3D = 1, 64, 2 | 4 | 8 | 16 | 32 | 128, 3
 # GPS time: its epoch in seconds since 1970, the seconds by which it leads UTC, and those of a week.
 _GPS_EPOCH, _GPS_LEAD, _WEEK = 315_964_800, 18, 604_800
-# Lines that wait for a slow reader of the websocket; older ones are dropped.
-_WAITING = 4
+# Lines that wait for a slow reader of the websocket; older ones are dropped. Seconds between two looks whether it has left.
+_WAITING, _LOOK = 4, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +64,14 @@ class LiveFix:
 
     @property
     def radius(self) -> float | None:
-        """1-sigma radius in metres of the camera's place; where the answer is the picture's middle, an unknown tilt counts."""
+        """1-sigma radius in metres of the camera's place; where the answer is the picture's middle, the tilt counts."""
         if self.answer.radius is None or self.answer.camera:
             return self.answer.radius
-        height = self.located.frame.flying_height or (self.answer.width or 0.0) / 2
-        return math.hypot(self.answer.radius, height * math.tan(math.radians(_TILT)))
+        frame = self.located.frame
+        height = frame.flying_height or (self.answer.width or 0.0) / 2
+        down = 1.0 if frame.pitch is None else float(rotation(0.0, frame.pitch, frame.roll or 0.0)[2, 2])
+        tilt = min(max(math.degrees(math.acos(min(max(down, -1.0), 1.0))), _TILT), _MOST_TILT)
+        return math.hypot(self.answer.radius, height * math.tan(math.radians(tilt)))
 
     def feature(self) -> dict[str, Any]:
         """Return the fix as a feature of GeoJSON (RFC 7946), with properties as in the tracks of `lpn locate`."""
@@ -168,7 +173,9 @@ class MavlinkOutput:
         self._link.mav.gps_input_send(
             int(1e6 * fix.clock),
             0,
-            _UNKNOWN_REST | (_UNKNOWN_ALTITUDE if altitude is None else 0),
+            _UNKNOWN_REST
+            | (_UNKNOWN_ALTITUDE if altitude is None else 0)
+            | (_UNKNOWN_RADIUS if fix.radius is None else 0),
             int(1000 * rest),
             int(week),
             _FIX_3D,
@@ -192,7 +199,7 @@ class MavlinkOutput:
         from lpn.flights.base import local_metres
 
         east, north = local_metres(np.array([origin, (latitude, longitude)]))[1].tolist()
-        frame, radius = fix.located.frame, fix.radius or 0.0
+        frame, radius = fix.located.frame, math.nan if fix.radius is None else fix.radius
         height = frame.height_above_takeoff
         heading = fix.answer.heading
         # The upper triangle of the covariance of x, y, z, roll, pitch, yaw by rows; NaN where nothing is known.
@@ -214,7 +221,8 @@ class MavlinkOutput:
 class WebsocketOutput:
     """A websocket that sends each fix as a line of GeoJSON to all that are connected; a slow reader misses lines.
 
-    A page of another site cannot connect: a browser's Origin must be that of the host itself.
+    A page of another host cannot connect: a browser's Origin must have the name of the host itself, and on a loopback address a
+    name of this machine. Pages of other ports of the host can.
 
     Args:
         host, port: to listen on; port 0 takes a free one.
@@ -231,6 +239,7 @@ class WebsocketOutput:
         from websockets.sync.server import serve
 
         self._lock, self._readers = threading.Lock(), list[queue.Queue[str | None]]()
+        self._closed, self._is_loopback = False, is_loopback(host)
         try:
             self._server = serve(self._serve, host, port, process_request=self._refuse_other_sites)
         except (OSError, OverflowError) as error:
@@ -258,6 +267,7 @@ class WebsocketOutput:
     def close(self) -> None:
         """Disconnect all."""
         with self._lock:
+            self._closed = True
             for reader in self._readers:
                 with contextlib.suppress(queue.Empty):
                     while True:
@@ -268,23 +278,29 @@ class WebsocketOutput:
 
     def _serve(self, connection: Any) -> None:
         from websockets.exceptions import ConnectionClosed
+        from websockets.protocol import State
 
         reader: queue.Queue[str | None] = queue.Queue(_WAITING)
         with self._lock:
+            if self._closed:
+                return
             self._readers.append(reader)
         try:
-            while (line := reader.get()) is not None:
-                connection.send(line)
+            while connection.state is State.OPEN:
+                with contextlib.suppress(queue.Empty):  # a browser may leave while no frame comes
+                    if (line := reader.get(timeout=_LOOK)) is None:
+                        break
+                    connection.send(line)
         except ConnectionClosed:
             pass
         finally:
             with self._lock:
                 self._readers.remove(reader)
 
-    @staticmethod
-    def _refuse_other_sites(connection: Any, request: Any) -> Any:
-        origin, host = request.headers.get("Origin"), request.headers.get("Host", "")
-        if origin is None or urlsplit(origin).hostname == urlsplit(f"//{host}").hostname:
+    def _refuse_other_sites(self, connection: Any, request: Any) -> Any:
+        origin, host = request.headers.get("Origin"), urlsplit(f"//{request.headers.get('Host', '')}").hostname or ""
+        # A foreign name may lead to this machine, too.
+        if origin is None or (urlsplit(origin).hostname == host and (is_loopback(host) or not self._is_loopback)):
             return None
         return connection.respond(403, "Pages of other sites cannot connect.\n")
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from lpn.core.errors import LPNError, PictureError
+from lpn.core.errors import LPNError
 from lpn.live.frames import ArrivedPicture, LiveSource, Say
 from lpn.live.locator import LiveLocator
 from lpn.live.outputs import LiveFix
@@ -77,6 +77,7 @@ class LiveRun:
         self._refused = 0
         self._saved = 0.0
         self._failed: set[int] = set()
+        self._problem = ""
 
     def run(self) -> int:
         """Locate frames until the source ends, nothing has come for `LiveSettings.idle` seconds, or the run is stopped.
@@ -132,8 +133,10 @@ class LiveRun:
             if self._locator.begin(frame) and self._source.newest.replaced():
                 return None
             located = self._locator.locate(frame, pixels)
-        except PictureError as error:
-            self._say(f"{error} The flight goes on without it.")
+        except LPNError as error:
+            if str(error) != self._problem:
+                self._say(f"{error} The flight goes on without it.")
+            self._problem = str(error)
             return None
         for note in self._locator.take_notes():
             self._say(note)

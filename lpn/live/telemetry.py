@@ -107,7 +107,7 @@ class MavlinkLink(LiveTelemetry):
 
     def __init__(self, address: str, say: Say, system: int | None = None) -> None:
         self._link = open_link(address)
-        self._telemetry = MavlinkTelemetry(system)
+        self._telemetry = MavlinkTelemetry(system, needs_position=False)
         self._say, self._address = say, printable(address)
         self._entries: deque[TelemetryEntry] = deque(maxlen=_ENTRIES)
         self._lock, self._stop = threading.Lock(), threading.Event()
@@ -132,7 +132,8 @@ class MavlinkLink(LiveTelemetry):
         if not entries:
             self._warn(f"No position has come by {self._address} yet; frames have no heading and no height.")
             return TelemetryValue(picture.frame, None)
-        nearest = min(entries, key=lambda entry: abs(entry.time - picture.received))
+        # Entries without a position count where none with one is nearly as near.
+        nearest = min(entries, key=lambda entry: abs(entry.time - picture.received) + FRESH * (entry.latitude is None))
         age = picture.received - nearest.time
         known: dict[str, Any] = {name: value for name in VALUES if (value := getattr(nearest, name)) is not None}
         if abs(age) > FRESH:
@@ -165,7 +166,7 @@ class MavlinkLink(LiveTelemetry):
 
     def _take(self, message: Any) -> None:
         kind = message.get_type()
-        if kind == "GPS_GLOBAL_ORIGIN" and message.get_srcSystem() in (self.system, None):
+        if kind == "GPS_GLOBAL_ORIGIN" and self.system in (None, message.get_srcSystem()):
             self.origin = message.latitude / 1e7, message.longitude / 1e7
         entry = self._telemetry.take(message, time.monotonic())
         if entry is not None:

@@ -95,7 +95,8 @@ class WindowIndex:
         named = [self._named(one.ids) for one in found]
         self.sizes = sorted({one.size for some in named for one in some})
         self.turns = sorted({one.heading for some in named for one in some})
-        if self.turns != [360 / len(self.turns) * k for k in range(len(self.turns))]:
+        # Names round headings to 0.01 degrees.
+        if not np.allclose(self.turns, np.arange(len(self.turns)) * 360 / len(self.turns), rtol=0, atol=0.006):
             turned = next(one for some in named for one in some if one.heading == self.turns[-1])
             raise InputError(
                 f"The index holds {turned.name} and others, at the headings {', '.join(f'{turn:g}' for turn in self.turns)}; "
@@ -122,7 +123,10 @@ class WindowIndex:
                 f"The index holds {self._count:,} windows; frames were compared with the {len(places) * len(self.turns):,} of "
                 "them that are nearest to one.",
             )
-        vectors = np.stack([[read[replace(one, heading=turn).name] for one in places] for turn in self.turns])
+        names = [[replace(one, heading=turn).name for one in places] for turn in self.turns]
+        if missing := sum(name not in read for some in names for name in some):
+            raise _unfinished(missing)
+        vectors = np.stack([[read[name] for name in some] for some in names])
         return IndexedWindows(self._on_map(places), vectors.astype(np.float32, copy=False), notes)
 
     def _nearest(self, described: Float32Array) -> tuple[list[NamedWindow], dict[str, Float32Array]]:
@@ -139,6 +143,8 @@ class WindowIndex:
             places = self._places(read)
             names = [replace(one, heading=turn).name for one in places for turn in self.turns]
             if missing := [name for name in names if name not in read]:
+                if not (held := index.holds(missing)).all():
+                    raise _unfinished(int((~held).sum()))
                 read.update(zip(missing, index.read(missing)[0], strict=True))
         return places, read
 
@@ -178,3 +184,10 @@ class WindowIndex:
                 f"Windows of {printable(self._map.name)} that were described again have a cosine of {least:.2f} with those of "
                 f"the index, and {_ALIKE:.2f} is expected; it is of another map, or the map has changed: make the index again."
             )
+
+
+def _unfinished(missing: int) -> InputError:
+    return InputError(
+        f"The index lacks {missing:,} windows at some of its headings; give the command of lpn index --map --turns again, which "
+        "adds them."
+    )

@@ -17,6 +17,8 @@ from lpn.flights.cameras import rotation
 _LEAST_TILT, _MOST_TILT, _LOWEST_RAY = 15.0, 65.0, 28.0
 # Largest side of a levelled photo, as a multiple of the photo's width.
 _WIDEST = 4.0
+# Rows of a photo whose rays are computed at once.
+_ROWS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +78,11 @@ def level(photo: UInt8Array, frame: Frame) -> Levelled | None:
     columns, rows = (min(round(2 * float(side)), round(_WIDEST * width)) for side in reach)
     moved = np.array([[1, 0, (columns - 1) / 2 - centre[0]], [0, 1, (rows - 1) / 2 - centre[1]], [0, 0, 1]])
     matrix = moved @ plane
-    rays = np.column_stack([pixel_grid((width, height)), np.ones(height * width)]) @ (turn @ body).T
-    visible = _meets_ground(rays).reshape(height, width).astype(np.uint8)
+    visible = np.empty((height, width), np.uint8)
+    for top in range(0, height, _ROWS):  # the rays of a large photo would fill the memory
+        block = pixel_grid((width, min(_ROWS, height - top))) + np.array([0, top])
+        rays = np.column_stack([block, np.ones(len(block))]) @ (turn @ body).T
+        visible[top : top + _ROWS] = _meets_ground(rays).reshape(-1, width)
     picture = cv2.warpPerspective(photo, matrix, (columns, rows), flags=cv2.INTER_LINEAR)
     valid = cv2.warpPerspective(visible, matrix, (columns, rows), flags=cv2.INTER_NEAREST) > 0
     across = 2 * math.tan(math.radians(frame.fov) / 2) / -math.sin(math.radians(frame.pitch))

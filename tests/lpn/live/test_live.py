@@ -30,6 +30,7 @@ from lpn.live.frames import (
     Say,
     StreamPictures,
     open_source,
+    shown_name,
 )
 from lpn.live.locator import LiveLocator, LiveOptions
 from lpn.live.outputs import LineOutput, LiveFix, MavlinkOutput, WebsocketOutput
@@ -177,6 +178,8 @@ def test_registrations_prove_the_map_and_a_restart_takes_the_belief_up(
     assert line["error"] < 10
     assert said[0].startswith("The belief of ")
     assert said[0].endswith(" s ago was taken up from out.belief.")
+    _, said = lines_of(town, [unseen], settings)  # a second restart, without a registration since the first
+    assert said[0].startswith("The belief of ")
     (line,), _ = lines_of(town, [unseen])
     assert line["state"] == "refused"
 
@@ -470,3 +473,41 @@ def test_bad_options_of_the_command_are_refused_in_a_sentence(
     captured = capsys.readouterr()
     assert sentence in captured.err
     assert captured.err.count("\n") == 1
+
+
+def test_a_vehicle_without_positions_gives_heading_height_and_origin(flight: Flight) -> None:
+    pytest.importorskip("pymavlink")
+    link = MavlinkLink(f"udp:127.0.0.1:{(port := free_port())}", lambda _: None)
+    vehicle = SimulatedVehicle(flight, port=port, system=7)
+    lost = replace(flight.frames[0], latitude=None, longitude=None, heading=90.0, heading_source="aircraft")
+    try:
+        vehicle.tell_origin(47.0, 8.0)  # before any position
+        until(lambda: link.origin)
+
+        def known() -> bool:
+            vehicle.tell(lost)
+            frame = link.value(arrived(replace(lost, heading=None))).frame
+            return frame.heading == pytest.approx(90) and frame.flying_height == HEIGHT
+
+        until(known)
+        assert link.origin == (47.0, 8.0)
+        assert link.system == 7
+        assert link.value(arrived(lost)).frame.latitude is None
+    finally:
+        link.close()
+        vehicle.close()
+
+
+def test_a_place_of_the_middle_counts_with_the_tilt(flight: Flight) -> None:
+    def radius(pitch: float | None) -> float | None:
+        frame = replace(flight.frames[0], pitch=pitch, roll=0.0, height_above_ground=100.0)
+        answer = StageRecord("accepted", "", 0.0, 0.0, radius=3.0)
+        return LiveFix(LocatedFrame(frame, None), "sequence", answer, 47.0, 8.0, 1e9, 0.1, 0).radius
+
+    assert radius(-45.0) == pytest.approx(math.hypot(3, 100))
+    assert radius(-90.0) == radius(None) == pytest.approx(math.hypot(3, 100 * math.tan(math.radians(5))))
+
+
+def test_a_stream_is_named_without_its_password() -> None:
+    assert shown_name("rtsp://me:secret@cam:8554/drone?key=secret") == "rtsp://cam:8554/drone"
+    assert shown_name("photos/") == "photos"

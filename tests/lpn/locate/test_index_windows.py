@@ -155,3 +155,18 @@ def test_of_turned_windows_a_photo_of_unknown_heading_is_described_once(
     turned = retrieve(model, town, flight, [51.0], 0.6, centre=False)  # type: ignore[arg-type]
     assert turned.headings == found.headings
     assert turned.scores(0).max() == pytest.approx(found.scores(0).max(), abs=0.1)
+
+
+def test_headings_that_names_round_are_even_and_a_turn_that_is_missing_is_named(town: Map, tmp_path: Path) -> None:
+    model = GridModel()
+    describe = window_describer(model, town)  # type: ignore[arg-type]
+    with create_index(tmp_path / "index", KIND) as index:
+        fill_index(index, town, describe, [51.0], 0.6, turns=7)
+        more = town.pyramid([40.0], 0.6)[:1]
+        names = [one.name for one in NamedWindow.all_of(more, town.frame)]
+        indexed = WindowIndex(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
+        assert len(indexed.turns) == 7
+        index.add(names, describe(more))
+    indexed = WindowIndex(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="The index lacks 6 windows at some of its headings"):
+        indexed.near(describe(more))
