@@ -92,7 +92,7 @@
     axes: () => window.__viserSceneTree?.getState()[""]?.wxyz,
     // Whether viser shades its panels; null while they are not in the page.
     shaded: () => {
-      const shade = document.getElementById("lpn-header")?.closest(SELECTORS.shade);
+      const shade = document.querySelector("#lpn-header, #lpn-status")?.closest(SELECTORS.shade);
       return shade ? parseFloat(shade.style.opacity) < 1 : null;
     },
   };
