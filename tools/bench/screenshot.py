@@ -27,7 +27,7 @@ _AS_OPENED = (
     "localStorage.removeItem('lpn-panels'); localStorage.removeItem('lpn-open');"
     "sessionStorage.setItem('lpn-software-webgl', 'seen')"
 )
-QUALITY, _WORST = 84, 46
+QUALITY, _WORST = 74, 46
 
 
 @dataclass(frozen=True)
@@ -64,25 +64,25 @@ class Shot:
 # Pictures of both models in the tab Two models.
 _BOTH = "#lpn-model-comparison .models > :nth-child(2) img"
 SHOTS = (
-    Shot("first-screen.jpg", "", address="?screen=first"),
-    Shot("success.jpg", DEMO_QUERY, "m"),
-    Shot("twin-n1.jpg", "0447/07", baseline=True),
-    Shot("twin-n4.jpg", "0447/07"),
-    Shot("failure.jpg", "0449/05"),
-    Shot("failure-map.jpg", "0449/05", "m"),
-    Shot("story-context.jpg", "0445/05", "y", beside=True, tab="Two models", wait=_BOTH),
+    Shot("first-screen.webp", "", address="?screen=first"),
+    Shot("success.webp", DEMO_QUERY, "m"),
+    Shot("twin-n1.webp", "0447/07", baseline=True),
+    Shot("twin-n4.webp", "0447/07"),
+    Shot("failure.webp", "0449/05"),
+    Shot("failure-map.webp", "0449/05", "m"),
+    Shot("story-context.webp", "0445/05", "y", beside=True, tab="Two models", wait=_BOTH),
     Shot(
-        "story-turn.jpg",
+        "story-turn.webp",
         "0334/08",
         "y",
         tab="Turn, shift, zoom",
         choose=".chips a:has-text('Turn')",
         wait="#lpn-profile[data-done='24']",
     ),
-    Shot("story-constant.jpg", "0381/02", "y", tab="Why"),
-    Shot("fsra-beside-lpn.jpg", "0445/05", "y", fsra=True, tab="Two models", wait=_BOTH),
+    Shot("story-constant.webp", "0381/02", "y", tab="Why"),
+    Shot("fsra-beside-lpn.webp", "0445/05", "y", fsra=True, tab="Two models", wait=_BOTH),
     Shot(
-        "flight.jpg",
+        "flight.webp",
         DEMO_QUERY,
         address="?show=flight&flight=1&query=LPN_0100.webp",
         choose="[data-photo=swipe]",
@@ -93,9 +93,9 @@ SHOTS = (
 
 
 def _encoded(picture: UInt8Array, before: Path) -> bytes:
-    """Encode a picture as a JPEG that is no larger than the one that it replaces, as far as a quality of `_WORST` allows."""
+    """Encode a picture as a WebP that is no larger than the one that it replaces, as far as a quality of `_WORST` allows."""
     for quality in range(QUALITY, _WORST - 1, -2):
-        data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+        data = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
         if not before.exists() or len(data) <= before.stat().st_size:
             break
     return data
