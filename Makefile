@@ -78,7 +78,7 @@ test: check $(VENV)/.browser $(VENV)/.milvus
 # Everything: with the tests marked slow (whole files to one process each, which share servers), a short fuzz run, and a short soak.
 # Fuzzing takes one core, and a soak waits for most of its time.
 test-all: check $(VENV)/.browser $(VENV)/.milvus
-	$(PYTEST) --dist loadfile -m ''
+	$(PYTEST) --dist loadfile -m '' --durations 40 --durations-min 5
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
 # mypy takes as long as all other checks together.

@@ -563,11 +563,14 @@ def test_a_page_built_after_its_browser_left_is_removed(app: App, monkeypatch: p
             assert go.wait(TIMEOUT)
             super().__init__(*given)  # type: ignore[arg-type]
 
+    leave_after_an_answer(app)  # the thread of the network and the file of icons stay
     before = settled()
     with monkeypatch.context() as patched:
         patched.setattr(views, "Stage", Late)
         with Browser(url(app)) as browser:
             browser.camera()
+            browser.wait(lambda: browser.find("page") is not None)
+            browser.tell("hello", {"search": "?screen=all", "small": False})
             assert building.wait(TIMEOUT)
         until(lambda: not app.server.get_clients())
         go.set()

@@ -19,7 +19,7 @@ def page(data: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.Monke
     app = App(open_model(data, model_file), "127.0.0.1", 0)
     try:
         with WebSocketClient(f"http://127.0.0.1:{app.server.get_port()}") as page:
-            yield page
+            yield page.greet("?screen=all")
     finally:
         app.close()
 
