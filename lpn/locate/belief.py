@@ -101,7 +101,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
     registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
     why = "" if registration is None else registration.sentence
     if registration is not None and registration.accepted:
-        headline = f"Registered to ± {registration.radius or 0:.1f} m"
+        headline = f"Fits the map to ± {registration.radius or 0:.1f} m"
         error = located.error("registration")
         beside = "" if error is None else f" It lies {error:.1f} m from the tag."
         against = {one.other: one for one in contradictions if one.one == "registration"}
@@ -118,7 +118,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
         )
     if retrieval is not None and retrieval.x is not None:
         refused = _first_refusal(registration, sequence)
-        return Belief(None, "A best window only, not verified", refused or retrieval.sentence, "retrieval")
+        return Belief(None, "A best guess only, not verified", refused or retrieval.sentence, "retrieval")
     return Belief(False, "Not located", _first_refusal(registration, sequence, retrieval) or "No stage has an answer.")
 
 

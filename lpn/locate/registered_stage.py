@@ -158,8 +158,8 @@ def with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
     radius = math.hypot(answer.radius, map_error)
     sentence = answer.sentence
     if answer.accepted:
-        sentence += f" The 1-sigma radius of the {'camera' if answer.camera else 'picture'}'s "
-        sentence += f"{'place' if answer.camera else 'middle'} is {radius:.1f} m."
+        place = "camera's place" if answer.camera else "picture's middle"
+        sentence += f" The {place} is known to ± {radius:.1f} m (1 sigma)."
     return msgspec.structs.replace(answer, radius=radius, sentence=sentence)
 
 
@@ -395,7 +395,9 @@ def _record(
         heading = solution.heading
     sentence = registration.reason
     if registration.accepted:
-        agreed = f"{registration.inliers} matches of {registration.matcher} agree on {_AGREED[registration.model]}."
+        agreed = (
+            f"{registration.inliers} details matched by {registration.matcher} agree on {_AGREED[registration.model]}."
+        )
         told = solved if isinstance(solved, str) else solved.sentence
         sentence = " ".join(part for part in (agreed, registration.turn_sentence, told) if part)
     return StageRecord(

@@ -54,13 +54,13 @@ def test_answers_that_were_refused_or_not_verified_contradict_nothing() -> None:
 def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
     good = located(registration=registration(3.0), sequence=sequence(5.0))
     assert belief(good).sign is True
-    assert belief(good).headline == "Registered to ± 1.0 m"
+    assert belief(good).headline == "Fits the map to ± 1.0 m"
     assert belief(good).reason == "Matches agree. It lies 3.0 m from the tag."
     bad = located(registration=registration(60.0), sequence=sequence(50.0))
     found = belief(bad, disagreements([bad]))
     assert found.sign is None
     assert found.stage == "registration"
-    assert found.headline == "Registered to ± 1.0 m, but its tag disagrees"
+    assert found.headline == "Fits the map to ± 1.0 m, but its tag disagrees"
     assert found.reason == "Registration and tag lie 60.0 m apart; their radii allow 15.3 m."
 
 
@@ -71,7 +71,7 @@ def test_a_tag_outweighs_the_sequence() -> None:
     assert found.sign is True
     assert found.reason == "Matches agree. It lies 3.0 m from the tag. The sequence is 97.0 m off."
     found = belief(untagged, disagreements([untagged]))
-    assert (found.sign, found.headline) == (None, "Registered to ± 1.0 m, but the sequence disagrees")
+    assert (found.sign, found.headline) == (None, "Fits the map to ± 1.0 m, but the sequence disagrees")
 
 
 def test_without_a_registration_the_reason_is_its_refusal() -> None:

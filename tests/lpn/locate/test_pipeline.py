@@ -408,7 +408,7 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
         options = replace(SIFT, map_error=map_error)
         located = locate(town, Flight("monday", (frame,)), None, options)
         answer = located.frames[0].stages["registration"]
-        assert answer.sentence.endswith(f"The 1-sigma radius of the camera's place is {answer.radius:.1f} m.")
+        assert answer.sentence.endswith(f"The camera's place is known to ± {answer.radius:.1f} m (1 sigma).")
         expected = 1.5 if map_error is None else map_error
         assert located.notes[-1] == f"Radii of registrations hold {expected:.1f} m for the error of the map itself."
         assert answer.radius is not None
@@ -715,7 +715,7 @@ def test_the_commands_write_a_track_and_measures(
     features = json.loads(track.read_text())["features"]
     assert [entry["properties"]["state"] for entry in features] == ["accepted"]
     assert features[0]["properties"]["camera"] is True
-    assert "matches of SIFT agree" in capsys.readouterr().out
+    assert "details matched by SIFT agree" in capsys.readouterr().out
     kept = {"0.png": Correction.of(_corners((5.0, 5.0), 90.0), town.frame)}
     set_correction(tmp_path / "flight" / "corrections.csv", "0.png", kept["0.png"])
     assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
