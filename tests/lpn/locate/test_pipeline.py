@@ -385,7 +385,7 @@ def test_the_camera_is_told_within_its_radius(
     answer = locate(town, Flight("monday", (frame,)), None, options).frames[0].stages["registration"]
     assert answer.accepted, answer.sentence
     assert answer.camera
-    assert "of the camera's place" in answer.sentence
+    assert "The camera's place" in answer.sentence
     assert answer.radius is not None
     assert answer.x is not None
     assert answer.y is not None
@@ -440,7 +440,7 @@ def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_
     answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
     assert answer.accepted, answer.sentence
     assert not answer.camera
-    assert "of the picture's middle" in answer.sentence
+    assert "The picture's middle" in answer.sentence
     assert answer.x is not None
     assert answer.y is not None
     ahead = HEIGHT * math.tan(math.radians(17.0))
