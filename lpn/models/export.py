@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
@@ -28,13 +28,16 @@ from lpn.models.base import Model
 from lpn.models.checkpoints import TorchModel
 from lpn.models.contract_metadata import to_metadata
 from lpn.models.network import weigh
-from lpn.models.onnx_engine import FORMAT, OUTPUTS, extra_outputs, graph_files
+from lpn.models.onnx_engine import FORMAT, OUTPUTS, TRUNK, extra_outputs, graph_files
 from lpn.models.onnx_tokens import TOKENS, pooled_graph
 from lpn.models.shipped import model_file
 from lpn.models.spec import SLOPES
 from lpn.models.timm_files import timm_file
 from lpn.models.token_pooling import TokenPooling
 from lpn.models.weight_storage import WeightType, to_eight_bits
+
+# The module of `_AccountGraph` up to the map or tokens of a published model.
+_TRUNK_MODULE = "network.trunk"
 
 
 class _SafaGraph(nn.Module):
@@ -193,9 +196,11 @@ def _graph(model: Model, view: View, metadata: dict[str, str], storage: WeightTy
         )
     assert program is not None
     proto = program.model_proto
+    if isinstance(model, PublishedModel):
+        _name_trunk(proto.graph)
     _remove_origin(proto)
     if storage != "float32":
-        _shrink(proto, storage)
+        _shrink(proto, storage, kept=_behind_trunk(proto.graph) if isinstance(model, PublishedModel) else ())
     return _sealed(proto, metadata)
 
 
@@ -214,17 +219,35 @@ def _remove_origin(proto: onnx.ModelProto) -> None:
         part.doc_string = ""
 
 
-def _shrink(proto: onnx.ModelProto, storage: WeightType, prefix: str = "") -> None:
+def _name_trunk(graph: onnx.GraphProto) -> None:
+    """Mark by their names the nodes that the exporter made of a published model's trunk."""
+    for number, node in enumerate(graph.node):
+        scopes = next((entry.value for entry in node.metadata_props if entry.key == "pkg.torch.onnx.name_scopes"), "")
+        node.name = f"{TRUNK if repr(_TRUNK_MODULE) in scopes else ''}{number}"
+
+
+def _behind_trunk(graph: onnx.GraphProto) -> set[str]:
+    """Return the names of what nodes behind the trunk read, but for the outputs.
+
+    The exporter derives constants of one weight, such as its transpose for the parts and its sums for the account. Rounded one
+    by one, they would contradict each other.
+    """
+    read = {name for node in graph.node if not node.name.startswith(TRUNK) for name in node.input}
+    return read - {output.name for output in graph.output}
+
+
+def _shrink(proto: onnx.ModelProto, storage: WeightType, prefix: str = "", kept: Collection[str] = ()) -> None:
     """Store weights in fewer bits, behind nodes that convert them to the float32 of the graph.
 
     Args:
         prefix: of the names of the weights; others stay as they are.
+        kept: further names of weights that stay as they are.
     """
     graph = proto.graph
     widening: list[onnx.NodeProto] = []
     for weight in list(graph.initializer):
         values = onnx.numpy_helper.to_array(weight)
-        if values.dtype != np.float32 or not weight.name.startswith(prefix):
+        if values.dtype != np.float32 or not weight.name.startswith(prefix) or weight.name in kept:
             continue
         name, stored = weight.name, f"{weight.name}.stored"
         narrow: npt.NDArray[np.float16] | Int8Array

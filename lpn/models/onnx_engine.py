@@ -34,6 +34,8 @@ log = logging.getLogger(__name__)
 FORMAT = "lpn-explorer-onnx/1"
 # The metadata entry of a quantised file, see `lpn.models.quantize`.
 COMPUTE = "compute"
+# The prefix of the names of the nodes before a published model's maps and tokens, from which parts and account both come.
+TRUNK = "trunk/"
 OUTPUTS = ("parts", "features")
 HEAD_OUTPUTS = ("head_weight", "head_bias", "cells")
 SAFA_OUTPUTS = ("attention",)

@@ -1,7 +1,7 @@
 """Quantization of an exported float32 model to 8-bit integers, calibrated on real pictures.
 
 Convolutions, linear layers, and what lies between convolutions are quantised: weights by output channel, activations by their
-range on the calibration pictures. That ends at the trunk's map or tokens, through which all outputs are computed. Pooling,
+range on the calibration pictures. That ends at the trunk's maps or tokens, from which all outputs are computed. Pooling,
 regions, gates, norms of pooled values, and heads stay in float32 behind it, so parts and their account come from the same
 numbers and evidence stays exact.
 """
@@ -28,7 +28,7 @@ from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.datasets.integrity import check_whole
-from lpn.models.onnx_engine import COMPUTE, Engine, graph_files
+from lpn.models.onnx_engine import COMPUTE, TRUNK, Engine, graph_files
 from lpn.models.shipped import model_file
 
 # Calibration pictures for each group of views that share weights.
@@ -191,7 +191,7 @@ def _quantised(file: Path, engine: Engine, pictures: Sequence[tuple[View, Pictur
             f"{file.name} is stored in fewer bits than float32; export the model with --storage float32 first."
         )
     for number, node in enumerate(proto.graph.node):
-        node.name = f"{number}"
+        node.name = f"{TRUNK if node.name.startswith(TRUNK) else ''}{number}"
     names = _quantisable(proto.graph)
     if not names:
         raise InputError(
@@ -239,7 +239,10 @@ def _quantisable(graph: onnx.GraphProto) -> list[str]:
 
 
 def _trunk(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
-    """Return the nodes up to the last value through which all outputs are computed from the images."""
+    """Return the nodes up to the last value through which all outputs are computed from the images, and those named as trunk.
+
+    A trunk of several maps has no such value at its end.
+    """
     needed = _upstream(graph)
     nodes = [node for node in graph.node if node.name in needed]
     # Each value's last reader; an output of the graph is read to its end.
@@ -254,7 +257,7 @@ def _trunk(graph: onnx.GraphProto) -> list[onnx.NodeProto]:
         live = {name for name in live if readers.get(name, -1) > position}
         if len(live) == 1:
             end = position + 1
-    return nodes[:end]
+    return [node for position, node in enumerate(nodes) if position < end or node.name.startswith(TRUNK)]
 
 
 def _upstream(graph: onnx.GraphProto) -> set[str]:

@@ -60,3 +60,13 @@ def test_an_export_gives_the_same_vector_and_account(tmp_path: Path) -> None:
     assert open_session(tmp_path / "infogeo.onnx").get_inputs()[0].shape[0] == "batch"
     assert relative(exported.descriptors(case.pictures, "drone")[:, 0], case.arrays["descriptor"]) < TOLERANCE
     assert account_error(exported, case.pictures) < 1e-5
+
+
+@pytest.mark.slow
+def test_a_smaller_file_has_an_account_that_adds_up(tmp_path: Path) -> None:
+    case = golden("infogeo_small")
+    opened(tmp_path)
+    export(tmp_path / "infogeo.pth", tmp_path / "small.onnx", "int8")
+    small = lpn.load(tmp_path / "small.onnx")
+    assert 1e-4 < relative(small.descriptors(case.pictures, "drone")[:, 0], case.arrays["descriptor"]) < 0.02
+    assert account_error(small, case.pictures) < 1e-5

@@ -5,13 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 
 import lpn
 from lpn.core.errors import ModelFileError
+from lpn.datasets import open_dataset
 from lpn.models.export import export
 from lpn.models.onnx_engine import open_session
+from lpn.models.quantize import quantize
 from lpn.models.trace import Trace
 from tools.fixtures.published_models import golden, relative
 
@@ -51,7 +54,7 @@ def test_a_token_is_where_the_map_has_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_export_gives_the_same_vector_and_account(tmp_path: Path) -> None:
+def test_an_export_gives_the_same_vector_and_account_also_in_8_bits(data: Path, tmp_path: Path) -> None:
     case, model = golden("mfrgn_small"), opened(tmp_path)
     export(tmp_path / "weights_U1652-D2S.pth", tmp_path / "mfrgn.onnx")
     exported = lpn.load(tmp_path / "mfrgn.onnx")
@@ -59,3 +62,12 @@ def test_an_export_gives_the_same_vector_and_account(tmp_path: Path) -> None:
     assert exported.contract == model.contract
     assert relative(exported.descriptors(case.pictures, "drone")[:, 0], case.arrays["descriptor"]) < TOLERANCE
     assert account_error(exported, case.pictures) < 1e-5
+    (file,), agreement = quantize(tmp_path / "mfrgn.onnx", open_dataset(data), tmp_path / "small.onnx", 4)
+    assert 0.98 < min(agreement.cosines.values()) < 0.999999
+    assert account_error(lpn.load(file), case.pictures) < 1e-5
+    nodes = onnx.load(file).graph.node
+    # Each of the four stages has a convolution of its own; the head's stay in float32.
+    in_8_bits = {name for node in nodes if node.op_type == "DequantizeLinear" for name in node.output}
+    kernels = [node.input[1] for node in nodes if node.op_type == "Conv"]
+    assert sum(name in in_8_bits for name in kernels) >= 4
+    assert not all(name in in_8_bits for name in kernels)
