@@ -16,10 +16,9 @@ from lpn.analysis.model_table import (
     ModelTable,
     compare,
     has_distractors,
-    markdown_cell,
-    markdown_row,
     rank_model,
 )
+from lpn.analysis.text_tables import TableSection, TextTable, markdown_text
 from lpn.core.errors import InputError
 from lpn.core.progress import Progress
 from lpn.core.views import views_of
@@ -34,6 +33,7 @@ from lpn.retrieval.weathers import WeatherResult, evaluate_weathers
 
 # Passes of one picture that are timed, after others that are not.
 _TIMED, _WARM = 15, 3
+_UNITS = "R@1 / AP in percent."
 
 
 @dataclass(frozen=True)
@@ -107,9 +107,15 @@ class Leaderboard:
     turns: Mapping[str, Mapping[str, Mapping[float, RecallAndAP]]]
     weathers: Mapping[str, WeatherResult]
 
+    @property
+    def title(self) -> str:
+        """The page's title."""
+        return f"Models on {self.data_name}"
+
     def to_markdown(self) -> str:
-        """Return the page."""
-        return "\n".join([f"# Models on {markdown_cell(self.data_name)}", "", *self._lines()])
+        """Return the page in Markdown."""
+        lines = [f"# {markdown_text(self.title)}", ""]
+        return "\n".join([*lines, *(line for section in self.sections() for line in section.markdown_lines())])
 
     def to_dict(self) -> dict[str, Any]:
         """The page as JSON values."""
@@ -122,43 +128,43 @@ class Leaderboard:
             "weathers": {name: result.to_dict() for name, result in self.weathers.items()},
         }
 
-    def _lines(self) -> Iterator[str]:
-        yield from _table(
-            ("model", "method", "account", "input", "numbers", "MB", "ms a picture", "ms of processor"),
-            [
-                (
-                    markdown_cell(name),
-                    markdown_cell(facts.method),
-                    facts.level,
-                    "{} x {}".format(*facts.input_size),
-                    f"{facts.numbers:,}",
-                    "" if facts.megabytes is None else f"{facts.megabytes:.1f}",
-                    f"{facts.milliseconds:.1f}",
-                    f"{facts.processor_milliseconds:.1f}",
-                )
-                for name, facts in self.facts.items()
-            ],
-            left=3,
+    def sections(self) -> Iterator[TableSection]:
+        """Yield the page's sections: the models, each task and gallery, parts, turns, and weathers."""
+        facts = [
+            (
+                name,
+                of.method,
+                of.level,
+                "{} x {}".format(*of.input_size),
+                f"{of.numbers:,}",
+                "" if of.megabytes is None else f"{of.megabytes:.1f}",
+                f"{of.milliseconds:.1f}",
+                f"{of.processor_milliseconds:.1f}",
+            )
+            for name, of in self.facts.items()
+        ]
+        head = ("model", "method", "account", "input", "numbers", "MB", "ms a picture", "ms of processor")
+        yield TableSection(
+            "",
+            [TextTable(head, facts, texts=3)],
+            after=f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page; that of the "
+            "processor is the sum over its threads, and hardly changes where other programs compute, too.",
         )
-        yield f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page; that of the"
-        yield "processor is the sum over its threads, and hardly changes where other programs compute, too."
-        yield ""
-        for table in self.tables:
-            yield from (f"## {table.task}, {table.gallery_name}", "", table.to_markdown())
+        yield from (table.section for table in self.tables)
         for title, of_tasks in (("Each part alone", self.parts), ("Turned queries, degrees", self.turns)):
-            for task, of_models in of_tasks.items():
-                yield from _changed(f"## {title}: {task}", of_models)
+            yield from (_changed(f"{title}: {task}", of_models) for task, of_models in of_tasks.items())
         if self.weathers:
             first = next(iter(self.weathers.values()))
             for position, task in enumerate(first.tasks):
-                yield from _changed(
-                    f"## Weathers: {task}",
-                    {
-                        name: {weather: figures[position] for weather, figures in result.rows()}
-                        for name, result in self.weathers.items()
-                    },
-                )
-            yield from (first.sentence, "")
+                # Rows are the weathers, as in University-WX's table; eleven columns would be too wide for a page.
+                of_models = {name: dict(result.rows()) for name, result in self.weathers.items()}
+                rows = [
+                    (weather, *(_recall_and_ap(of[weather][position]) for of in of_models.values()))
+                    for weather, _ in first.rows()
+                ]
+                table = TextTable(("weather", *of_models), rows)
+                last = position + 1 == len(first.tasks)
+                yield TableSection(f"Weathers: {task}", [table], _UNITS, first.sentence if last else "")
 
 
 def leaderboard(
@@ -240,24 +246,16 @@ def _of_tiles(task: str) -> bool:
     return set(views_of(task)) == {"satellite"}
 
 
-def _changed(title: str, of_models: Mapping[str, Mapping[Any, RecallAndAP]]) -> Iterator[str]:
-    """Yield a table of Recall@1 and AP, a row for each model and a column for each change."""
+def _changed(title: str, of_models: Mapping[str, Mapping[Any, RecallAndAP]]) -> TableSection:
+    """Return a section with Recall@1 and AP, a row for each model and a column for each change."""
     names = list(dict.fromkeys(change for of in of_models.values() for change in of))
-    yield from (title, "", "R@1 / AP in percent.", "")
-    yield from _table(
-        ("model", *(f"{name:g}" if isinstance(name, float) else str(name) for name in names)),
-        [
-            (
-                markdown_cell(model),
-                *("{:.2f} / {:.2f}".format(*figures[name]) if name in figures else "" for name in names),
-            )
-            for model, figures in of_models.items()
-        ],
-    )
+    rows = [
+        (model, *(_recall_and_ap(figures[name]) if name in figures else "" for name in names))
+        for model, figures in of_models.items()
+    ]
+    head = ("model", *(f"{name:g}" if isinstance(name, float) else str(name) for name in names))
+    return TableSection(title, [TextTable(head, rows)], _UNITS)
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
-    yield markdown_row(*head)
-    yield markdown_row(*["---"] * left, *["---:"] * (len(head) - left))
-    yield from (markdown_row(*row) for row in rows)
-    yield ""
+def _recall_and_ap(figures: RecallAndAP) -> str:
+    return "{:.2f} / {:.2f}".format(*figures)

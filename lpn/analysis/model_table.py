@@ -7,7 +7,6 @@ A paired test (McNemar 1947) asks whether two models that each find b and c quer
 
 from __future__ import annotations
 
-import html
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from lpn.analysis.text_tables import TableSection, TextTable
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
@@ -191,24 +191,27 @@ class ModelTable:
             "protocol": self.sentence,
         }
 
-    def to_markdown(self) -> str:
-        """Return a table of figures, a table of paired tests, and the sentence."""
+    @property
+    def section(self) -> TableSection:
+        """A table of figures, a table of paired tests, and the sentence."""
         names = list(self.figures[0])
-        lines = [markdown_row("model", *names), markdown_row("---", *["---:"] * len(names))]
-        lines += [
-            markdown_row(markdown_cell(one.name), *map(str, of.values()))
-            for one, of in zip(self.models, self.figures, strict=True)
-        ]
-        lines += [
-            "",
-            markdown_row("A", "B", "only A", "only B", "both", "neither", "p"),
-            markdown_row("---", "---", *["---:"] * 5),
-        ]
+        figures = TextTable(
+            ("model", *names),
+            [(one.name, *map(str, of.values())) for one, of in zip(self.models, self.figures, strict=True)],
+        )
+        tests = []
         for test in self.tests:
             counts = (test.only_first, test.only_second, test.both, test.neither)
             p = f"{test.p:.3g}{'' if test.exact else ' (chi-square)'}"
-            lines.append(markdown_row(markdown_cell(test.first), markdown_cell(test.second), *map(str, counts), p))
-        return "\n".join([*lines, "", self.sentence, ""])
+            tests.append((test.first, test.second, *map(str, counts), p))
+        head = ("A", "B", "only A", "only B", "both", "neither", "p")
+        return TableSection(
+            f"{self.task}, {self.gallery_name}", (figures, TextTable(head, tests, texts=2)), after=self.sentence
+        )
+
+    def to_markdown(self) -> str:
+        """Return the tables and the sentence, without a title."""
+        return "\n".join(replace(self.section, title="").markdown_lines())
 
     def to_csv(self) -> bytes:
         """Return one line a model: its figures with intervals, and its test against each other model."""
@@ -439,13 +442,3 @@ def mcnemar(only_first: int, only_second: int) -> tuple[float, bool]:
         return min(1.0, 2 * tail / 2**total), True
     statistic = max(abs(only_first - only_second) - 1, 0) ** 2 / total
     return math.erfc(math.sqrt(statistic / 2)), False
-
-
-def markdown_row(*cells: str) -> str:
-    """Return a row of a Markdown table."""
-    return f"| {' | '.join(cells)} |"
-
-
-def markdown_cell(text: str) -> str:
-    """Return a cell of a Markdown table, which is HTML, too."""
-    return html.escape(text, quote=False).replace("|", "\\|")

@@ -228,7 +228,8 @@ class CompareCommand(ComparisonOfSources):
     """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
     (docs/evaluation.md); a row of its own. 0 for none."""
     page: Path | None = None
-    """Markdown page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model."""
+    """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML if the
+    name ends in .html, else Markdown."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False
@@ -250,6 +251,7 @@ class CompareCommand(ComparisonOfSources):
         from lpn.core.files import check_writable, write_atomic, write_json
         from lpn.datasets import open_dataset
         from lpn.models.shipped import model_file
+        from lpn.report import build_leaderboard
 
         if self.calibrate or self.csls or self.task or self.gallery != "full":
             raise InputError(
@@ -259,10 +261,9 @@ class CompareCommand(ComparisonOfSources):
             raise InputError("A page is written by --page, and its figures by --json; leave --markdown and --csv out.")
         options, json = self.models.options(), self.comparison.json
         saved = [name for name, model in options.items() if model.model.suffix.lower() == ".mat"]
-        if saved or not options:
-            raise InputError(
-                f"{saved[0]} holds descriptors, and a page needs networks; leave it out." if saved else "Name a model."
-            )
+        if saved:
+            raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
+        _check_several(len(options))
         for file in filter(None, (page, json)):
             check_writable(file)
         models = {name: model.load() for name, model in options.items()}
@@ -279,7 +280,8 @@ class CompareCommand(ComparisonOfSources):
                 self.comparison.resamples,
                 on_progress,
             )
-        write_atomic(page, written.to_markdown().encode())
+        of_html = page.suffix.lower() in (".html", ".htm")
+        write_atomic(page, build_leaderboard(written) if of_html else written.to_markdown().encode())
         if json is not None:
             write_json(json, written.to_dict())
         print(f"{page}: {len(models)} models, {len(written.tables)} tables of tasks and galleries")

@@ -6,6 +6,7 @@ write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 
 from lpn.analysis.analyser import OwnPicture
 from lpn.report.cases import Options
+from lpn.report.leaderboard_page import build_leaderboard
 from lpn.report.page import build
 
-__all__ = ["Options", "OwnPicture", "build"]
+__all__ = ["Options", "OwnPicture", "build", "build_leaderboard"]

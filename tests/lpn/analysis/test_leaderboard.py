@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 import lpn
+from lpn.analysis.leaderboard import Leaderboard, ModelFacts
 from lpn.cli.main import main
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS
+from lpn.report import build_leaderboard
 from lpn.retrieval.protocol import Protocol
 
 TASK = "drone-to-satellite"
@@ -62,11 +65,23 @@ def test_the_page_has_a_table_for_each_measure_and_no_parts_of_a_model_with_one(
     assert [name for name in (*WEATHERS, "mean") if f"| {name} " not in weathers] == []
 
 
+def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> None:
+    facts = ModelFacts("LPN", "exact", (64, 64), 8, None, 1.0, 1.0)
+    turns = {TASK: {"<b>.onnx": {90.0: (50.0, 62.5)}}}
+    board = Leaderboard("a|b", {"<b>.onnx": facts}, [], {}, turns, {})
+    page = build_leaderboard(board).decode()
+    assert page.count('<th scope="row">&lt;b&gt;.onnx</th>') == 2
+    assert '<td class="r">50.00 / 62.50</td>' in page
+    assert "| &lt;b&gt;.onnx | 50.00 / 62.50 |" in board.to_markdown()
+    assert not re.search(r"<script|https?:|<b>", page)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["--turns", "90"], "belong to a page"),
         (["--page", "{}/page.md", "--calibrate"], "ranked plainly"),
+        (["--page", "{}/page.md"], "takes two models or more; found 1."),
         (["--page", "{}/page.md", "--csv", "{}/page.csv"], "leave --markdown and --csv out"),
     ],
 )
