@@ -174,7 +174,7 @@ class ExploreLive(LiveInput):
                 print(printable(sentence), file=sys.stderr, flush=True)
                 record.note(sentence)
 
-            run = self.open_run(say, [record], stack)
+            run = self.open_run(say, [record], stack, [record.count_windows])
             print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
             say(f"The flight has ended; {run.run()} frames were located, and the page goes on showing them.")
             while True:

@@ -24,6 +24,7 @@ MOST = 400
 # Longer side and quality of the photos that are kept.
 _PHOTO, _QUALITY = 1280, 82
 _SENTENCES = 20
+_WAITING = "No frame has come yet"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class LiveSight:
     Attributes:
         view: of its frames; None before the first.
         pictures: of these frames.
-        status: age of the last answer and dropped frames in words.
+        status: age of the last answer and dropped frames in words; before the first answer, what is waited for.
     """
 
     view: FlightView | None
@@ -69,7 +70,7 @@ class LiveRecord:
         self.watchers = Watchers()
         self._flown = _Flown(self._flight())
         self._pictures = FlightPictures(self._flown)
-        self._status = ""
+        self._status = _WAITING
         # None after a change.
         self._sight: LiveSight | None = None
 
@@ -92,6 +93,13 @@ class LiveRecord:
                 self._pictures = FlightPictures(self._flown)
             dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
             self._status = f"Answered in {fix.age:.2f} s{dropped}"
+            self._sight = None
+        self.watchers.tell()
+
+    def count_windows(self, done: int, total: int) -> None:
+        """Take the number of the map's windows that are described, before the first frame is located."""
+        with self._lock:
+            self._status = f"{done:,} of {total:,} windows of the map are described"
             self._sight = None
         self.watchers.tell()
 

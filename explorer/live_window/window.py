@@ -96,6 +96,7 @@ class LiveWindow:
         view = sight.view
         self._shell.show(page.shell((), max(self._height - _FRAME_HEIGHT, 300), tall=True, live=True))
         if view is None:
+            self._progress.show(page.calls({"waits": f"{sight.status}."}))
             return None
         frames = view.flight.frames
         with self._lock:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -16,11 +18,14 @@ from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
-    from lpn.core.progress import Progress
+    from lpn.core.progress import CountProgress, Progress
     from lpn.live.frames import Say
     from lpn.live.locator import LiveOptions
     from lpn.live.run import FixOutput, LiveRun
     from lpn.live.telemetry import LiveTelemetry
+
+# Seconds between two sentences about the windows that are described.
+_SAID = 5.0
 
 
 @dataclass(kw_only=True)
@@ -64,16 +69,24 @@ class LiveInput:
 
         return LiveOptions(self.register, self.matcher, self.size, speed=self.speed, map_error=self.map_error)
 
-    def open_run(self, say: Say, outputs: Sequence[FixOutput], stack: ExitStack) -> LiveRun:
+    def open_run(
+        self,
+        say: Say,
+        outputs: Sequence[FixOutput],
+        stack: ExitStack,
+        on_windows: Sequence[CountProgress] = (),
+    ) -> LiveRun:
         """Open map, model, pictures, and telemetry.
 
         Args:
             outputs: beside those that need the telemetry.
+            on_windows: are called while the map's windows are described.
             stack: closes what was opened, if something later fails.
 
         Raises:
             InputError: if an option is out of range, or a source cannot be opened.
         """
+        from lpn.core.resources import one_thread_a_library
         from lpn.live.frames import open_source
         from lpn.live.locator import LiveLocator
         from lpn.live.run import LiveRun, LiveSettings
@@ -91,10 +104,15 @@ class LiveInput:
         stack.callback(telemetry.close)
         source = open_source(self.live, say, self.fov)
         stack.callback(source.close)
-        locator = LiveLocator(basemap, network, options, _progress(say))
+        locator = LiveLocator(basemap, network, options, _progress([_windows_said(), *on_windows]))
         if options.sizes is not None:
             locator.prepare(options.sizes)
         more = self.more_outputs(say, telemetry, stack)
+        if not stack.enter_context(one_thread_a_library()):
+            say(
+                "A frame may take twice as long as it has to: the package threadpoolctl is not installed, by which libraries do "
+                "without threads; pip install 'lpn-explorer[live]', or set OMP_NUM_THREADS=1."
+            )
         return LiveRun(source, telemetry, locator, [*outputs, *more], say, LiveSettings(self.idle, self.belief))
 
     def more_outputs(self, say: Say, telemetry: LiveTelemetry, stack: ExitStack) -> list[FixOutput]:
@@ -170,17 +188,27 @@ class LiveCommand(LiveInput):
         return outputs
 
 
-def _progress(say: Say) -> Progress:
-    """Return a function that says once that windows are described, which may take minutes."""
-    said = False
+def _progress(receivers: Sequence[CountProgress]) -> Progress:
+    """Return what hands the number of described windows on."""
 
     def report(_stage: str, done: int, total: int) -> None:
-        nonlocal said
-        if done < total and not said:
-            said = True
-            say(
-                f"{total:,} windows of the map are described, once for a map, a model, and a size; --size does it before."
-            )
+        for receiver in receivers:
+            receiver(done, total)
+
+    return report
+
+
+def _windows_said() -> CountProgress:
+    """Return what says every five seconds how many windows are described, as that may take minutes."""
+    last = -math.inf
+
+    def report(done: int, total: int) -> None:
+        nonlocal last
+        begins = last == -math.inf
+        if done < total and time.monotonic() - last >= _SAID:
+            last = time.monotonic()
+            once = " This is done once for a map, a model, and a size; --size does it before the flight."
+            _say(f"{done:,} of {total:,} windows of the map are described.{once if begins else ''}")
 
     return report
 

@@ -9,7 +9,8 @@ import os
 import socket
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
@@ -90,6 +91,38 @@ def yield_cores() -> None:
         thread = threading.get_native_id()
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, thread, min(os.getpriority(os.PRIO_PROCESS, thread) + _YIELDING, 19))
+
+
+@contextmanager
+def one_thread_a_library() -> Iterator[bool]:
+    """Let NumPy's and PyTorch's libraries compute by one thread each, unless OMP_NUM_THREADS is set.
+
+    After short computations their threads spin for a while, and take the cores from the library that computes next. PyTorch
+    keeps the limit afterwards if it is loaded within.
+
+    Yields:
+        True if it is so; False if NumPy's threads cannot be limited, as threadpoolctl is not installed.
+    """
+    if os.environ.get("OMP_NUM_THREADS"):
+        yield True
+        return
+    try:
+        from threadpoolctl import threadpool_limits
+    except ModuleNotFoundError:
+        yield False
+        return
+    torch = sys.modules.get("torch")
+    threads = None if torch is None else torch.get_num_threads()
+    os.environ["OMP_NUM_THREADS"] = "1"  # of libraries that are loaded later
+    try:
+        with threadpool_limits(1):
+            if torch is not None:
+                torch.set_num_threads(1)
+            yield True
+    finally:
+        del os.environ["OMP_NUM_THREADS"]
+        if torch is not None:
+            torch.set_num_threads(threads)
 
 
 def limit_malloc_arenas() -> bool:

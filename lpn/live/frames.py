@@ -6,7 +6,8 @@ import os
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import printable
-from lpn.datasets.base import files_below
+from lpn.datasets.base import hidden_name
 from lpn.flights.base import Frame
 from lpn.flights.photos import read_photo
 from lpn.flights.sources import PHOTOS
@@ -28,6 +29,8 @@ from lpn.flights.videos import SUFFIXES as VIDEOS
 Say = Callable[[str], None]
 # Seconds between two looks at a folder, and for which a file that cannot be read may still be written.
 _POLL, _UNFINISHED = 0.2, 2.0
+# Times as long as a look at a folder takes, nobody looks again; and the nanoseconds that file systems' clocks may tick in.
+_BACK_OFF, _TICK_NS = 9, 2_500_000_000
 # Milliseconds for which a stream may be silent, and seconds between two tries to open it.
 _SILENT_MS, _RETRY = 5000, 2.0
 
@@ -151,18 +154,45 @@ class FolderPictures(LiveSource):
 
     def __init__(self, folder: Path, say: Say) -> None:
         super().__init__(say)
+        self._seen = set[Path]()
+        # Each folder's subfolders, and the time of change at which it was listed last.
+        self._listed: dict[Path, tuple[int, list[Path]]] = {}
         self._folder = folder
-        self._seen = set(files_below(folder, PHOTOS))
+        self._seen.update(self._new_photos())
         # Files that cannot be read yet, and when they were first seen.
         self._unfinished: dict[Path, float] = {}
         if self._seen:
             say(f"{len(self._seen)} photos that were in {printable(folder.name)} before are left out.")
 
     def _read(self) -> None:
-        while not self._stop.wait(_POLL):
-            for file in files_below(self._folder, PHOTOS):
-                if file not in self._seen:
-                    self._take(file)
+        pause = _POLL
+        while not self._stop.wait(pause):
+            began = time.monotonic()
+            for file in sorted({*self._unfinished, *self._new_photos()}):
+                self._take(file)
+            # A folder of a million photos takes longer to list than a small one.
+            pause = max(_POLL, _BACK_OFF * (time.monotonic() - began))
+
+    def _new_photos(self) -> Iterator[Path]:
+        """Yield the photos that were not seen, of the folders that have changed since they were listed."""
+        folders = [self._folder]
+        while folders:
+            folder = folders.pop()
+            with suppress(OSError):  # it was removed
+                changed, (listed, inside) = folder.stat().st_mtime_ns, self._listed.get(folder, (None, []))
+                if changed != listed:
+                    names = list(os.scandir(folder))
+                    inside = [
+                        Path(one) for one in names if one.is_dir(follow_symlinks=False) and not hidden_name(one.name)
+                    ]
+                    for one in names:
+                        photo = not one.name.startswith(".") and one.name.lower().endswith(PHOTOS)
+                        if photo and (file := Path(one)) not in self._seen and not one.is_dir():
+                            yield file
+                    # What comes within the same tick of the file system's clock does not change the folder's time.
+                    if time.time_ns() - changed > _TICK_NS:
+                        self._listed[folder] = changed, inside
+                folders += inside
 
     def _take(self, file: Path) -> None:
         now = time.monotonic()

@@ -160,7 +160,9 @@ class LiveLocator:
     def __init__(
         self, basemap: Map, model: Model, options: LiveOptions | None = None, on_progress: Progress | None = None
     ) -> None:
-        self.basemap, self.model, self.options = basemap, model, options or LiveOptions()
+        # A frame is one pass of milliseconds, in which further threads save less time than they spin for afterwards.
+        self.basemap, self.model = basemap, model.for_parallel_inference()
+        self.options = options or LiveOptions()
         model.check_view("satellite")
         self._view: View = "drone" if "drone" in model.views else "satellite"
         self._pixels = max(model.input_size)

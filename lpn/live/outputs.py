@@ -42,7 +42,7 @@ class LiveFix:
     Attributes:
         located: the frame with the answers of its stages.
         stage: "registration" or "sequence", whose place counts.
-        answer: of that stage; its state says whether it may be used.
+        answer: of that stage, moved below the camera as far as the camera's tilt is known; its state says whether it may be used.
         latitude, longitude: WGS 84 degrees; None without a place.
         clock: of the frame in seconds since 1970 in UTC.
         age: seconds from the frame's arrival to the answer.
@@ -64,7 +64,7 @@ class LiveFix:
 
     @property
     def radius(self) -> float | None:
-        """1-sigma radius in metres of the camera's place; where the answer is the picture's middle, the tilt counts."""
+        """1-sigma radius in metres of the camera's place, with the tilt as an error where the answer is the picture's middle."""
         if self.answer.radius is None or self.answer.camera:
             return self.answer.radius
         frame = self.located.frame
@@ -88,12 +88,17 @@ class LiveFix:
             "camera": answer.camera,
             "radius": _rounded(answer.radius, 2),
             "heading": _rounded(answer.heading, 1),
-            "error": _rounded(self.located.error(self.stage), 2),
+            "error": _rounded(self._error, 2),
             "age": round(self.age, 3),
             "dropped": self.dropped,
             "telemetry_age": _rounded(self.telemetry_age, 3),
         }
         return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+    @property
+    def _error(self) -> float | None:
+        truth = self.located.truth(self.answer.camera)
+        return None if truth is None or self.answer.x is None else self.answer.distance(truth)
 
     def line(self) -> str:
         """Return the feature as one line."""

@@ -14,6 +14,7 @@ from lpn.live.frames import ArrivedPicture, LiveSource, Say
 from lpn.live.locator import LiveLocator
 from lpn.live.outputs import LiveFix
 from lpn.live.telemetry import LiveTelemetry
+from lpn.locate.camera_place import below_camera
 from lpn.locate.located import LocatedFrame, StageRecord
 
 # Seconds without a frame after which the source counts as stalled, and between two writings of the belief.
@@ -141,6 +142,7 @@ class LiveRun:
         for note in self._locator.take_notes():
             self._say(note)
         stage, answer = best_answer(located)
+        answer = below_camera(located.frame, answer)
         latitude = longitude = None
         if answer.x is not None and answer.y is not None:
             latitude, longitude = self._locator.basemap.frame.degrees([(answer.x, answer.y)])[0].tolist()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ import lpn
 from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import DEMO_FLIGHT, DEMO_MODEL
+from lpn.core.resources import one_thread_a_library
 from lpn.flights import Flight, open_flight
 from lpn.live.frames import ArrivedPicture, LiveSource
 from lpn.live.locator import LiveLocator, LiveOptions
@@ -26,6 +28,7 @@ from lpn.live.outputs import LiveFix
 from lpn.live.run import LiveRun, best_answer
 from lpn.live.telemetry import LiveTelemetry
 from lpn.locate.located import LocatedFrame
+from lpn.locate.matchers import MatcherName
 from lpn.locate.retrieval import pyramid_sizes
 from lpn.maps import Map, open_map
 from lpn.models.base import Model
@@ -65,10 +68,16 @@ def main() -> None:
     parser.add_argument("--matcher", choices=("auto", "xfeat", "sift"), default="auto")
     parser.add_argument("--rates", type=float, nargs=2, default=(2.0, 20.0), help="with and without registration")
     given = parser.parse_args()
-    basemap, flight, model = open_map(DEMO_FLIGHT[0]), open_flight(DEMO_FLIGHT[1]), lpn.load(given.model)
+    with one_thread_a_library() as limited:  # as in the command
+        print("each library computes by one thread" if limited else "threads are not limited: no threadpoolctl")
+        _measure(given.model, given.matcher, given.rates)
+
+
+def _measure(model_file: Path, matcher: MatcherName, rates: Sequence[float]) -> None:
+    basemap, flight, model = open_map(DEMO_FLIGHT[0]), open_flight(DEMO_FLIGHT[1]), lpn.load(model_file)
     print(f"load average {os.getloadavg()[0]:.1f} at the start; {os.cpu_count()} cores")
-    for register, rate in zip((True, False), given.rates, strict=True):
-        options = LiveOptions(register, given.matcher)
+    for register, rate in zip((True, False), rates, strict=True):
+        options = LiveOptions(register, matcher)
         _flown(basemap, flight, model, options)
         began = time.process_time()
         located, seconds = _flown(basemap, flight, model, options)

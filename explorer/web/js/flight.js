@@ -62,7 +62,12 @@
     if (flight.root) flight.root.dataset.seq = sequence;
     refresh();
   };
-  // A flight that goes on: each photo is laid over the map as it comes.
+  // A flight that goes on, and that has no frame yet.
+  flight.waits = (text) => {
+    document.getElementById("lpn-first")?.remove();
+    flight.sentence(text);
+  };
+  // Each photo is laid over the map as it comes.
   flight.live = () => {
     document.getElementById("lpn-first")?.remove();
     flight.photo.use("swipe");
@@ -98,10 +103,11 @@
   };
   const refresh = () => {
     const { root, data, chosen, followed, painted } = flight;
-    if (!root || !data) return;
-    flight.fillLegend();
-    find(".sentence").textContent = sentence;
+    if (!root) return;
+    if (sentence) find(".sentence").textContent = sentence;
     find(".status").textContent = status;
+    if (!data) return;
+    flight.fillLegend();
     fill(find(".lists"), html.counts);
     fill(find(".listed"), html[list] || '<p class="dim"><span class="for-mouse">Shift and click on the map</span><span class="for-touch">Tap Who saw? and then the map</span>: the frames that show the spot.</p>');
     if (followed) fill(find(".about"), followed.card);

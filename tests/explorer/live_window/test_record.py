@@ -44,6 +44,8 @@ def test_frames_are_shown_as_they_come_with_their_photos(record: LiveRecord, fli
     woken: list[int] = []
     record.watchers.watch(lambda: woken.append(1))
     assert record.sight.view is None
+    record.count_windows(128, 3000)
+    assert record.sight.status == "128 of 3,000 windows of the map are described"
     first, refused = flight.frames[0], flight.frames[2]
     record.send(fix(first))
     before = record.sight.view
@@ -58,7 +60,7 @@ def test_frames_are_shown_as_they_come_with_their_photos(record: LiveRecord, fli
     assert record.sight.status == "Answered in 0.25 s, 2 frames dropped"
     assert [round(served(record, i).mean(), -1) for i in (0, 1)] == [200, 90]
     assert served(record, 2) is None
-    assert len(woken) == 3
+    assert len(woken) == 4
 
 
 def test_old_frames_are_forgotten_and_photos_get_other_addresses(

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from lpn.core.resources import yield_cores
+from lpn.core.resources import one_thread_a_library, yield_cores
 
 HELD = """
 import sys
@@ -61,3 +61,23 @@ def test_a_thread_that_yields_and_those_it_starts_are_nicer_than_others() -> Non
     thread.join()
     assert found == [min(before + 10, 19)] * 2
     assert os.getpriority(os.PRIO_PROCESS, threading.get_native_id()) == before
+
+
+def test_libraries_compute_by_one_thread_each_within_and_as_before_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    control = pytest.importorskip("threadpoolctl")
+
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in control.threadpool_info() if library["user_api"] == "blas"]
+
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    with control.threadpool_limits(2):
+        with one_thread_a_library() as limited:
+            assert limited
+            assert set(threads()) == {2}  # the user's choice
+        monkeypatch.delenv("OMP_NUM_THREADS")
+        with one_thread_a_library() as limited:
+            assert limited
+            assert set(threads()) == {1}
+            assert os.environ["OMP_NUM_THREADS"] == "1"
+        assert set(threads()) == {2}
+        assert "OMP_NUM_THREADS" not in os.environ

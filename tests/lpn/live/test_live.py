@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import socket
 import threading
 import time
@@ -16,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_record
 
 import lpn.live.locator
 from lpn.cli.main import main
@@ -36,6 +38,7 @@ from lpn.live.locator import LiveLocator, LiveOptions
 from lpn.live.outputs import LineOutput, LiveFix, MavlinkOutput, WebsocketOutput
 from lpn.live.run import LiveRun, LiveSettings
 from lpn.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_link, open_telemetry
+from lpn.locate.camera_place import below_camera
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.maps import Map
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
@@ -264,6 +267,22 @@ def test_photos_that_come_into_a_folder_are_read_when_they_are_whole(tmp_path: P
     assert picture.frame.name == "new.jpg"
     assert picture.pixels().shape[2] == 3
     assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
+
+
+def test_a_folder_that_did_not_change_is_not_listed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    for folder in (inside, tmp_path):
+        os.utime(folder, (1e9, 1e9))
+    source, listed, scandir = FolderPictures(tmp_path, print), list[Path](), os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: (listed.append(path), scandir(path))[1])
+    assert not list(source._new_photos())
+    assert listed == []
+    for file in (inside / "later" / "new.jpg", inside / ".hidden.jpg", inside / "notes.txt"):
+        file.parent.mkdir(exist_ok=True)
+        write_photo(file)
+    assert list(source._new_photos()) == [inside / "later" / "new.jpg"]
+    assert listed == [inside, inside / "later"]
 
 
 def test_frames_of_a_video_have_their_times(tmp_path: Path) -> None:
@@ -506,6 +525,20 @@ def test_a_place_of_the_middle_counts_with_the_tilt(flight: Flight) -> None:
 
     assert radius(-45.0) == pytest.approx(math.hypot(3, 100))
     assert radius(-90.0) == radius(None) == pytest.approx(math.hypot(3, 100 * math.tan(math.radians(5))))
+
+
+def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None:
+    frame = replace(flight.frames[0], pitch=-45.0, roll=0.0, height_above_ground=100.0)
+    middle = StageRecord("accepted", "", 140.0, 20.0, radius=3.0, heading=90.0)
+    below = below_camera(frame, middle)
+    assert (below.x, below.y, below.camera) == (pytest.approx(40), pytest.approx(20), True)
+    degree, tenth = math.radians(1), 10.0
+    assert below.radius == pytest.approx(math.hypot(3, 2 * 100 * 1.5 * degree, 100 * 5 * degree, tenth))
+    turned = below_camera(frame, replace_record(middle, heading=270.0, turn=180.0))
+    assert (turned.x, turned.y) == (pytest.approx(40), pytest.approx(20))
+    for unknown in ({"pitch": None}, {"pitch": -20.0}, {"height_above_ground": None}):
+        assert below_camera(replace(frame, **unknown), middle) is middle
+    assert below_camera(frame, below) is below
 
 
 def test_a_stream_is_named_without_its_password() -> None:
