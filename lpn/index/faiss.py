@@ -143,7 +143,7 @@ class FaissIndex(FolderIndex):
         depth = min(size, max(k * self.depth, k))
         if segment.rows <= self.plain or size <= max(_FEW, depth):
             # Single precision reorders only ties in its last digits.
-            scores = (segment.vectors if rows is None else segment.vectors[rows]) @ wanted
+            scores = (segment.small if rows is None else segment.vectors[rows]) @ wanted
             first = np.argpartition(scores, size - depth)[size - depth :] if depth < size else np.arange(size)
             return first if rows is None else rows[first]
         index = self._index(state, segment)

@@ -57,6 +57,8 @@ class Segment:
     Attributes:
         identity: identifies the files; another segment later written to this folder has another identity.
         size: number of tiles that were not replaced.
+        vectors: of all tiles, (N, n D) float32, for rows here and there.
+        small: of all tiles in the precision of the scan, (N, n D), to be read from the first to the last.
 
     Raises:
         StoreError: when a file is damaged, does not fit the others, or cannot be read.
@@ -66,12 +68,14 @@ class Segment:
     def __init__(self, folder: Path, kind: DescriptorKind, precision: Precision, rows: int, dead: str | None) -> None:
         self.folder, self.rows, self.dead = folder, rows, dead
         self.identity = identity_of(folder)
-        self.vectors: Float32Array = self._mapped("vectors", (rows, kind.numbers), np.float32)
-        self.small: AnyArray = self.vectors
+        self._shape = rows, kind.numbers
+        self.vectors: Float32Array = self._mapped("vectors", self._shape, np.float32, at_random=True)
         self.scales: Float32Array | None = None
         self.errors: Float32Array | None = None
-        if precision != "float32":
-            self.small = self._mapped("small", (rows, kind.numbers), precision)
+        if precision == "float32":
+            self.small: AnyArray = self._mapped("vectors", self._shape, np.float32)
+        else:
+            self.small = self._mapped("small", self._shape, precision)
             self.scales = self._mapped("scales", (rows,), np.float32)
             self.errors = self._mapped("errors", (rows, kind.n_parts), np.float32)
         self.positions: Float64Array = self._mapped("positions", (rows, 2), np.float64)
@@ -131,12 +135,13 @@ class Segment:
 
     def batches(self, alive: BoolArray | None) -> Iterator[TileBatch]:
         """Yield the tiles of a mask, in blocks; None for all tiles."""
+        vectors = self._mapped("vectors", self._shape, np.float32)
         for start in range(0, self.rows, _BLOCK):
             rows = np.arange(start, min(start + _BLOCK, self.rows))
             if alive is not None:
                 rows = rows[alive[rows]]
             if len(rows):
-                yield TileBatch(self.names(rows), self.vectors[rows], self.positions[rows])
+                yield TileBatch(self.names(rows), vectors[rows], self.positions[rows])
 
     @cached_property
     def extent(self) -> tuple[DegreeBox, bool]:
@@ -144,9 +149,9 @@ class Segment:
         (south, west), (north, east) = (how.reduce(self.positions, axis=0).tolist() for how in (np.fmin, np.fmax))
         return (south, west, north, east), not np.isnan(self.positions).any()
 
-    def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike) -> AnyArray:
+    def _mapped(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike, at_random: bool = False) -> AnyArray:
         try:
-            mapped = open_memmap(self.folder / f"{name}.npy")
+            mapped = open_memmap(self.folder / f"{name}.npy", at_random)
         except FileNotFoundError:
             raise
         except OSError as error:

@@ -280,6 +280,27 @@ def test_a_scan_in_int8_reads_few_vectors_in_full(tmp_path: Path, monkeypatch: p
     assert sum(read) < 10 * 400
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("precision", scan.PRECISIONS)
+def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(
+    tmp_path: Path, precision: scan.Precision
+) -> None:
+    with ExactIndex.create(tmp_path / "index", KIND, precision) as index:
+        Tiles.draw(50).add_to(index, 50)
+        maps = Path("/proc/self/smaps").read_text()
+    at_random: dict[str, set[bool]] = {}
+    name = ""
+    for line in maps.splitlines():
+        if str(tmp_path) in line:
+            name = Path(line.split()[-1]).name
+        elif line.startswith("VmFlags:"):
+            at_random.setdefault(name, set()).add("rr" in line.split())
+            name = ""
+    scanned = "vectors.npy" if precision == "float32" else "small.npy"
+    assert at_random["vectors.npy"] == ({True, False} if precision == "float32" else {True})
+    assert False in at_random[scanned]
+
+
 def test_many_small_adds_leave_few_segments(tmp_path: Path) -> None:
     tiles = Tiles.draw(120)
     with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
