@@ -111,3 +111,18 @@ def test_flights_are_measured_with_a_fresh_cache(tmp_path: Path, monkeypatch: py
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "users"))
     program = FRESH_CACHE.replace("USERS", repr(str(tmp_path / "users")))
     assert run("-c", program).stdout.split() == ["True", "False", "False"]
+
+
+def test_the_chart_of_a_county_is_that_of_its_figures(tmp_path: Path) -> None:
+    docs, drawn = Path(__file__).parents[1] / "docs", tmp_path / "chart.svg"
+    command = [
+        sys.executable,
+        "-m",
+        "tools.bench.county",
+        "--rows",
+        docs / "measured" / "county.json",
+        "--chart",
+        drawn,
+    ]
+    subprocess.run(command, check=True, capture_output=True, cwd=docs.parent)
+    assert drawn.read_text() == (docs / "scale.svg").read_text()

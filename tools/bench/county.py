@@ -5,8 +5,9 @@ quarters overlap are cut from it. The rate of describing them by the network is 
 days, so the index is filled with descriptors of a seeded function, by the same code as `lpn index --map`: its searches take as
 long, and what they find means nothing. The network is untrained, with 4 parts of 64 numbers.
 
-FOLDER keeps indexes and figures, so that a run that was killed goes on; `--windows` are the sizes of the county, `--chart FILE`
-writes the chart as SVG, and `--no-page` leaves the explorer out.
+FOLDER keeps indexes and figures. A run that was killed goes on: it fills the rest of its index, and measures what has no figure
+yet. `--windows` are the sizes of the county, and `--no-page` leaves the explorer out. `--chart FILE` writes the chart as SVG.
+With `--rows docs/measured/county.json` it shows those figures, and nothing is measured.
 """
 
 from __future__ import annotations
@@ -57,6 +58,8 @@ PARTS, NUMBERS = 4, 64
 FRAMES, SAMPLE, SEARCHES = 24, 128, 20
 # Windows that are added at once, many, as no network describes them.
 BLOCK = 1 << 16
+# Seconds between two sentences about the windows that are in the index.
+SAID = 10.0
 # The command line's program, with the county in place of a map's file.
 SERVE = """
 import sys
@@ -204,13 +207,52 @@ def describe_seconds(model: Model, basemap: Map) -> float:
     return (time.process_time() - begun) / len(windows)
 
 
-def filled(folder: Path, basemap: Map, model: Model) -> float:
-    """Fill an index, unless it is whole; return the seconds."""
+def filled(folder: Path, basemap: Map, model: Model) -> dict[str, float]:
+    """Fill an index; return the seconds since this call, the windows, and the bytes on disk."""
     kind = DescriptorKind(model.fingerprint, PARTS, NUMBERS)
-    begun = time.perf_counter()
+    begun = said = time.perf_counter()
+
+    def report(done: int, total: int) -> None:
+        nonlocal said
+        if time.perf_counter() - said > SAID:
+            said = time.perf_counter()
+            print(f"{done:,} of {total:,} windows are in the index after {said - begun:.0f} s", flush=True)
+
     with create_index(folder, kind, precision="int8") as index:
-        index_windows(index, basemap, drawn, SIZES, OVERLAP, block=BLOCK)
-    return time.perf_counter() - begun
+        index_windows(index, basemap, drawn, SIZES, OVERLAP, report, BLOCK)
+    return {
+        "index": time.perf_counter() - begun,
+        "windows": basemap.count_pyramid(SIZES, OVERLAP),
+        "bytes": sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()),
+    }
+
+
+def searched(folder: Path, model: Model) -> dict[str, float]:
+    """Return the median seconds of searches of an index."""
+    queries = drawn([Window(i, 0, SIZES[0]) for i in range(SEARCHES)])
+    with open_index(folder, model.fingerprint) as index:
+        clock, processor = median_seconds([partial(index.search, query, None, 100) for query in queries])
+    return {"search": clock, "search, processor": processor}
+
+
+def located(index: Path, basemap: Map, model: Model, photos: Path) -> dict[str, float]:
+    """Return the seconds that a frame takes by the retrieval alone, the windows compared, and the memory in bytes."""
+    flight = photographed(basemap, photos)
+    begun = time.perf_counter()
+    with (
+        TemporaryDirectory() as cache,
+        patch.dict(os.environ, LPN_CACHE=cache),
+        # Windows of a drawn index resemble nothing, so they are not described again to be compared.
+        patch.object(WindowIndex, "_check"),
+    ):
+        indexed = WindowIndex(str(index), model, basemap)
+        answers = locate(basemap, flight, model, LocateOptions(sequence=False, register=False), indexed=indexed)
+    assert answers.retrieval is not None
+    return {
+        "locate a frame": (time.perf_counter() - begun) / len(flight.frames),
+        "windows compared": len(answers.retrieval.windows),
+        "memory": 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+    }
 
 
 def median_seconds(tasks: Sequence[Callable[[], object]]) -> tuple[float, float]:
@@ -226,38 +268,24 @@ def median_seconds(tasks: Sequence[Callable[[], object]]) -> tuple[float, float]
 
 
 def measure(windows: int, folder: Path, model_file: Path, with_page: bool) -> dict[str, Any]:
-    """Measure a county of about so many windows; times are seconds, and memory is in bytes."""
+    """Measure a county of about so many windows, as far as it has no figures yet; times are seconds, and memory is in bytes."""
     basemap, model = county(windows), lpn.load(model_file)
-    index_folder = folder / f"{windows}.index"
-    record = index_folder.with_suffix(".json")
+    index, photos = folder / f"{windows}.index", folder / f"{windows}.photos"
+    record = index.with_suffix(".json")
     found: dict[str, Any] = json.loads(record.read_bytes()) if record.is_file() else {}
-    if "index" not in found:
-        found = {"index": filled(index_folder, basemap, model), "windows": basemap.count_pyramid(SIZES, OVERLAP)}
-        found["bytes"] = sum(file.stat().st_size for file in index_folder.rglob("*") if file.is_file())
-        write_atomic(record, json.dumps(found).encode())
-    found["describe a window"] = describe_seconds(model, basemap)
-    flight = photographed(basemap, folder / f"{windows}.photos")
-    queries = drawn([Window(i, 0, SIZES[0]) for i in range(SEARCHES)])
-    with open_index(index_folder, model.fingerprint) as index:
-        found["search"], found["search, processor"] = median_seconds(
-            [partial(index.search, query, None, 100) for query in queries]
-        )
-    begun = time.perf_counter()
-    with (
-        TemporaryDirectory() as cache,
-        patch.dict(os.environ, LPN_CACHE=cache),
-        # Windows of a drawn index resemble nothing, so they are not described again to be compared.
-        patch.object(WindowIndex, "_check"),
-    ):
-        indexed = WindowIndex(str(index_folder), model, basemap)
-        located = locate(basemap, flight, model, LocateOptions(sequence=False, register=False), indexed=indexed)
-    found["locate a frame"] = (time.perf_counter() - begun) / len(flight.frames)
-    assert located.retrieval is not None
-    found["windows compared"] = len(located.retrieval.windows)
-    found["memory"] = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    steps: dict[str, Callable[[], dict[str, float]]] = {
+        "index": lambda: filled(index, basemap, model),
+        "describe a window": lambda: {"describe a window": describe_seconds(model, basemap)},
+        "search": lambda: searched(index, model),
+        "locate a frame": lambda: located(index, basemap, model, photos),
+    }
     if with_page:
-        found |= page_of(windows, index_folder, model_file, folder / f"{windows}.photos")
-    write_atomic(record, json.dumps(found, indent=1).encode())
+        steps["picked"] = lambda: page_of(windows, index, model_file, photos)
+    for name, step in steps.items():
+        if name not in found:
+            found |= step()
+            print(f"{windows:,} windows, {name}: {found[name]:.4g} s", flush=True)
+            write_atomic(record, json.dumps(found, indent=1).encode())
     return found
 
 
@@ -293,13 +321,15 @@ def page_of(windows: int, index: Path, model: Path, photos: Path) -> dict[str, f
 
 
 def chart(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the chart of seconds over windows as SVG, both axes in powers of ten."""
+    """Return the chart of seconds over windows as SVG, both axes in powers of ten; what was not measured has no point."""
     lines = {
-        "fill the index": [row["index"] for row in rows],
-        "locate a frame": [row["locate a frame"] for row in rows],
+        "fill the index": [row.get("index") for row in rows],
+        "locate a frame": [row.get("locate a frame") for row in rows],
         "picked to changed picture": [row.get("picked") for row in rows],
-        "one search": [row["search"] for row in rows],
-        "describe all, two cores": [row["windows"] * row["describe a window"] / 2 for row in rows],
+        "one search": [row.get("search") for row in rows],
+        "describe all, two cores (extrapolated)": [
+            row["windows"] * row.get("describe a window", 0) / 2 for row in rows
+        ],
     }
     points = {
         name: [
@@ -309,23 +339,33 @@ def chart(rows: Sequence[dict[str, Any]]) -> str:
         ]
         for name, values in lines.items()
     }
+    # Labels lie below each other where lines end together.
+    labels: dict[str, float] = {}
+    for name, line in sorted(points.items(), key=lambda one: one[1][-1][1] if one[1] else math.inf):
+        if line:
+            labels[name] = max(line[-1][1] + 4, max(labels.values(), default=-math.inf) + 16)
     environment = Environment(loader=FileSystemLoader(Path(__file__).parent), autoescape=True, trim_blocks=True)
-    return environment.get_template("county.svg.j2").render(points=points)
+    return environment.get_template("county.svg.j2").render(points=points, labels=labels)
 
 
 def main() -> None:
     """Measure the counties that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--windows", type=int, nargs="+", default=[10**4, 10**5, 10**6, 10**7])
     parser.add_argument("--no-page", action="store_true")
+    parser.add_argument("--rows", type=Path)
     parser.add_argument("--chart", type=Path)
     given = parser.parse_args()
-    model, rows = make_model(given.folder), []
-    print(machine())
-    for windows in given.windows:
-        rows.append(measure(windows, given.folder, model, not given.no_page))
-        print(json.dumps(rows[-1]), flush=True)
+    if given.rows is not None:
+        rows = json.loads(given.rows.read_bytes())
+    elif given.folder is None:
+        parser.error("give FOLDER, or --rows FILE of figures that were measured")
+    else:
+        model = make_model(given.folder)
+        print(machine())
+        rows = [measure(windows, given.folder, model, not given.no_page) for windows in given.windows]
+    print(json.dumps(rows, indent=1))
     if given.chart is not None:
         write_atomic(given.chart, chart(rows).encode())
 
