@@ -109,7 +109,8 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
         if answer is None:
             rows.append((None, None, -1, None, None))
         else:
-            rows.append((answer.x, answer.y, _STATES[answer.state], answer.radius, located.error(name)))
+            radius = None if answer.state == "refused" else answer.radius  # what is refused is known to no radius
+            rows.append((answer.x, answer.y, _STATES[answer.state], radius, located.error(name)))
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
         # Two digits more than are shown: rounded twice, a figure would differ from that of the card.
@@ -253,14 +254,16 @@ def lists(view: FlightView) -> dict[str, str]:
     notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]
     if view.corrections_error:
         notes.append(f"Corrections are left out: {view.corrections_error}")
-    audit = "" if flight.audit is None else flight.audit.sentence
+    summary = flight.summaries().get("registration")
+    proof = None if summary is None else summary.calibration_sentence("registration")
+    audit = " ".join(filter(None, ("" if flight.audit is None else flight.audit.sentence, proof)))
     return {
         "refused": _list(refused, "", "Every frame is placed.", ("support", "registration") if refused else ()),
         "audit": _list(
             apart,
             audit,
             "Registration, sequence, and tags agree within their radii.",
-            ("tag", "median", "time lag", "offset") if audit else (),
+            ("tag", "radius", "median", "time lag", "offset") if audit else (),
         ),
         "notes": render("flight/notes", notes=notes),
         "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),

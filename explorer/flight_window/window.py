@@ -223,6 +223,7 @@ class FlightWindow:
             )
         )
         followed = {
+            "address": self._pictures.address,
             "frame": None if frame is None else page.chosen(view, frame, self._pictures.address, saves, failed),
             "answer": page.answer_window(view, analysis),
             "scores": page.painting(view, analysis, choices.painted, names),

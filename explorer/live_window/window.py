@@ -110,7 +110,7 @@ class LiveWindow:
         sentence = f"{last.headline}. {page.sentence(view, running=False)}"
         self._progress.show(page.calls({"sentence": sentence, "status": sight.status}))
         self._sequence += 1
-        followed = {"frame": page.chosen(view, frame, address), "answer": None, "scores": None}
+        followed = {"address": address, "frame": page.chosen(view, frame, address), "answer": None, "scores": None}
         self._followed.show(page.calls({"follow": followed | {"sequence": self._sequence}}))
         self._start.show(page.calls({"live": None}))
         return None

@@ -165,14 +165,10 @@ def locate_files(
         return locate(basemap, flight, network, options, report, kept, indexed)
 
 
-def _shares(calibration: dict[int, float]) -> str:
-    return ", ".join(f"{share:.0f} %" for share in calibration.values())
-
-
 def _in_words(summary: ErrorSummary) -> str:
     """Return median, 90th percentile, and shares within radii in words."""
     return (
-        f"a median of {summary.median:.1f} m, 90 % within {summary.p90:.1f} m, and {_shares(summary.calibration)} of its errors "
+        f"a median of {summary.median:.1f} m, 90 % within {summary.p90:.1f} m, and {summary.calibration_shares} of its errors "
         f"within 1, 2, and 3 radii, of {summary.frames} frames whose tags can be moved"
     )
 
@@ -181,7 +177,6 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, and the findings below it."""
     from rich.table import Table
 
-    from lpn.locate.measures import RIGHT_CALIBRATION
     from lpn.locate.pose_errors import pose_errors
 
     summaries = located.summaries()
@@ -233,14 +228,9 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         "ranks windows and verifies none.",
         soft_wrap=True,
     )
-    right = _shares(RIGHT_CALIBRATION)
     for stage, summary in summaries.items():
-        if summary.calibration:
-            console.print(
-                f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {_shares(summary.calibration)}; right radii, "
-                f"against an exact truth, have {right}.",
-                soft_wrap=True,
-            )
+        if (sentence := summary.calibration_sentence(stage)) is not None:
+            console.print(sentence, soft_wrap=True)
     if located.tags_without_lag is not None and not located.tags_corrected:
         summary = located.without_lag().summaries()["registration"]
         console.print(

@@ -41,6 +41,20 @@ class ErrorSummary:
     limit: float
     calibration: dict[int, float]
 
+    @property
+    def calibration_shares(self) -> str:
+        """The shares of `calibration` in words."""
+        return _shares(self.calibration)
+
+    def calibration_sentence(self, stage: str) -> str | None:
+        """Return how many errors lie within 1, 2, and 3 radii, and how many should; None without radii."""
+        if not self.calibration:
+            return None
+        return (
+            f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {self.calibration_shares}; right radii, against an "
+            f"exact truth, have {_shares(RIGHT_CALIBRATION)}."
+        )
+
 
 def summarise(
     errors: npt.ArrayLike,
@@ -97,3 +111,7 @@ def _vector(values: npt.ArrayLike, length: int | None = None) -> Float64Array:
     if numbers.ndim != 1 or (length is not None and len(numbers) != length):
         raise InputError(f"The values have the shape {numbers.shape}; expected one number a frame.")
     return numbers
+
+
+def _shares(calibration: dict[int, float]) -> str:
+    return ", ".join(f"{share:.0f} %" for share in calibration.values())

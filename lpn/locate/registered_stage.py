@@ -159,7 +159,8 @@ def with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
     sentence = answer.sentence
     if answer.accepted:
         place = "camera's place" if answer.camera else "picture's middle"
-        sentence += f" The {place} is known to ± {radius:.1f} m (1 sigma)."
+        sentence += f" The error of the {place} on the map is ± {radius:.1f} m (1 sigma)"
+        sentence += f", with ± {map_error:.1f} m for the map itself." if map_error else "."
     return msgspec.structs.replace(answer, radius=radius, sentence=sentence)
 
 
@@ -390,16 +391,19 @@ def _record(
         place, radius = below
     heading, camera = registration.heading, below is not None
     solution = None if isinstance(solved, str) else solved
+    by_tilt = ""
     if placed and solution is not None and (below is None or radius is None or solution.radius < radius):
         place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
         heading = solution.heading
+    elif solution is not None and camera:
+        by_tilt = "Its place rests on the tilt that the gimbal reports, which is surer than that of this pose."
     sentence = registration.reason
     if registration.accepted:
         agreed = (
             f"{registration.inliers} details matched by {registration.matcher} agree on {_AGREED[registration.model]}."
         )
         told = solved if isinstance(solved, str) else solved.sentence
-        sentence = " ".join(part for part in (agreed, registration.turn_sentence, told) if part)
+        sentence = " ".join(part for part in (agreed, registration.turn_sentence, told, by_tilt) if part)
     return StageRecord(
         "accepted" if registration.accepted else "refused",
         sentence + how,

@@ -11,6 +11,7 @@
     chosen: -1, // the frame that all of the window shows; it changes with one message of the server
     wanted: null, // the frame that was asked for and has not come yet
     followed: null, // what the server told of the frame that is shown
+    of: null, // the address of the flight that the frame belongs to
     painted: null, // the scores over the map
     spotted: null, // a spot of the map, and the frames that show it
     answered: null, // the middle and the side of the window that answers, in metres
@@ -22,6 +23,8 @@
   const find = (flight.find = (selector) => flight.root?.querySelector(selector));
   const all = (flight.all = (selector) => (flight.root ? [...flight.root.querySelectorAll(selector)] : []));
   flight.total = () => flight.data.names.length;
+  // The frame that is shown may be that of another flight until both have come.
+  flight.whole = () => flight.data !== null && flight.data.address === flight.of;
   flight.ink = () => getComputedStyle(flight.root).color;
   flight.range = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
   // The tracks that are switched on, by name.
@@ -32,7 +35,7 @@
   flight.draw = () => {
     drawing ||= requestAnimationFrame(() => {
       drawing = 0;
-      if (!flight.root?.isConnected || !flight.data || !flight.map.draw()) return;
+      if (!flight.root?.isConnected || !flight.whole() || !flight.map.draw()) return;
       flight.photo.lay();
       flight.timeline.draw();
     });
@@ -41,7 +44,6 @@
   // ---- from the server
   flight.show = (data) => {
     const before = flight.data;
-    if (before && before.address !== data.address) flight.spotted = null;
     const times = data.times || data.names.map((_, i) => i), [low, high] = flight.range(times);
     data.span = { times, low, high };
     flight.data = data;
@@ -51,8 +53,10 @@
   flight.sentence = (text) => ((sentence = text), refresh());
   flight.status = (text) => ((status = text), refresh());
   flight.lists = (lists) => (Object.assign(html, lists), refresh());
-  // Everything that belongs to a frame comes at once: card, answer, scores, and the number of the message.
-  flight.follow = ({ frame, answer, scores, sequence }) => {
+  // Everything that belongs to a frame comes at once: its flight's address, card, answer, scores, and the number of the message.
+  flight.follow = ({ address, frame, answer, scores, sequence }) => {
+    if (flight.of !== null && flight.of !== address) flight.wanted = flight.spotted = null;
+    flight.of = address;
     flight.followed = frame;
     flight.answered = answer;
     flight.painted = scores;
@@ -106,7 +110,7 @@
     if (!root) return;
     if (sentence) find(".sentence").textContent = sentence;
     find(".status").textContent = status;
-    if (!data) return;
+    if (!flight.whole()) return;
     flight.fillLegend();
     fill(find(".lists"), html.counts);
     fill(find(".listed"), html[list] || '<p class="dim"><span class="for-mouse">Shift and click on the map</span><span class="for-touch">Tap Who saw? and then the map</span>: the frames that show the spot.</p>');

@@ -5,7 +5,7 @@
   if (flight.timeline) return;
   const TURNS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageUp: 10, PageDown: -10 };
   const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." };
-  const LABELS = { error: "Error", radius: "Radius", height: "Height" };
+  const LABELS = { error: "Off tag", radius: "Radius", height: "Height" };
   // How tall the marks of verdicts are, in pixels: to believe, to doubt, without a position.
   const SIGNS = { true: 9, null: 5, false: 2 };
   // Where a frame lies between the left and the right border, in pixels.

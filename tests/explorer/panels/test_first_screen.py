@@ -543,7 +543,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "a place that the model was not trained on" in said
     assert "Right." in said
     assert "On the map laid by its details" in said
-    assert "By its details, the photo fits the map where the frame is, to ± 1.0 m; that is 9 m from its GPS tag" in said
+    assert (
+        "By its details, the photo fits the map where the frame is, to ± 1.0 m; that is 15 m from its GPS tag" in said
+    )
     assert page.count("data:image/jpeg") == 3
     assert "On the map laid" not in text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
     assert "compared 224 pieces of the map" in said

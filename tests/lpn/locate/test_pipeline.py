@@ -385,7 +385,7 @@ def test_the_camera_is_told_within_its_radius(
     answer = locate(town, Flight("monday", (frame,)), None, options).frames[0].stages["registration"]
     assert answer.accepted, answer.sentence
     assert answer.camera
-    assert "The camera's place" in answer.sentence
+    assert "of the camera's place" in answer.sentence
     assert answer.radius is not None
     assert answer.x is not None
     assert answer.y is not None
@@ -408,7 +408,9 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
         options = replace(SIFT, map_error=map_error)
         located = locate(town, Flight("monday", (frame,)), None, options)
         answer = located.frames[0].stages["registration"]
-        assert answer.sentence.endswith(f"The camera's place is known to ± {answer.radius:.1f} m (1 sigma).")
+        assert answer.sentence.endswith(
+            f"The error of the camera's place on the map is ± {answer.radius:.1f} m (1 sigma), with ± 0.5 m for the map itself."
+        )
         expected = 1.5 if map_error is None else map_error
         assert located.notes[-1] == f"Radii of registrations hold {expected:.1f} m for the error of the map itself."
         assert answer.radius is not None
@@ -440,7 +442,7 @@ def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_
     answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
     assert answer.accepted, answer.sentence
     assert not answer.camera
-    assert "The picture's middle" in answer.sentence
+    assert "of the picture's middle" in answer.sentence
     assert answer.x is not None
     assert answer.y is not None
     ahead = HEIGHT * math.tan(math.radians(17.0))
