@@ -19,6 +19,7 @@ from lpn.drawing import overlays, score_map, theme
 from lpn.drawing.words import capitalised, say
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.summary import PLACED, describe_flight
+from lpn.maps import Window
 
 # The part whose cosines are painted, or all parts under the current weights.
 Painted = int | Literal["all", "off"]
@@ -138,6 +139,7 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
     degrees = None
     if place is not None and place.x is not None and place.y is not None:
         degrees = view.flight.basemap.frame.degrees([(place.x, place.y)])[0]
+    ground = ground_window(located, stage)
     return render(
         "flight/card",
         frame=frame,
@@ -148,11 +150,17 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
         colour=_verdict_colour(verdict.sign),
         place=place,
         degrees=degrees,
-        ground=ground_window(located, stage),
+        ground=ground,
+        on_map=None if ground is None else _share_on_map(view, ground),
         height=located.frame.flying_height,
         corrected=_correction(view, frame, place),
         later_stage=stage if retrieval_failed and stage in ("sequence", "registration") else None,
     )
+
+
+def _share_on_map(view: FlightView, ground: Window) -> float:
+    """Return the share of a photo's ground that the map shows, 0 to 1."""
+    return float(view.flight.basemap.valid_shares(np.array([(ground.x, ground.y)]), ground.size)[0])
 
 
 def _correction(view: FlightView, frame: int, place: StageRecord | None) -> tuple[float, float, float | None] | None:

@@ -45,7 +45,8 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
             "middle. The positions were left out; give the map of this flight, unless its positions are wrong."
         )
         return np.full_like(tags, np.nan), notes
-    if outside := int((off > 0).sum()) + int((tagged & ~known).sum()):
+    blank = basemap.valid_shares(tags[known], basemap.resolution) == 0
+    if outside := int(blank.sum()) + int((tagged & ~known).sum()):
         notes.append(f"{outside} of {total} frames have a position off the map.")
     return tags, notes
 

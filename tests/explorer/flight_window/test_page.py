@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import cv2
+import msgspec
 import numpy as np
 import pytest
 
@@ -103,6 +104,15 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     assert "<b>photo2" not in third
     assert "<i>4" not in third
     assert "Only &lt;i&gt;4&lt;/i&gt; matches agree." in third
+
+
+def test_a_photo_that_the_map_hardly_shows_says_so(flight: LocatedFlight) -> None:
+    assert "The map shows only" not in page.card(view_of(flight), 0, "x/")
+    east = flight.basemap.bounds[2]
+    edge = msgspec.structs.replace(flight.frames[0].stages["registration"], x=east + 5.0, homography=None)
+    moved = replace(flight.frames[0], stages={"registration": edge})
+    said = page.card(view_of(replace(flight, frames=[moved, *flight.frames[1:]])), 0, "x/")
+    assert "The map shows only" in said
 
 
 def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refused(flight: LocatedFlight) -> None:
