@@ -110,8 +110,8 @@ class LiveInput:
         more = self.more_outputs(say, telemetry, stack)
         if not stack.enter_context(one_thread_a_library()):
             say(
-                "A frame may take twice as long as it has to: the package threadpoolctl is not installed, by which libraries do "
-                "without threads; pip install 'lpn-explorer[live]', or set OMP_NUM_THREADS=1."
+                "The package threadpoolctl is not installed, so NumPy computes by several threads, and a frame may take twice as "
+                "long; pip install 'lpn-explorer[live]', or set OMP_NUM_THREADS=1."
             )
         return LiveRun(source, telemetry, locator, [*outputs, *more], say, LiveSettings(self.idle, self.belief))
 

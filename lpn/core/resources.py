@@ -10,7 +10,7 @@ import socket
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
@@ -106,19 +106,21 @@ def one_thread_a_library() -> Iterator[bool]:
     if os.environ.get("OMP_NUM_THREADS"):
         yield True
         return
-    try:
-        from threadpoolctl import threadpool_limits
-    except ModuleNotFoundError:
-        yield False
-        return
     torch = sys.modules.get("torch")
     threads = None if torch is None else torch.get_num_threads()
+    try:
+        from threadpoolctl import threadpool_limits
+
+        limits: AbstractContextManager[object] = threadpool_limits(1)
+        limited = True
+    except ModuleNotFoundError:
+        limits, limited = nullcontext(), False
     os.environ["OMP_NUM_THREADS"] = "1"  # of libraries that are loaded later
     try:
-        with threadpool_limits(1):
+        with limits:
             if torch is not None:
                 torch.set_num_threads(1)
-            yield True
+            yield limited
     finally:
         del os.environ["OMP_NUM_THREADS"]
         if torch is not None:
