@@ -6,7 +6,9 @@
   const opened = performance.getEntriesByType("navigation")[0];
   let search = new URL(opened ? opened.name : location.href).search;
   let greeting = 0;
-  let writing = 0;
+  let writing = 0; // the timer of the address that waits to be written
+  let waiting = null; // that address
+  let written = 0; // when one was written last
   let ready = false;
   let begun = false; // a session of the server has begun, and has not answered yet
 
@@ -16,6 +18,7 @@
   // Back keeps these as they are.
   const KEPT = ["theme", "words"];
   let acts = 0; // what the person has done so far
+  let actsAtBack = -1; // what the person had done when the browser last went back or forward
   let last = { act: 0, changed: "" }; // the last step: the act that it was made by, and what it changed
   window.addEventListener("pointerdown", ({ isTrusted }) => isTrusted && acts++, { capture: true, passive: true });
   window.addEventListener("keydown", ({ isTrusted, repeat, key, target }) => {
@@ -24,6 +27,8 @@
   }, { capture: true, passive: true });
   /** Tell if the page's next address is a step of its history. */
   const isStep = (next) => {
+    // The server may still answer what was done before, and nothing was done since.
+    if (acts === actsAtBack) return false;
     const [before, after] = [location.search, next].map((text) => new URLSearchParams(text));
     const changed = [...new Set([...before.keys(), ...after.keys()])].filter((key) => !KEPT.includes(key) && before.get(key) !== after.get(key));
     // In a flight, which plays, a frame is none: Back leaves the flight.
@@ -36,6 +41,8 @@
   let quiet = false; // the page itself goes back
   window.addEventListener("popstate", () => {
     clearTimeout(writing);
+    waiting = null;
+    actsAtBack = acts;
     search = location.search;
     if (!quiet && !lpn.backClosesGlossary() && !lpn.backEndsStory()) lpn.send("back", search);
     quiet = false;
@@ -75,6 +82,17 @@
     held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
   };
 
+  // Browsers limit how often the address may change, so the newest is written after this many milliseconds.
+  const PAUSE = 200;
+  const commit = () => {
+    clearTimeout(writing);
+    const write = lpn.storyAddress() || (waiting.first || !isStep(waiting.search) ? "replaceState" : "pushState");
+    history[write](history.state, "", location.pathname + waiting.search + location.hash);
+    written = performance.now();
+    waiting = null;
+  };
+  const stepsOf = (text) => STEPS.map((key) => new URLSearchParams(text).get(key)).join();
+
   lpn.address = (query, keys) => {
     clearInterval(greeting);
     const server = new URLSearchParams(location.search).get("websocket"); // viser's own parameter, which viser may change
@@ -82,12 +100,11 @@
     for (const key of [...keys, "websocket"]) others.delete(key);
     if (server) others.set("websocket", server);
     search = "?" + [query, others.toString()].filter(Boolean).join("&");
-    clearTimeout(writing); // browsers limit how often the address may change
-    const first = !ready;
-    writing = setTimeout(() => {
-      const write = lpn.storyAddress() || (first || !isStep(search) ? "replaceState" : "pushState");
-      history[write](history.state, "", location.pathname + search + location.hash);
-    }, 200);
+    // A step that still waits is not lost to the next one.
+    if (waiting && stepsOf(waiting.search) !== stepsOf(search) && performance.now() - written > PAUSE) commit();
+    waiting = { search, first: !ready };
+    clearTimeout(writing);
+    writing = setTimeout(commit, PAUSE);
     lpn.watch();
     if (begun) lpn.restoreDraft();
     begun = false;
