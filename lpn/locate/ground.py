@@ -22,7 +22,7 @@ from lpn.maps import Map, Window
 
 log = logging.getLogger(__name__)
 
-FORMAT = "lpn-ground/1"
+FORMAT = "lpn-ground/2"
 # Side of a block in pixels, its margin, and the most features of a block.
 _SIDE = 1024
 _MARGIN = 24

@@ -46,7 +46,7 @@ from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
 # Answers in the cache have poses of this version; those that ship have none.
-_POSES = 2
+_POSES = 3
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
