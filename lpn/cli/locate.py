@@ -67,9 +67,12 @@ class LocateCommand:
     """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds."""
     limit: int | None = None
     """Number of frames, the first ones of the flight; by default all."""
+    best: bool = False
+    """Write one point a frame, that of the stage that counts, in place of each stage's."""
 
     def run(self) -> None:
         from lpn.core.consoles import wide_console
+        from lpn.locate.belief import best_track
         from lpn.locate.tracks import check_suffix, write_track
 
         check_suffix(self.out)
@@ -89,7 +92,7 @@ class LocateCommand:
             self.index,
             self.pooling,
         )
-        write_track(self.out, located.flight.name, located.track())
+        write_track(self.out, located.flight.name, best_track(located) if self.best else located.track())
         for frame in located.frames:
             console.print(
                 f"{printable(frame.frame.name)}  {frame.sentence}", highlight=False, soft_wrap=True, markup=False

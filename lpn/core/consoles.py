@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -26,9 +28,19 @@ def counting_bar(title: str, console: Console | None = None, transient: bool = F
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+# Seconds between two lines about a stage where there is no terminal to draw a bar on.
+_LINES = 30.0
+
+
 @contextmanager
 def stage_bars(console: Console, title: str = "{}") -> Iterator[Progress]:
-    """Show a bar for each stage, with the stage in place of the braces of `title`; all are deleted at the end."""
+    """Show a bar for each stage, with the stage in place of the braces of `title`; all are deleted at the end.
+
+    Without a terminal, standard error gets a line about a stage every half minute.
+    """
+    if not console.is_terminal:
+        yield _stage_lines(title)
+        return
     bars = Bars(console=console, transient=True)
     stages: dict[str, TaskID] = {}
 
@@ -43,3 +55,16 @@ def stage_bars(console: Console, title: str = "{}") -> Iterator[Progress]:
     finally:
         if stages:  # bars that never started would print an empty line
             bars.stop()
+
+
+def _stage_lines(title: str) -> Progress:
+    """Return what writes a line about a stage every half minute."""
+    told: dict[str, float] = {}
+
+    def report(stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if now - told.setdefault(stage, now) >= _LINES:
+            told[stage] = now
+            print(f"{title.format(stage)}: {done:,} of {total:,}", file=sys.stderr, flush=True)
+
+    return report

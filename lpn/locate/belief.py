@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord
+from lpn.locate.tracks import TrackPoint
 
 # 1-sigma radius in metres of a tag by a consumer's receiver in the open.
 TAG_RADIUS = 5.0
@@ -88,6 +89,22 @@ def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreemen
     for one in contradictions:
         of_frame.setdefault(one.frame, []).append(one)
     return [belief(located, of_frame.get(i, ())) for i, located in enumerate(frames)]
+
+
+def best_track(flight: LocatedFlight) -> list[TrackPoint]:
+    """Return one point a frame: its correction by hand, or the answer of the stage that counts.
+
+    The reason is that of the verdict, and a frame without a position has none.
+    """
+    points = []
+    for located, verdict in zip(flight.frames, beliefs(flight.frames, disagreements(flight.frames)), strict=True):
+        if located.by_hand is not None:
+            points.append(flight.point(located, BY_HAND, located.by_hand))
+            continue
+        stage = verdict.stage or flight.stages[-1]
+        answer = StageRecord("refused", verdict.reason) if verdict.stage is None else located.stages[stage]
+        points.append(replace(flight.point(located, stage, answer), reason=f"{verdict.headline}. {verdict.reason}"))
+    return points
 
 
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -> Belief:

@@ -224,14 +224,15 @@ class LocatedFlight:
     def track(self) -> list[TrackPoint]:
         """Return the track's points, stage by stage; a correction takes the place of its frame's registration."""
         return [
-            self._point(located, stage, answer)
+            self.point(located, stage, answer)
             for stage in (*self.stages, BY_HAND)
             for located in self.frames
             if (answer := located.by_hand if stage == BY_HAND else located.stages.get(stage)) is not None
             and not (stage == "registration" and located.by_hand is not None)
         ]
 
-    def _point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
+    def point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
+        """Return the track's point of a frame's answer by a stage."""
         latitude = longitude = None
         if answer.x is not None and answer.y is not None:
             latitude, longitude = (float(value) for value in self.basemap.frame.degrees([(answer.x, answer.y)])[0])

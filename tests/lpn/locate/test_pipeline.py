@@ -18,6 +18,7 @@ from lpn.core.homography import apply_homography, corner_pixels
 from lpn.flights import Flight, Frame, footprint
 from lpn.flights.cut import cut_square
 from lpn.locate import pipeline, ranked_stages, registered_stage
+from lpn.locate.belief import best_track
 from lpn.locate.camera_place import nadir_pixel
 from lpn.locate.corrections import Correction, set_correction
 from lpn.locate.ground import MapFeatures
@@ -177,6 +178,18 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     assert by_hand.error is None
     assert by_hand.reason.startswith("A person laid the photo by hand. The tag lies ")
     assert by_hand.reason.endswith("The registration lies 18.1 m from there.")
+    best = best_track(found)
+    assert [(point.frame, point.stage) for point in best] == [
+        ("0.png", "by hand"),
+        ("1.png", "registration"),
+        ("2.png", "registration"),
+        ("3.png", "by hand"),
+    ]
+    assert best[0] == by_hand
+    assert best[1].reason.startswith("Fits the map to ± ")
+    lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
+    (point,) = best_track(replace(found, frames=[lost]))
+    assert (point.state, point.latitude, point.reason) == ("refused", None, "Not located. Too few.")
     assert found.notes[0].startswith("2 of 4 frames are corrected by hand.")
     assert "left out: x.png." in found.notes[1]
     assert found.audit is not None

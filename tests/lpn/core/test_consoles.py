@@ -1,0 +1,23 @@
+"""Tests of progress where there is no terminal."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from lpn.core import consoles
+
+
+def test_without_a_terminal_a_long_stage_writes_lines(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moments = iter((0.0, 10.0, 31.0, 40.0, 70.0))
+    monkeypatch.setattr(consoles.time, "monotonic", lambda: next(moments))
+    written = io.StringIO()
+    with consoles.stage_bars(Console(file=written), "Reading {}") as report:
+        for done in range(1, 6):
+            report("frames", done, 5000)
+    assert capsys.readouterr().err.splitlines() == ["Reading frames: 3 of 5,000", "Reading frames: 5 of 5,000"]
+    assert written.getvalue() == ""
