@@ -320,6 +320,15 @@ def random_query(state: SessionState, queries: int, rng: Random) -> SessionState
     return choose_query(state, (state.query + rng.randrange(1, queries)) % queries, queries)
 
 
+def next_failure(state: SessionState, failed: BoolArray) -> SessionState | None:
+    """Choose the failure that follows in the list of queries, the first one after the last, given which failed, (Q,)."""
+    failures = np.flatnonzero(failed)
+    if not len(failures):
+        return None
+    at = np.searchsorted(failures, state.query, "left" if state.upload is not None else "right")
+    return choose_query(state, int(failures[at % len(failures)]), len(failed))
+
+
 def random_failure(state: SessionState, failed: BoolArray, rng: Random) -> SessionState | None:
     """Choose any other failure, given which queries failed, (Q,); None without any."""
     failures: list[int] = np.flatnonzero(failed).tolist()

@@ -22,6 +22,8 @@ from lpn.core.errors import LPNError
 from lpn.core.tables import Table
 from lpn.datasets.geo import Position
 from lpn.datasets.metadata import NOTE, TAGS
+from lpn.drawing import words
+from lpn.drawing.words import Vocabulary, speaking
 from lpn.locate.located import LocatedFlight
 from lpn.locate.task import stage_columns
 from lpn.tasks import notes, query_outcomes
@@ -65,6 +67,10 @@ class SecondProgress:
     text: str = ""
     pending: bool = False
     offered: str = ""
+
+
+# The terms of columns. Their names stay as they are in files; a filter takes the plain words, too.
+TERMS = {"rank": "rank", "margin": "margin", "part": "part", "answer": "tile"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,7 +317,7 @@ class FailureLab:
         outcomes = task.outcomes_of(ranking)
         progress(len(task.queries), len(task.queries))
         part_names = self._workspace.part_names
-        table = task.tabulate(outcomes, part_names)
+        table = _named_plainly(task.tabulate(outcomes, part_names), self._workspace.vocabulary(True))
         with self._lock:
             stored, error = self._read_notes()
             table = table.with_columns(notes.columns(stored, table.paths))
@@ -340,3 +346,15 @@ class FailureLab:
         first, second = 100 * embedding.variance
         axes = f"{first:.0f} % of the variance across, {second:.0f} % upwards"
         return MapPoints(embedding.queries, embedding.tiles, axes)
+
+
+def _named_plainly(table: Table, vocabulary: Vocabulary) -> Table:
+    """Return a table whose filters also take the words that a page with plain words has above its columns."""
+    with speaking(vocabulary):
+        return table.with_columns(
+            [
+                replace(table.columns[name], also=(words.say(term),))
+                for name, term in TERMS.items()
+                if name in table.columns
+            ]
+        )

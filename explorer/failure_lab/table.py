@@ -10,7 +10,7 @@ import numpy as np
 from explorer.browse.feeds import Feeds, Side
 from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.failure_lab.service import Findings, SecondProgress
+from explorer.failure_lab.service import TERMS, Findings, SecondProgress
 from explorer.failure_lab.state import Drawer, LabState, extra_columns, fixed_columns, outcome_masks
 from explorer.lab_choices import Tab, show_all
 from explorer.web.render import call, render, run
@@ -33,8 +33,6 @@ _HINTS = {
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
 }
-# The terms of columns, whose names stay as they are in filters and files.
-_TERMS = {"rank": "rank", "margin": "margin", "part": "part", "answer": "tile"}
 # Examples of filters, without and with a second model.
 _EXAMPLE, _EXAMPLE_OF_TWO = "rank > 5", f"{RANK_A} > 1 and {RANK_B} = 1"
 
@@ -163,7 +161,7 @@ def table(findings: Findings, lab: LabState, selected: int, shell: int, height: 
         of_both = zip((RANK_A, RANK_B), findings.second.names, strict=True)
         hints = hints | {rank: f"{_HINTS['rank']} by {name}" for rank, name in of_both}
     columns = visible_columns(findings, lab)
-    headings = {name: words.say(term) for name, term in _TERMS.items()} if words.plain() else {}
+    headings = {name: words.say(term) for name, term in TERMS.items()} if words.plain() else {}
     return render(
         "failure_lab/table",
         lab=lab,

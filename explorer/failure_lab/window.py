@@ -29,7 +29,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.named_views import NamedView
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
-from lpn.drawing.words import speaking
+from lpn.drawing.words import say, speaking
 
 # Share of the stage, from its top, that the compared pair takes, unless that leaves less than so many pixels to the window.
 _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
@@ -221,8 +221,8 @@ class FailureLabWindow:
                 case messages.TagChosen(tags):
                     rows = state.chosen_or_all(lab, self._rows(findings, lab))
                     self._service.add_tags([findings.table.paths[row] for row in rows.tolist()], tags)
-                    what = "query is" if len(rows) == 1 else "queries are"
-                    result = f"{len(rows):,} {what} tagged in {self._service.notes_place}."
+                    what = say("query", len(rows))
+                    result = f"{len(rows):,} {what} {'is' if len(rows) == 1 else 'are'} tagged in {self._service.notes_place}."
                 case messages.SaveView(name):
                     self._service.save_view(state.to_view(findings, lab, name))
                     result = f"Saved in {self._service.views_place}."

@@ -86,7 +86,7 @@ class FirstScreen:
             "next": navigation.random,
             "own-previous": navigation.previous,
             "own-next": navigation.next,
-            "failure": navigation.failure,
+            "failure": navigation.next_failure,
             "why": session_state.flip_why,
             "start": session_state.to_first_screen,
             "data": session_state.leave_upload,
@@ -152,6 +152,7 @@ def page(
     laid = None if state.why else _laid(analysis, workspace)
     if third is None and laid is None and right is False and positive is not None and not positive.beyond:
         third = positive.index
+    because = _because(analysis, workspace, lead, cells_of_parts)
     return render(
         "first_screen",
         workspace=workspace,
@@ -171,7 +172,9 @@ def page(
         headline=headline,
         sentence=sentence,
         lead=lead,
-        because=_because(analysis, workspace, lead, cells_of_parts),
+        because=because,
+        fixed_share=any(_itself(task.gallery_view) in sentence for sentence in because),
+        failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         trust=answer_text.trust(analysis, workspace),
         gap=analysis.matches[0].gap,
@@ -214,6 +217,12 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, alte
         return f"{text} The model is calibrated on these pictures{csls}."
     city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
     return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace), answer_text.OWN_KEPT)))
+
+
+def _failures(workspace: Workspace, state: SessionState) -> int:
+    """Return the number of wrong answers; 0 until all queries are ranked."""
+    ranking = workspace.rankings[state.ranking_key]
+    return 0 if ranking.result is None else int(ranking.failed.sum())
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:

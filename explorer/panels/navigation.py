@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from random import Random
 
 from explorer import session_state
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
-from lpn.core.arrays import Int64Array
+from lpn.core.arrays import BoolArray, Int64Array
 
 
 class Navigation:
@@ -42,11 +43,20 @@ class Navigation:
 
     def failure(self, state: SessionState) -> SessionState | None:
         """Choose another failure at random."""
+        return self._failure(state, partial(session_state.random_failure, rng=self._rng))
+
+    def next_failure(self, state: SessionState) -> SessionState | None:
+        """Choose the next failure of the list."""
+        return self._failure(state, session_state.next_failure)
+
+    def _failure(
+        self, state: SessionState, choose: Callable[[SessionState, BoolArray], SessionState | None]
+    ) -> SessionState | None:
         ranking = self._workspace.rankings[state.ranking_key]
         if ranking.result is None:
             self._notify("Not known yet", "All queries are still being ranked; try again later.")
             return None
-        chosen = session_state.random_failure(state, ranking.failed, self._rng)
+        chosen = choose(state, ranking.failed)
         known = ranking.task.known
         if chosen is None and known is not None and not known.any():
             self._notify("Nothing is known", "No query of this task has a known place, so none can fail.")

@@ -56,6 +56,7 @@ class Column:
         limit: a number above it is only known to be above it; None for no limit.
         texts: what is told in place of the numbers of some rows, which are sorted and compared by their numbers all the same.
         about: what the values mean, in words; may be empty.
+        also: further names by which a filter may call it, unless another column has that name.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Column:
     limit: float | None = None
     texts: Mapping[int, str] = field(default_factory=dict)
     about: str = ""
+    also: tuple[str, ...] = ()
 
     def text(self, row: int) -> str:
         """Return a value as text: numbers with up to four decimals, "" if unknown."""
@@ -142,14 +144,17 @@ class Table:
         return np.arange(len(self))
 
     def column(self, name: str) -> Column:
-        """Return a column by its name, case ignored.
+        """Return a column by its name, or else by one that it has besides, case ignored.
 
         Raises:
             InputError: if there is none; the message lists the columns.
         """
-        for column in self.columns.values():
-            if column.name.casefold() == name.strip().casefold():
-                return column
+        wanted = name.strip().casefold()
+        columns = self.columns.values()
+        named = [column for column in columns if column.name.casefold() == wanted]
+        named += [column for column in columns if wanted in map(str.casefold, column.also)]
+        if named:
+            return named[0]
         raise InputError(f"There is no column {name.strip()!r}; the columns are {', '.join(self.columns)}.")
 
     def sort(self, rows: Int64Array, column: str, descending: bool = False) -> Int64Array:

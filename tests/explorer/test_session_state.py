@@ -75,6 +75,13 @@ def test_random_choices_move_and_failures_fail(state: SessionState) -> None:
     chosen = {session_state.random_failure(state, failed, rng).query for _ in range(50)}  # type: ignore[union-attr]
     assert chosen == {2, 5}
     assert session_state.random_failure(state, np.zeros(4, bool), rng) is None
+    shown = [3]
+    for _ in range(3):
+        after = session_state.next_failure(replace(state, query=shown[-1]), failed)
+        assert after is not None
+        shown.append(after.query)
+    assert shown == [3, 5, 2, 3]
+    assert session_state.next_failure(state, np.zeros(4, bool)) is None
 
 
 @pytest.mark.parametrize(("angle", "by", "expected"), [(0, 5, 5), (178, 5, -177), (-178, -5, 177), (90, -270, 180)])

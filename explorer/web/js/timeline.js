@@ -124,7 +124,12 @@
     attach: () => {
       element = flight.find(".time canvas");
       const choose = (event) => flight.data && flight.choose(nearest(event.offsetX));
+      // A finger that moves across scrolls the page, so it chooses by a tap alone.
+      let finger = false;
+      element.addEventListener("click", (event) => finger && choose(event));
       element.addEventListener("pointerdown", (event) => {
+        finger = event.pointerType === "touch";
+        if (finger) return;
         element.setPointerCapture(event.pointerId);
         choose(event);
       });

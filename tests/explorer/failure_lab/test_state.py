@@ -97,6 +97,13 @@ def test_what_an_address_restores_keeps_the_chosen_rows(findings: Findings, lab:
     assert not state.from_view(findings, lab, state.to_view(findings, lab, "a view")).rows
 
 
+def test_a_filter_takes_the_words_that_stand_above_the_columns(findings: Findings, lab: LabState) -> None:
+    for plain, expert in (("lead < 0", "margin < 0"), ("place in the list > 1", "rank > 1"), ("ring = 2", "part = 2")):
+        shown, same = (state.with_choices(findings, lab, LabChoices(filter=text)) for text in (plain, expert))
+        assert not shown.filter_error
+        assert state.sorted_rows(findings, shown).tolist() == state.sorted_rows(findings, same).tolist()
+
+
 def test_an_address_with_a_wrong_filter_shows_all_queries_and_says_so(findings: Findings, lab: LabState) -> None:
     shown = state.with_choices(findings, lab, LabChoices(filter="colour > 3", sort_column="gone", colour="gone"))
     assert "There is no column 'colour'" in shown.filter_error

@@ -301,7 +301,7 @@ def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
     state, shown = SessionState(TASK, 4, first_screen=True, laboratory=chosen), []
     html = SimpleNamespace()
     gui, navigation = SimpleNamespace(add_html=lambda _: html), SimpleNamespace()
-    for name in ("random", "previous", "next", "failure"):
+    for name in ("random", "previous", "next", "next_failure"):
         setattr(navigation, name, lambda state: state)
 
     def change(function: StateChange) -> None:
