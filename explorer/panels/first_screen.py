@@ -34,6 +34,7 @@ from lpn.drawing import overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
+from lpn.locate.belief import belief, disagreements
 from lpn.locate.coverage import outline
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
@@ -376,6 +377,8 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
         cv2.line(drawn, at.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
+        if belief(located, disagreements([located])).sign is None:
+            sentence += ", more than the errors of both allow"
     return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
 
 
