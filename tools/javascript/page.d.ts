@@ -54,6 +54,7 @@ interface Lpn {
   store(storage: "local" | "session", key: string, text: string | null): void;
   send(kind: string, value?: unknown): void;
   resume(): [string, unknown][];
+  holdMessages(): void;
   mouse: Point;
   cell(map: HTMLElement, event: MouseEvent): number;
   hover(map: HTMLElement, event: MouseEvent, held?: boolean): void;

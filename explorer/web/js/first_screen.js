@@ -92,7 +92,7 @@
   // Show the screen of another place at once; its session then takes the place of this one, and gets what is pressed meanwhile.
   lpn.preview = (html) => {
     open((newest = html));
-    requestAnimationFrame(() => requestAnimationFrame(() => lpn.send("previewed")));
+    lpn.holdMessages();
   };
 
   // Show the screen, or close it for an empty text; a story comes only to the plain stage (`free`), unasked only if `unasked`.

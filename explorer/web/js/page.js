@@ -46,14 +46,19 @@
     sending = waiting.length > 0 && !paused;
     if (!sending) return;
     setTimeout(next, 60); // before `write`, which may throw
-    const [kind, value] = waiting.shift();
-    paused = kind === "previewed";
-    write(kind, value);
+    write(...waiting.shift());
   };
   // Send messages again, and return those that waited for this session.
   lpn.resume = () => {
     paused = false;
     return waiting.splice(0);
+  };
+  // Hold messages from now on, and confirm the preview to the session that ends, unless the next one has begun by then.
+  lpn.holdMessages = () => {
+    paused = true;
+    // The message before may still wait to be sent by viser.
+    const confirm = () => paused && (sending ? setTimeout(confirm, 20) : write("previewed"));
+    requestAnimationFrame(() => requestAnimationFrame(confirm));
   };
   lpn.send = (kind, value) => {
     waiting.push([kind, value]);
