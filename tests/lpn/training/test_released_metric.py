@@ -8,6 +8,7 @@ from lpn.training.recipes import METRIC_LOSSES
 from tools.fixtures import released_metric
 
 
+@pytest.mark.slow
 def test_network_losses_and_gradients_are_the_released_ones() -> None:
     found = released_metric.differences()
     assert {f"{name}.loss" for name in METRIC_LOSSES} <= set(found)
