@@ -16,7 +16,7 @@ from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays, score_map, theme
-from lpn.drawing.words import capitalised, say
+from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.summary import PLACED, describe_flight
 from lpn.maps import Window
@@ -204,13 +204,17 @@ def progress(registration: BackgroundJob[None] | None, frames: int) -> str:
     if registration is None:
         return ""
     if registration.wait(0):
-        return "" if registration.error is None else f"Registration failed: {registration.error}"
-    return f"Registering {registration.done}/{registration.total or frames}"
+        return "" if registration.error is None else f"{_laying('Registration')} failed: {registration.error}"
+    return f"{_laying('Registering')} {registration.done}/{registration.total or frames}"
+
+
+def _laying(term: str) -> str:
+    return "Laying photos over the map" if plain() else term
 
 
 def sentence(view: FlightView, running: bool) -> str:
     """Say how the flight's photos were placed; `running` says that a registration goes on."""
-    more = " Registration is still running, so these numbers change." if running else ""
+    more = f" {_laying('Registration')} is still running, so these numbers change." if running else ""
     return f"{describe_flight(view.flight.frames, view.beliefs)}{more}"
 
 
@@ -245,7 +249,7 @@ def painting(
         "bounds": list(drawn.bounds),
         "low": f"{drawn.low:.2f}",
         "high": f"{drawn.high:.2f}",
-        "label": "score" if painted == "all" else f"cosine of {part_names[painted]}",
+        "label": say("score") if painted == "all" else f"{say('part cosine')} of {part_names[painted]}",
         "part": painted,
     }
 
@@ -270,7 +274,9 @@ def lists(view: FlightView) -> dict[str, str]:
         "audit": _list(
             apart,
             audit,
-            "Registration, sequence, and tags agree within their radii.",
+            "All tracks agree within their errors."
+            if plain()
+            else "Registration, sequence, and tags agree within their radii.",
             ("tag", "radius", "median", "time lag", "offset") if audit else (),
         ),
         "notes": render("flight/notes", notes=notes),
