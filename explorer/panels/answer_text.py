@@ -21,6 +21,7 @@ _ELSEWHERE_M = 10_000.0
 _PRESSED = 1.05
 OWN_KEPT = "Your picture stays in this server's memory until you close this page, and goes nowhere else."
 _ANSWER = "this answer"
+_UNPROVEN = "It may show the same place; pictures of other places can look as close."
 _ANY = "Every picture gets an answer, and nothing measured here tells if yours shows one of these places."
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 
@@ -89,13 +90,19 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
     pictures = f"{analysis.task.tiles:,} {_pictures(analysis.task)}"
     if analysis.ranking.relevant is None:
+        if elsewhere := _elsewhere(analysis):
+            return None, "Not one of these", f"{elsewhere}. This is the most similar of {pictures}, all the same."
         far = _far(analysis, workspace)
-        place = _elsewhere(analysis) or "The true place is not known here, so it is not graded"
+        place = "The true place is not known here, so it is not graded"
+        if analysis.errors_m is not None and math.isfinite(error := float(analysis.errors_m[first.index])):
+            place = f"Its GPS tag lies {distance(error)} from the middle of this one"
         text = f"This is the most similar of {pictures}. {place}."
         if far is None:
             unknown = f" {_ANY}" if analysis.state.upload else ""
             return None, "Best match", f"{text}{unknown}"
-        return None, "Probably none of these" if far[0] else "Best match", f"{text} {far[1]}"
+        if far[0]:
+            return None, "Probably none of these", f"{text} {far[1]}"
+        return None, "Best match", f"{text} {_UNPROVEN} {far[1]}"
     if positive is None and analysis.ranking.depth is None:
         return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."
     if first.true:
