@@ -346,7 +346,8 @@ def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_f
     page.locator("[data-act=save]").click()
     expect(page.locator("#lpn-flight .status")).to_contain_text("Not saved. The tie points turn the photo over")
     page.evaluate(
-        "() => lpn.flight.follow({ frame: { ...lpn.flight.followed, card: 'another' }, answer: null, scores: null, sequence: 0 })"
+        "() => lpn.flight.follow({ address: lpn.flight.of, frame: { ...lpn.flight.followed, card: 'another' }, "
+        "answer: null, scores: null, sequence: 0 })"
     )
     expect(page.locator("#lpn-flight .about")).to_have_text("another")
     assert box(corner)["x"] == pytest.approx(folded, abs=2)
