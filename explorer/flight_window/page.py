@@ -110,7 +110,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
         if answer is None:
             rows.append((None, None, -1, None, None))
         else:
-            radius = None if answer.state == "refused" else answer.radius  # what is refused is known to no radius
+            radius = None if answer.state == "refused" else answer.radius  # a refused place has none
             rows.append((answer.x, answer.y, _STATES[answer.state], radius, located.error(name)))
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
@@ -200,15 +198,20 @@ def _progress(receivers: Sequence[CountProgress]) -> Progress:
 
 def _windows_said() -> CountProgress:
     """Return what says every five seconds how many windows are described, as that may take minutes."""
-    last = -math.inf
+    from lpn.core.progress import at_intervals
+
+    once = " This is done once for a map, a model, and a size; --size does it before the flight."
+
+    def say(done: int, total: int) -> None:
+        nonlocal once
+        _say(f"{done:,} of {total:,} windows of the map are described.{once}")
+        once = ""
+
+    now_and_then = at_intervals(_SAID, say, at_once=True)
 
     def report(done: int, total: int) -> None:
-        nonlocal last
-        begins = last == -math.inf
-        if done < total and time.monotonic() - last >= _SAID:
-            last = time.monotonic()
-            once = " This is done once for a map, a model, and a size; --size does it before the flight."
-            _say(f"{done:,} of {total:,} windows of the map are described.{once if begins else ''}")
+        if done < total:
+            now_and_then(done, total)
 
     return report
 

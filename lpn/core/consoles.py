@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from lpn.core.progress import CountProgress, Progress
+from lpn.core.progress import CountProgress, Progress, at_intervals
 
 
 def wide_console(least: int = 120) -> Console:
@@ -59,12 +59,15 @@ def stage_bars(console: Console, title: str = "{}") -> Iterator[Progress]:
 
 def _stage_lines(title: str) -> Progress:
     """Return what writes a line about a stage every half minute."""
-    told: dict[str, float] = {}
+    lines: dict[str, CountProgress] = {}
 
     def report(stage: str, done: int, total: int) -> None:
-        now = time.monotonic()
-        if now - told.setdefault(stage, now) >= _LINES:
-            told[stage] = now
-            print(f"{title.format(stage)}: {done:,} of {total:,}", file=sys.stderr, flush=True)
+        if stage not in lines:
+            lines[stage] = at_intervals(_LINES, partial(_write_line, title.format(stage)))
+        lines[stage](done, total)
 
     return report
+
+
+def _write_line(stage: str, done: int, total: int) -> None:
+    print(f"{stage}: {done:,} of {total:,}", file=sys.stderr, flush=True)

@@ -29,7 +29,7 @@ from lpn.flights.videos import SUFFIXES as VIDEOS
 Say = Callable[[str], None]
 # Seconds between two looks at a folder, and for which a file that cannot be read may still be written.
 _POLL, _UNFINISHED = 0.2, 2.0
-# Times as long as a look at a folder takes, nobody looks again; and the nanoseconds that file systems' clocks may tick in.
+# After a look at a folder comes a pause of so many times its duration; a file system's clock ticks at most so many ns apart.
 _BACK_OFF, _TICK_NS = 9, 2_500_000_000
 # Milliseconds for which a stream may be silent, and seconds between two tries to open it.
 _SILENT_MS, _RETRY = 5000, 2.0
@@ -189,7 +189,7 @@ class FolderPictures(LiveSource):
                         photo = not one.name.startswith(".") and one.name.lower().endswith(PHOTOS)
                         if photo and (file := Path(one)) not in self._seen and not one.is_dir():
                             yield file
-                    # What comes within the same tick of the file system's clock does not change the folder's time.
+                    # A photo that comes within the same tick of the file system's clock leaves the folder's time as it was.
                     if time.time_ns() - changed > _TICK_NS:
                         self._listed[folder] = changed, inside
                 folders += inside

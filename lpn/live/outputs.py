@@ -88,17 +88,12 @@ class LiveFix:
             "camera": answer.camera,
             "radius": _rounded(answer.radius, 2),
             "heading": _rounded(answer.heading, 1),
-            "error": _rounded(self._error, 2),
+            "error": _rounded(self.located.error_of(self.answer), 2),
             "age": round(self.age, 3),
             "dropped": self.dropped,
             "telemetry_age": _rounded(self.telemetry_age, 3),
         }
         return {"type": "Feature", "geometry": geometry, "properties": properties}
-
-    @property
-    def _error(self) -> float | None:
-        truth = self.located.truth(self.answer.camera)
-        return None if truth is None or self.answer.x is None else self.answer.distance(truth)
 
     def line(self) -> str:
         """Return the feature as one line."""

@@ -101,8 +101,9 @@ def best_track(flight: LocatedFlight) -> list[TrackPoint]:
         if located.by_hand is not None:
             points.append(flight.point(located, BY_HAND, located.by_hand))
             continue
-        stage = verdict.stage or flight.stages[-1]
-        answer = StageRecord("refused", verdict.reason) if verdict.stage is None else located.stages[stage]
+        stage, answer = flight.stages[-1], StageRecord("refused", verdict.reason)
+        if verdict.stage is not None:
+            stage, answer = verdict.stage, located.stages[verdict.stage]
         points.append(replace(flight.point(located, stage, answer), reason=f"{verdict.headline}. {verdict.reason}"))
     return points
 

@@ -134,7 +134,11 @@ class LocatedFrame:
     def error(self, stage: str) -> float | None:
         """Return the metres from the truth to a stage's position; None without one of them."""
         answer = self.stages.get(stage)
-        if answer is None or answer.x is None or answer.y is None or (truth := self.truth(answer.camera)) is None:
+        return None if answer is None else self.error_of(answer)
+
+    def error_of(self, answer: StageRecord) -> float | None:
+        """Return the metres from the truth to an answer's position; None without one of them."""
+        if answer.x is None or answer.y is None or (truth := self.truth(answer.camera)) is None:
             return None
         return answer.distance(truth)
 

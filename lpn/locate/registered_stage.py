@@ -396,7 +396,7 @@ def _record(
         place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
         heading = solution.heading
     elif solution is not None and camera:
-        by_tilt = "Its place rests on the tilt that the gimbal reports, which is surer than that of this pose."
+        by_tilt = "Its place rests on the tilt in the photo's file, which is surer than that of this pose."
     sentence = registration.reason
     if registration.accepted:
         agreed = (

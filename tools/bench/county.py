@@ -35,6 +35,7 @@ from playwright.sync_api import sync_playwright
 import lpn
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from lpn.core.files import write_atomic
+from lpn.core.progress import at_intervals
 from lpn.flights import Flight, Frame
 from lpn.index import DescriptorKind, create_index, open_index
 from lpn.index.from_map import index_windows, window_describer
@@ -210,16 +211,14 @@ def describe_seconds(model: Model, basemap: Map) -> float:
 def filled(folder: Path, basemap: Map, model: Model) -> dict[str, float]:
     """Fill an index; return the seconds since this call, the windows, and the bytes on disk."""
     kind = DescriptorKind(model.fingerprint, PARTS, NUMBERS)
-    begun = said = time.perf_counter()
+    begun = time.perf_counter()
 
-    def report(done: int, total: int) -> None:
-        nonlocal said
-        if time.perf_counter() - said > SAID:
-            said = time.perf_counter()
-            print(f"{done:,} of {total:,} windows are in the index after {said - begun:.0f} s", flush=True)
+    def say(done: int, total: int) -> None:
+        seconds = time.perf_counter() - begun
+        print(f"{done:,} of {total:,} windows are in the index after {seconds:.0f} s", flush=True)
 
     with create_index(folder, kind, precision="int8") as index:
-        index_windows(index, basemap, drawn, SIZES, OVERLAP, report, BLOCK)
+        index_windows(index, basemap, drawn, SIZES, OVERLAP, at_intervals(SAID, say), BLOCK)
     return {
         "index": time.perf_counter() - begun,
         "windows": basemap.count_pyramid(SIZES, OVERLAP),

@@ -7,14 +7,14 @@ import io
 import pytest
 from rich.console import Console
 
-from lpn.core import consoles
+from lpn.core import consoles, progress
 
 
 def test_without_a_terminal_a_long_stage_writes_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    moments = iter((0.0, 10.0, 31.0, 40.0, 70.0))
-    monkeypatch.setattr(consoles.time, "monotonic", lambda: next(moments))
+    moments = iter((0.0, 0.0, 10.0, 31.0, 40.0, 70.0))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: next(moments))
     written = io.StringIO()
     with consoles.stage_bars(Console(file=written), "Reading {}") as report:
         for done in range(1, 6):
