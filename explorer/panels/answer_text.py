@@ -72,13 +72,12 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         gap = verdicts.next_tile(first)
         if analysis.state.upload is None:
             return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
-        place = "Its true place is not known here"
-        far = _far(analysis, workspace)
-        if analysis.errors_m is not None and math.isfinite(error := float(analysis.errors_m[first.index])):
-            place = _elsewhere(analysis) or f"Its GPS tag lies {distance(error)} from the middle of this tile"
-        match = "best match" if words.plain() else "nearest tile"
-        headline = f"Your picture: {'probably none of these' if far is not None and far[0] else match}"
-        return None, headline, " ".join((f"{place}; {gap}.", *(() if far is None else far[1:])))
+        elsewhere, far = _elsewhere(analysis), _far(analysis, workspace)
+        place = elsewhere or _beside_tag(analysis, "this tile") or "Its true place is not known here"
+        headline = "best match" if words.plain() else "nearest tile"
+        if elsewhere or (far is not None and far[0]):
+            headline = "not one of these" if elsewhere else "probably none of these"
+        return None, f"Your picture: {headline}", " ".join((f"{place}; {gap}.", *(() if far is None else far[1:])))
     if analysis.positive is None and depth is not None:
         return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)
@@ -93,9 +92,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         if elsewhere := _elsewhere(analysis):
             return None, "Not one of these", f"{elsewhere}. This is the most similar of {pictures}, all the same."
         far = _far(analysis, workspace)
-        place = "The true place is not known here, so it is not graded"
-        if analysis.errors_m is not None and math.isfinite(error := float(analysis.errors_m[first.index])):
-            place = f"Its GPS tag lies {distance(error)} from the middle of this one"
+        place = _beside_tag(analysis, "this one") or "The true place is not known here, so it is not graded"
         text = f"This is the most similar of {pictures}. {place}."
         if far is None:
             unknown = f" {_ANY}" if analysis.state.upload else ""
@@ -162,6 +159,13 @@ def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
         return ""
     shape = "a square" if rows == columns else f"{columns} × {rows} pixels"
     return f"Your picture is {width} × {height} pixels; the model sees it pressed into {shape}."
+
+
+def _beside_tag(analysis: StateAnalysis, tile: str) -> str:
+    """Say how far the answer, called `tile`, lies from the picture's GPS tag; "" without a tag."""
+    if analysis.errors_m is None or not math.isfinite(error := float(analysis.errors_m[analysis.matches[0].index])):
+        return ""
+    return f"Its GPS tag lies {distance(error)} from the middle of {tile}"
 
 
 def _elsewhere(analysis: StateAnalysis) -> str:

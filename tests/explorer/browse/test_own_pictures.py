@@ -272,8 +272,9 @@ def test_a_position_tells_the_distance_to_each_tile(page: Page, workspace: Works
     assert f"Its GPS tag lies {float(expected[0]):,.0f} m from" in answer_text.verdict(analysis, workspace)[2]
     page.own.take("far.jpg", photo(3, (52, 7)))
     analysis = StateAnalyser(workspace).analyse(page.state, 3)
-    for text in (answer_text.verdict(analysis, workspace)[2], answer_text.plain_verdict(analysis, workspace)[2]):
-        assert "km from the nearest of them, so no answer can be right" in text
+    for said in (answer_text.verdict(analysis, workspace), answer_text.plain_verdict(analysis, workspace)):
+        assert "not one of these" in said[1].lower()
+        assert "km from the nearest of them, so no answer can be right" in said[2]
     nowhere: Callable[[], None] = lambda: page.own.take("there.jpg", photo(3))  # noqa: E731
     nowhere()
     assert StateAnalyser(workspace).analyse(page.state, 3).errors_m is None
