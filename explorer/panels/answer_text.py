@@ -77,7 +77,11 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         headline = "best match" if words.plain() else "nearest tile"
         if elsewhere or (far is not None and far[0]):
             headline = "not one of these" if elsewhere else "probably none of these"
-        return None, f"Your picture: {headline}", " ".join((f"{place}; {gap}.", *(() if far is None else far[1:])))
+        return (
+            None,
+            f"Your picture: {headline}",
+            " ".join((f"{place}; {gap}.", *(() if far is None or elsewhere else far[1:]))),
+        )
     if analysis.positive is None and depth is not None:
         return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)

@@ -344,8 +344,10 @@ def _third_tile(
     return overlays.data_uri(drawn, 85), caption, right if known else None
 
 
-def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool, str] | None:
-    """Return where the photo of a flight fits the map: the map's picture as a data URI, a caption, True, and a sentence.
+def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool | None, str] | None:
+    """Return where the photo of a flight fits the map.
+
+    Four values: the map's picture as a data URI, a caption, True (or None where the tag disagrees), and a sentence.
 
     None without an accepted registration.
     """
@@ -371,15 +373,16 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
 
     for colour, thickness in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
         cv2.polylines(drawn, [pixels(ground.corners)], True, colour, thickness, cv2.LINE_AA)
+    sign = belief(located, disagreements([located])).sign
     sentence = f"By its details, the photo fits the map where the frame is, to ± {answer.radius or 0:.1f} m"
     if located.tag is not None:
         at, tag = pixels(np.array([(answer.x, answer.y), located.tag]))
         cv2.line(drawn, at.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
-        if belief(located, disagreements([located])).sign is None:
+        if sign is None:
             sentence += ", more than the errors of both allow"
-    return overlays.data_uri(drawn, 85), "laid by its details", True, f"{sentence}."
+    return overlays.data_uri(drawn, 85), "laid by its details", sign, f"{sentence}."
 
 
 @lru_cache(maxsize=4)

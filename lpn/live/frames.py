@@ -31,6 +31,8 @@ Say = Callable[[str], None]
 _POLL, _UNFINISHED = 0.2, 2.0
 # After a look at a folder comes a pause of so many times its duration; a file system's clock ticks at most so many ns apart.
 _BACK_OFF, _TICK_NS = 9, 2_500_000_000
+# Seconds after which a folder is listed although it seems not to have changed; also the longest pause.
+_RELIST = 15.0
 # Milliseconds for which a stream may be silent, and seconds between two tries to open it.
 _SILENT_MS, _RETRY = 5000, 2.0
 
@@ -166,12 +168,17 @@ class FolderPictures(LiveSource):
 
     def _read(self) -> None:
         pause = _POLL
+        listed = time.monotonic()
         while not self._stop.wait(pause):
             began = time.monotonic()
-            for file in sorted({*self._unfinished, *self._new_photos()}):
-                self._take(file)
+            if began - listed >= _RELIST:  # some file systems keep a folder's time when a file comes into it
+                self._listed.clear()
+                listed = began
+            photos = sorted({*self._unfinished, *self._new_photos()})
             # A folder of a million photos takes longer to list than a small one.
-            pause = max(_POLL, _BACK_OFF * (time.monotonic() - began))
+            pause = max(_POLL, min(_BACK_OFF * (time.monotonic() - began), _RELIST))
+            for file in photos:
+                self._take(file)
 
     def _new_photos(self) -> Iterator[Path]:
         """Yield the photos that were not seen, of the folders that have changed since they were listed."""
@@ -187,7 +194,7 @@ class FolderPictures(LiveSource):
                     ]
                     for one in names:
                         photo = not one.name.startswith(".") and one.name.lower().endswith(PHOTOS)
-                        if photo and (file := Path(one)) not in self._seen and not one.is_dir():
+                        if photo and (file := Path(one)) not in self._seen and one.is_file():
                             yield file
                     # A photo that comes within the same tick of the file system's clock leaves the folder's time as it was.
                     if time.time_ns() - changed > _TICK_NS:
@@ -199,6 +206,9 @@ class FolderPictures(LiveSource):
         try:
             photo = read_photo(file)
         except PictureError as error:
+            if not file.exists():  # it was a temporary file
+                self._unfinished.pop(file, None)
+                return
             # A camera may still be writing it.
             if now - self._unfinished.setdefault(file, now) > _UNFINISHED:
                 self._seen.add(file)

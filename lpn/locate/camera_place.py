@@ -12,7 +12,7 @@ from lpn.core.homography import middle_pixel
 from lpn.flights import Frame
 from lpn.flights.cameras import rotation
 from lpn.locate.located import StageRecord
-from lpn.locate.registration import Registration
+from lpn.locate.registration import Registration, is_turned_over
 
 # Degrees from straight down up to which the camera's place is told, and 1-sigma errors of a gimbal's and an aircraft's tilt.
 _MAX_TILT = 15.0
@@ -70,7 +70,7 @@ def below_camera(frame: Frame, answer: StageRecord) -> StageRecord:
         return answer
     if frame.pitch is None:
         return answer
-    if answer.turn is not None and abs(answer.turn) > 90:  # the file was turned after it was taken
+    if is_turned_over(answer.turn):
         heading += 180.0
     north, east, down = rotation(heading, frame.pitch, frame.roll or 0.0)[:, 2].tolist()
     if down < _LEAST_DOWN:

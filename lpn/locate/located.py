@@ -48,7 +48,8 @@ class StageRecord(msgspec.Struct, frozen=True):
         state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
         sentence: what was found, or why it was refused.
         x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
-        camera: whether the position is the camera's, which needs a known tilt of 15 degrees at most.
+        camera: whether the position is the camera's, which needs a pose, or a known tilt: of 15 degrees at most, while the flight
+            goes on of 60.
         radius: 1-sigma radius in metres; None for the retrieval, which has none.
         heading: of the picture's top in degrees.
         turn: `heading` minus the heading in the flight's files, in degrees.

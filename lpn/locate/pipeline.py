@@ -19,6 +19,7 @@ from lpn.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
 from lpn.locate.registered_stage import FORMAT, refuse_jumps, register_frames
+from lpn.locate.registration import is_turned_over
 from lpn.locate.retrieval import retrieve
 from lpn.locate.shipped import ShippedAnswers
 from lpn.locate.tags import enter_corrections, tags_on_map
@@ -184,7 +185,7 @@ def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:
     turned = [
         located.frame.name
         for located in frames
-        if (answer := located.stages["registration"]).accepted and answer.turn is not None and abs(answer.turn) > 135
+        if (answer := located.stages["registration"]).accepted and is_turned_over(answer.turn)
     ]
     if turned:
         one = len(turned) == 1

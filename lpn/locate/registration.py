@@ -52,6 +52,11 @@ _APART = 0.25
 _FEATURES = 2048
 
 
+def is_turned_over(turn: float | None) -> bool:
+    """Return True if a turn in degrees against the heading is about 180, as that of a file that was turned later."""
+    return turn is not None and abs(turn) > 135
+
+
 @dataclass(frozen=True, eq=False)
 class Ground:
     """Local features of a piece of the map.
@@ -177,7 +182,7 @@ class Registration:
     @property
     def turned(self) -> bool:
         """True if the picture is turned by about 180 degrees against its heading, as a file that was turned later is."""
-        return self.turn is not None and abs(self.turn) > 135
+        return is_turned_over(self.turn)
 
     @property
     def turn_sentence(self) -> str:

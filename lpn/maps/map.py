@@ -192,7 +192,8 @@ class Map:
         left, right = ((x - self.bounds[0]) / cell for x in (low[:, 0], high[:, 0]))
         top, bottom = ((self.bounds[3] - y) / cell for y in (high[:, 1], low[:, 1]))
         total = _at(sums, bottom, right) - _at(sums, top, right) - _at(sums, bottom, left) + _at(sums, top, left)
-        shares: Float64Array = np.clip(total / (size / cell) ** 2, 0, 1)
+        # Rounded, as differences of sums are not exactly 0 over ground that the map does not show.
+        shares: Float64Array = np.clip(np.round(total / (size / cell) ** 2, 6), 0, 1)
         return shares
 
     def coverage(self) -> Float32Array:

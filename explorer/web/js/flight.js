@@ -55,7 +55,10 @@
   flight.lists = (lists) => (Object.assign(html, lists), refresh());
   // Everything that belongs to a frame comes at once: its flight's address, card, answer, scores, and the number of the message.
   flight.follow = ({ address, frame, answer, scores, sequence }) => {
-    if (flight.of !== null && flight.of !== address) flight.wanted = flight.spotted = null;
+    if (flight.of !== null && flight.of !== address) {
+      flight.wanted = flight.spotted = null;
+      flight.photo.use("off");
+    }
     flight.of = address;
     flight.followed = frame;
     flight.answered = answer;

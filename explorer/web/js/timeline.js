@@ -133,7 +133,7 @@
         element.setPointerCapture(event.pointerId);
         choose(event);
       });
-      element.addEventListener("pointermove", (event) => element.hasPointerCapture(event.pointerId) && choose(event));
+      element.addEventListener("pointermove", (event) => !finger && element.hasPointerCapture(event.pointerId) && choose(event));
     },
   });
 })();

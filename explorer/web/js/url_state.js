@@ -7,7 +7,7 @@
   let search = new URL(opened ? opened.name : location.href).search;
   let greeting = 0;
   let writing = 0; // the timer of the address that waits to be written
-  let waiting = null; // that address
+  let waiting = null; // that address, and whether it came unasked
   let written = 0; // when one was written last
   let ready = false;
   let begun = false; // a session of the server has begun, and has not answered yet
@@ -25,10 +25,10 @@
     const types = key !== "Enter" && target.matches?.("textarea, input:not([type=range], [type=checkbox])");
     if (isTrusted && !repeat && !types) acts++;
   }, { capture: true, passive: true });
+  window.addEventListener("drop", ({ isTrusted }) => isTrusted && acts++, true);
+  window.addEventListener("click", ({ isTrusted, detail }) => isTrusted && detail === 0 && acts++, true); // by assistive technology
   /** Tell if the page's next address is a step of its history. */
   const isStep = (next) => {
-    // The server may still answer what was done before, and nothing was done since.
-    if (acts === actsAtBack) return false;
     const [before, after] = [location.search, next].map((text) => new URLSearchParams(text));
     const changed = [...new Set([...before.keys(), ...after.keys()])].filter((key) => !KEPT.includes(key) && before.get(key) !== after.get(key));
     // In a flight, which plays, a frame is none: Back leaves the flight.
@@ -86,7 +86,7 @@
   const PAUSE = 200;
   const commit = () => {
     clearTimeout(writing);
-    const write = lpn.storyAddress() || (waiting.first || !isStep(waiting.search) ? "replaceState" : "pushState");
+    const write = lpn.storyAddress() || (waiting.unasked || !isStep(waiting.search) ? "replaceState" : "pushState");
     history[write](history.state, "", location.pathname + waiting.search + location.hash);
     written = performance.now();
     waiting = null;
@@ -102,7 +102,8 @@
     search = "?" + [query, others.toString()].filter(Boolean).join("&");
     // A step that still waits is not lost to the next one.
     if (waiting && stepsOf(waiting.search) !== stepsOf(search) && performance.now() - written > PAUSE) commit();
-    waiting = { search, first: !ready };
+    // The first address is no step, nor is one that comes after Back, before anything was done: it may answer what was done before.
+    waiting = { search, unasked: !ready || acts === actsAtBack };
     clearTimeout(writing);
     writing = setTimeout(commit, PAUSE);
     lpn.watch();

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as replace_record
 
+import lpn.live.frames
 import lpn.live.locator
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
@@ -267,6 +268,28 @@ def test_photos_that_come_into_a_folder_are_read_when_they_are_whole(tmp_path: P
     assert picture.frame.name == "new.jpg"
     assert picture.pixels().shape[2] == 3
     assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
+
+
+def test_a_photo_is_found_in_a_folder_whose_time_stands_still_and_a_vanished_file_is_no_photo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lpn.live.frames, "_RELIST", 0.2)
+    os.utime(tmp_path, (1e9, 1e9))
+    said: list[str] = []
+    source = FolderPictures(tmp_path, said.append)
+    source._unfinished[tmp_path / "temporary.jpg"] = -math.inf
+    write_photo(tmp_path / "new.jpg")
+    os.utime(tmp_path, (1e9, 1e9))
+    assert not list(source._new_photos())
+    source.start()
+    try:
+        picture = source.newest.take(10)
+    finally:
+        source.close()
+    assert picture is not None
+    assert picture.frame.name == "new.jpg"
+    assert not source._unfinished
+    assert said == []
 
 
 def test_a_folder_that_did_not_change_is_not_listed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -536,6 +559,10 @@ def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None
     assert below.radius == pytest.approx(math.hypot(3, 2 * 100 * 1.5 * degree, 100 * 5 * degree, tenth))
     turned = below_camera(frame, replace_record(middle, heading=270.0, turn=180.0))
     assert (turned.x, turned.y) == (pytest.approx(40), pytest.approx(20))
+    wrong = below_camera(
+        frame, replace_record(middle, turn=100.0)
+    )  # the file's heading is wrong, and the photo as it was taken
+    assert (wrong.x, wrong.y) == (below.x, below.y)
     for unknown in ({"pitch": None}, {"pitch": -20.0}, {"height_above_ground": None}):
         assert below_camera(replace(frame, **unknown), middle) is middle
     assert below_camera(frame, below) is below

@@ -88,6 +88,16 @@ def test_pixels_beyond_the_map_are_invalid_and_black(tmp_path: Path) -> None:
     assert not picture.any()
 
 
+def test_no_share_of_a_hole_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    town = open_map(write_geotiff(tmp_path / "town.tif", smooth(200, 200)))
+    shown = np.random.default_rng(0).choice((0.25, 0.5, 0.75, 1.0), (300, 300)).astype(np.float32)
+    shown[100:200, 100:200] = 0
+    monkeypatch.setattr(town, "coverage", lambda: shown)
+    inside = np.random.default_rng(1).uniform(-14, 14, (2000, 2))
+    assert not town.valid_shares(inside, town.resolution).any()
+    assert (town.valid_shares(inside - 30.0, town.resolution) > 0).all()
+
+
 def test_resolution_and_sizes_are_true_metres(tmp_path: Path) -> None:
     crs, matrix = GEOREFERENCES["Web Mercator"]
     town = open_map(write_geotiff(tmp_path / "town.tif", smooth(200, 200), crs, matrix))
