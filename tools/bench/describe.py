@@ -181,7 +181,7 @@ def on_device(
             print(f"Not measured: {error}")
         if device != "cpu":
             export(folder / "model.safetensors", folder / "model.onnx")
-            for provider in available():
+            for provider in set(available()) - {"cpu"}:
                 try:
                     models[f"ONNX Runtime, {provider}"] = Engine(folder / "model.onnx", provider=provider)
                 except LPNError as error:
