@@ -45,7 +45,7 @@ from lpn.maps import Map
 from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
-# Answers in the cache have poses of this version; those that ship have none.
+# Answers in the cache have poses of this version.
 _POSES = 3
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9

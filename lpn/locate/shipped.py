@@ -19,7 +19,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import DataError, StoreError
-from lpn.core.files import json_bytes, write_atomic
+from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.store import Manifest, Precision, Row, open_store
@@ -34,6 +34,8 @@ NAME, WINDOWS, FRAMES = "located.json", "windows", "frames"
 FORMAT = "lpn-located/1"
 # Metres, degrees, and shares that may differ from one processor to the next.
 _TOLERANCE = 2e-3
+# Significant digits of numbers in located.json: millimetres within a kilometre.
+_DIGITS = 6
 
 # A file's name and size.
 _Files = list[tuple[str, int]]
@@ -167,6 +169,8 @@ def write_record(
 ) -> None:
     """Write which model, map, and photos the answers are of, and the answers of the stages, see `ShippedAnswers`.
 
+    Numbers are rounded to six significant digits, and unknown values are left out, as the file ships with each copy.
+
     Raises:
         DataError: if a photo cannot be read.
         OutputError: if the folder cannot be written.
@@ -178,7 +182,19 @@ def write_record(
     record = _Record(
         FORMAT, registered_by, model.fingerprint, *files, dict(registration or {}), dict(sequence or {}), list(notes)
     )
-    write_atomic(folder / NAME, json_bytes(msgspec.to_builtins(record)))
+    write_atomic(folder / NAME, msgspec.json.encode(_short(msgspec.to_builtins(record))) + b"\n")
+
+
+def _short(value: object) -> object:
+    """Return a value of JSON with rounded numbers and without unknown values."""
+    match value:
+        case float():
+            return float(f"{value:.{_DIGITS}g}")
+        case dict():
+            return {key: _short(item) for key, item in value.items() if item is not None}
+        case list() | tuple():
+            return [_short(item) for item in value]
+    return value
 
 
 def _map_files(basemap: Map) -> _Files:
