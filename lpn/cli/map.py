@@ -78,11 +78,13 @@ class MapCommand:
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
         if self.from_flight is None:
             return build_map(self.files, self.out, options, on_progress, elevation)
-        if self.files or options != MapOptions() or elevation is not None:
-            raise InputError("--from-flight makes the map of photos alone; leave the other files and options out.")
+        if self.files or options != MapOptions():
+            raise InputError(
+                "--from-flight makes the map of photos alone; leave the other files and options, except --elevation, out."
+            )
         from lpn.flights import photos_of
         from lpn.flights.base import degrees
         from lpn.maps.orthophoto import build_from_photos
 
         frames = photos_of(self.from_flight, self.out.resolve().name).frames
-        return build_from_photos([frame.file for frame in frames], degrees(frames), self.out, on_progress)
+        return build_from_photos([frame.file for frame in frames], degrees(frames), self.out, on_progress, elevation)

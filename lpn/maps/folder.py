@@ -133,19 +133,24 @@ def build_map(
 
 
 def write_own_map(
-    file: Path, out: Path, notes: Sequence[str], on_progress: Callable[[str], None] = lambda _: None
+    file: Path,
+    out: Path,
+    notes: Sequence[str],
+    on_progress: Callable[[str], None] = lambda _: None,
+    heights: ElevationSource | None = None,
 ) -> Map:
     """Write the folder of a map whose one sheet lies in the folder itself, and return the map.
 
     Args:
         file: a GeoTIFF with transparency in `out`, a folder that holds nothing else.
         notes: sentences about how the sheet was made, which commands that read the map print.
+        heights: of the map's ground; they are copied into the folder.
 
     Raises:
-        DataError: if the file cannot be read, or has no valid pixel.
+        DataError: if the file cannot be read, or has no valid pixel, or the heights cover less than half of what it shows.
         OutputError: if the folder cannot be written.
     """
-    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes)
+    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes, heights)
 
 
 def _build(

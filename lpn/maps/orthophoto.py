@@ -23,7 +23,9 @@ from lpn.core.errors import DataError, OutputError
 from lpn.core.files import check_writable, printable
 from lpn.core.requirements import missing_package
 from lpn.maps import _gdal
+from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import open_folder, write_own_map
+from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
 
 # Photos that a map needs at least, and the names that a sentence lists.
@@ -40,7 +42,11 @@ _STEPS = {
 
 
 def build_from_photos(
-    photos: Sequence[Path], tags: Float64Array, out: Path, on_progress: Callable[[str], None] = lambda _: None
+    photos: Sequence[Path],
+    tags: Float64Array,
+    out: Path,
+    on_progress: Callable[[str], None] = lambda _: None,
+    elevation: ElevationFile | None = None,
 ) -> Map:
     """Make an orthophoto of photos that look straight down, write it as the folder of a map, and return the map.
 
@@ -49,9 +55,11 @@ def build_from_photos(
         tags: latitude and longitude of each in degrees, (N, 2); NaN without one.
         out: the folder, which must not be there; it appears when all is written.
         on_progress: called with a sentence at each step, which has its number.
+        elevation: heights of the ground, copied into the folder in metres. The photos are laid as on a plane all the same.
 
     Raises:
-        DataError: if fewer than three photos have GPS tags, or overlap.
+        DataError: if fewer than three photos have GPS tags, or overlap, or the elevation is unusable or of another place.
+        InputError: if the elevation's unit is unknown.
         OutputError: if `out` is there already, or cannot be written.
         MissingPackageError: without the library.
     """
@@ -65,6 +73,7 @@ def build_from_photos(
         raise missing_package(error) from error
     _gdal.rasterio()
     _check_photos(photos, tags)
+    heights = None if elevation is None else _heights(elevation, tags)
     name = out.resolve().name
     check_writable(out.with_name(f".{name}"))
     with TemporaryDirectory(prefix=f".{name}-", dir=out.parent) as folder:
@@ -77,7 +86,7 @@ def build_from_photos(
         on_progress(f"Making overviews of {printable(file.name)}.")
         _make_overviews(file)
         notes = [*_left_out(report), _limits(report, photos, tags)]
-        write_own_map(file, part, notes, on_progress).close()
+        write_own_map(file, part, notes, on_progress, heights).close()
         try:
             os.replace(part, out)
         except OSError as error:
@@ -102,6 +111,16 @@ def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:
             f"{len(without)} of {len(photos)} photos have no GPS tag, such as {printable(without[0])}; a map needs {_LEAST} with "
             "one, as place and scale come from the tags."
         )
+
+
+def _heights(given: ElevationFile, tags: Float64Array) -> ElevationSource:
+    """Open the heights, and refuse those of another place before the long work."""
+    source = ElevationSource(given)
+    known = tags[~np.isnan(tags).any(axis=1)]
+    frame = LocalFrame(*known.mean(axis=0).tolist())
+    east, north = frame.xy(*known.T).T
+    source.box(frame, (east.min(), north.min(), east.max(), north.max()))
+    return source
 
 
 def _orthophoto(library: Any, photos: Sequence[Path], file: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from lpn.flights import photos_of
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.maps import LocalFrame, Window, open_map
+from tests.lpn.maps.small_maps import write_geotiff
 from tools.fixtures.photos import exif, write_photo
 
 HERE = LocalFrame(48.0, 9.0)
@@ -50,25 +51,33 @@ def write_flight(folder: Path, picture: UInt8Array) -> Path:
     return folder
 
 
-def command(photos: Path, out: Path) -> int:
-    return main(["map", "--from-flight", str(photos), "--out", str(out)])
+def command(photos: Path, out: Path, *options: str) -> int:
+    return main(["map", "--from-flight", str(photos), "--out", str(out), *options])
+
+
+def write_heights(path: Path, latitude: float = 48.0) -> str:
+    """Write heights in metres, 1 m more every 0.001 degrees to the east, 0.02 degrees about a place."""
+    heights = np.tile(300 + np.arange(200) * 0.1, (200, 1))[..., None].astype(np.float32)
+    matrix = (0.0001, 0, 8.99, 0, -0.0001, latitude + 0.01)
+    return str(write_geotiff(path, heights, "EPSG:4326", matrix=matrix))
 
 
 def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("orthomosaic")
     picture = ground()
     photos, out = write_flight(tmp_path / "photos", picture), tmp_path / "maps" / "here"
-    assert command(photos, out) == 0
+    assert command(photos, out, "--elevation", write_heights(tmp_path / "dsm.tif")) == 0
     printed = capsys.readouterr().out
     assert "Step 1 of 3" in printed
     assert "Step 3 of 3" in printed
     assert "is made of 12 photos as if the ground were flat" in printed
-    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "here.tif", "map.json"]
+    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "here.tif", "map.json", "sheets"]
     assert list((tmp_path / "maps").iterdir()) == [out]
     made = open_map(out)
     assert made.resolution == pytest.approx(PIXEL, rel=0.02)
     assert any("Place and scale are those of the GPS tags" in note for note in made.notes)
     east, north = made.frame.xy([48.0], [9.0])[0]
+    np.testing.assert_allclose(made.heights(made.frame.xy([48.0, 48.0], [9.0, 9.0005])), [309.95, 310.45], atol=0.01)
     read, valid = made.read(Window(float(east), float(north), 60.0), 300)
     assert valid.all()
     shown = picture[300:600, 300:600, 0].astype(float)
@@ -81,6 +90,20 @@ def test_a_map_that_is_there_is_not_replaced(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "map").mkdir()
     assert command(tmp_path / "photos", tmp_path / "map") == 2
     assert "is there already" in capsys.readouterr().err
+
+
+def test_an_elevation_of_another_place_is_refused_before_the_map_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("orthomosaic")
+    for number in range(3):
+        write_photo(tmp_path / "photos" / f"{number}.jpg", exif(48.0 + 0.0002 * number, 9.0))
+    elsewhere = write_heights(tmp_path / "dsm.tif", 50.0)
+    assert command(tmp_path / "photos", tmp_path / "map", "--elevation", elsewhere) == 2
+    printed = capsys.readouterr()
+    assert "covers none of the map, which lies about 48.00020, 9.00000" in printed.err
+    assert "Step 1" not in printed.out
+    assert not (tmp_path / "map").exists()
 
 
 def test_the_extra_is_named_where_the_library_is_missing(
@@ -121,7 +144,7 @@ def test_photos_that_make_no_map_are_named_in_one_sentence(
 def test_other_files_beside_a_flight_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0))
     assert main(["map", str(photo), "--from-flight", str(photo), "--out", str(tmp_path / "map")]) == 2
-    assert "leave the other files and options out" in capsys.readouterr().err
+    assert "leave the other files and options, except --elevation, out" in capsys.readouterr().err
 
 
 @pytest.mark.slow
