@@ -3,6 +3,7 @@
 FOLDER holds one folder a flight, each with `photos/` and `map.tif` or `map.jpg`; LPN_FLIGHTS is its default. Registration
 searches the whole map, or with `--prior` that many metres around each tag. `--model` adds retrieval and sequence;
 `--hide-headings` takes the flight's headings away, and `--no-register` leaves registration out. Errors are against the tags.
+Shares of registrations within 1, 2, and 3 sigmas are told for tags as they are and without their lag, see `radius_rows`.
 Nothing is taken from the user's cache, so figures and times are of the code that runs.
 """
 
@@ -13,19 +14,25 @@ import json
 import os
 import tempfile
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 import lpn
 from lpn.cli.locate import print_summary
 from lpn.core.files import write_atomic
 from lpn.flights import open_flight
+from lpn.locate.belief import TAG_RADIUS, disagreements
+from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.maps import open_map
+
+# Tangent of the 5 degrees by which an aircraft's camera may be tilted, as a share of the height.
+_SWAY = float(np.tan(np.radians(5.0)))
 
 
 def measured(
@@ -43,6 +50,9 @@ def measured(
     seconds = time.process_time() - begun
     print_summary(located, Console(width=140))
     print(f"{seconds / len(flight.frames):.2f} s of processor time a frame.")
+    radii = radius_rows(located)
+    for row in radii:
+        print(row.sentence)
     frames = [
         {"frame": found.frame.name, "stages": {stage: asdict_of(found, stage) for stage in found.stages}}
         for found in located.frames
@@ -53,10 +63,69 @@ def measured(
         "processor seconds a frame": seconds / len(flight.frames),
         "stages": {stage: asdict(summary) for stage, summary in located.summaries(30.0).items()},
         "field": located.field_measures(),
+        "radii": [asdict(row) for row in radii],
         "audit": None if located.audit is None else {**asdict(located.audit), "sentence": located.audit.sentence},
         "notes": located.notes,
         "each": frames,
     }
+
+
+@dataclass(frozen=True)
+class RadiusRow:
+    """Shares of a flight's registrations within 1, 2, and 3 sigmas of their tags.
+
+    Attributes:
+        tags: "as they are", or "without their lag".
+        frames: registrations with a tag.
+        median: metres from the tags.
+        own, with_tag, with_tilt: shares by the radius alone; with the tag's own error of 5 m; and with 5 degrees of
+            tilt between camera and picture's middle, where the position is the middle's. Errors add up as squares.
+        contradictions: of registration and tag, see `lpn.locate.belief.disagreements`.
+    """
+
+    tags: str
+    frames: int
+    median: float
+    own: list[float]
+    with_tag: list[float]
+    with_tilt: list[float]
+    contradictions: int
+
+    @property
+    def sentence(self) -> str:
+        """One line of the table."""
+        shares = (
+            f"{name} {', '.join(f'{100 * share:.0f}' for share in row)} %"
+            for name, row in (("radius", self.own), ("+ tag", self.with_tag), ("+ tilt", self.with_tilt))
+        )
+        return (
+            f"Tags {self.tags}: {self.frames} frames, {self.median:.1f} m in the median; within 1, 2, 3 sigmas: "
+            f"{'; '.join(shares)}; {self.contradictions} contradictions."
+        )
+
+
+def radius_rows(located: LocatedFlight) -> list[RadiusRow]:
+    """Compare the errors of accepted registrations with their radii, for tags as they are and without their lag."""
+    rows = []
+    for name, seen in (("as they are", located), ("without their lag", located.without_lag())):
+        if name != "as they are" and seen is located:
+            continue
+        kept = [
+            (error, answer.radius, 0.0 if answer.camera else (frame.frame.flying_height or (answer.width or 0.0) / 2))
+            for frame in seen.frames
+            if (answer := frame.stages.get("registration")) is not None
+            and answer.accepted
+            and answer.radius is not None
+            and (error := frame.error("registration")) is not None
+        ]
+        if not kept:
+            continue
+        error, radius, height = np.array(kept).T
+        sigmas = radius, np.hypot(radius, TAG_RADIUS), np.hypot(np.hypot(radius, TAG_RADIUS), height * _SWAY)
+        shares = [[float((error <= k * sigma).mean()) for k in (1, 2, 3)] for sigma in sigmas]
+        against = sum({one.one, one.other} == {"registration", "tag"} for one in disagreements(seen.frames))
+        rows.append(RadiusRow(name, len(kept), float(np.median(error)), shares[0], shares[1], shares[2], against))
+    return rows
 
 
 def asdict_of(found: Any, stage: str) -> dict[str, Any]:
