@@ -44,7 +44,7 @@ class Levelled:
         return np.asarray(points[self.valid[points[:, 1].astype(int), points[:, 0].astype(int)]])
 
 
-def level(photo: UInt8Array, frame: Frame) -> Levelled | None:
+def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> Levelled | None:
     """Level a photo by its tilt.
 
     A pixel's ray is turned by the frame's pitch and roll, and meets a plane below the camera. Where rays go down by less than 28
@@ -52,12 +52,13 @@ def level(photo: UInt8Array, frame: Frame) -> Levelled | None:
 
     Args:
         photo: (H, W, 3) uint8.
+        assumed: whether the pitch is a guess about the camera, whatever the source of the heading is.
 
     Returns:
         None unless pitch and field of view are known, the camera itself and not the aircraft tells the pitch, and it looks
         between 15 and 65 degrees from straight down.
     """
-    if frame.pitch is None or frame.fov is None or frame.heading_source == "aircraft":
+    if frame.pitch is None or frame.fov is None or (frame.heading_source == "aircraft" and not assumed):
         return None
     turn = rotation(0.0, frame.pitch, frame.roll or 0.0)
     if not math.cos(math.radians(_MOST_TILT)) <= turn[2, 2] <= math.cos(math.radians(_LEAST_TILT)):

@@ -6,7 +6,8 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from lpn.core.progress import Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
 from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
-from lpn.locate.camera_pose import CameraPose
+from lpn.locate.camera_pose import DEFAULT_FOV, CameraPose
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.levelled import Levelled, level, pixel_grid
 from lpn.locate.located import LocatedFrame, StageRecord, tag_positions
@@ -30,6 +31,9 @@ from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
 from lpn.locate.options import TOP, LocateOptions
 from lpn.locate.photo_pose import photo_pose
 from lpn.locate.registration import (
+    APART,
+    MIN_RATIO,
+    MIN_SUPPORT,
     Expectation,
     Ground,
     Registration,
@@ -46,7 +50,7 @@ from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
 # Answers in the cache have poses of this version.
-_POSES = 3
+_POSES = 4
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
@@ -58,6 +62,10 @@ AROUND = 0.75
 _BEYOND = 0.05
 # How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
 _SWAY = 0.1
+# Pitches at which a photo is levelled that tells none and is not placed as it is, and the field of view where that is not told.
+_TRIED_PITCHES = (-60.0, -42.0)
+# Levelled so, a photo needs so many times the usual support, as each try is a chance to agree with a wrong place.
+_TRIED_SUPPORT = 2.0
 # Each model of a registration in words: the matches agree on it.
 _AGREED = {"similarity": "one place, turn, and scale", "homography": "one place, turn, scale, and tilt"}
 
@@ -261,21 +269,104 @@ def register_photo(
         ratios: of these widths to those that heights and fields of view tell.
         side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
         heading: of the accepted frame before, in degrees.
-        quick: try the width by height and field of view alone, where it is known.
+        quick: try the width by height and field of view alone, where it is known, and no tilt that the photo does not tell.
     """
     frame = located.frame
-    places = _candidates(located, options)
     if options.prior is not None and located.tag is None and side is None:
         return StageRecord(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."
         )
+    search = partial(_searched, basemap, features, located, photo, options, widths, ratios, side, heading)
+    found = search(frame, quick)
+    best, solved = _posed(basemap, frame, photo, found)
+    # On flat ground most photos from straight above have no pose either, and are placed well enough without one.
+    unsolved = not best.accepted or (basemap.elevation is not None and isinstance(solved, str))
+    if unsolved and not quick and found.has_ground and frame.pitch is None:
+        near = best if best.accepted else None
+        tilts = (replace(frame, pitch=pitch, roll=0.0, fov=frame.fov or DEFAULT_FOV) for pitch in _TRIED_PITCHES)
+        clearest = _clearest(found, [search(tilted, True, near) for tilted in tilts])
+        if clearest is not found:
+            found = clearest
+            best, solved = _posed(basemap, frame, photo, found)
+    around_tag = found.reach if found.has_ground and side is None and options.prior is not None else None
+    tried = found.pitch if frame.pitch is None else None
+    placed = basemap.elevation is not None or found.levelled is not None
+    size = (photo.shape[1], photo.shape[0])
+    return _record(frame, size, best, around_tag, solved, placed, tried)
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The best registration of a photo at one tilt.
+
+    Attributes:
+        levelled: the picture that was registered in place of the photo; None if it was the photo.
+        reach: half the side of the squares that were searched, in metres.
+        pitch: at which the photo was searched, in degrees; None if none was known or tried.
+        has_ground: whether the map could be searched.
+    """
+
+    best: Registration
+    levelled: Levelled | None
+    reach: float
+    pitch: float | None
+    has_ground: bool = True
+
+
+def _posed(basemap: Map, frame: Frame, photo: UInt8Array, found: _Search) -> tuple[Registration, CameraPose | str]:
+    """Return the registration of the photo itself, and its camera's pose or why there is none."""
+    size, best = (photo.shape[1], photo.shape[0]), found.best
+    if found.levelled is not None:
+        best = _of_photo(best, found.levelled, size, frame)
+    return best, photo_pose(basemap, frame, size, best, found.levelled) if best.accepted else ""
+
+
+def _clearest(plain: _Search, tilted: Sequence[_Search]) -> _Search:
+    """Return the search of the levelled photo that explains clearly more than the photo as it is, and than every other tilt does
+    elsewhere; else `plain`."""
+    clearest = max(tilted, key=lambda search: search.best.support)
+    best = clearest.best
+    if not best.accepted or best.support < _TRIED_SUPPORT * MIN_SUPPORT:
+        return plain
+    assert best.centre is not None
+    assert best.width is not None
+    for other in (plain.best, *(search.best for search in tilted)):
+        elsewhere = other.centre is not None and np.linalg.norm(other.centre - best.centre) > APART * best.width
+        counts = elsewhere or (other is plain.best and other.accepted)
+        if counts and best.support < MIN_RATIO * other.support:
+            return plain
+    return clearest
+
+
+def _searched(
+    basemap: Map,
+    features: Sequence[MapFeatures],
+    located: LocatedFrame,
+    photo: UInt8Array,
+    options: LocateOptions,
+    widths: Sequence[float],
+    ratios: Sequence[float],
+    side: float | None,
+    heading: float | None,
+    frame: Frame,
+    quick: bool,
+    near: Registration | None = None,
+) -> _Search:
+    """Search the map for a photo as `frame` tells its tilt; the other arguments are those of `register_photo`.
+
+    Args:
+        near: an answer about whose place, heading, and width alone the photo is searched.
+    """
+    places = _candidates(located, options)
     centres = None if places is None else np.array(places)
-    levelled = level(photo, frame)
+    levelled = level(photo, frame, assumed=frame is not located.frame)
     shown, valid, wider = (photo, None, 1.0) if levelled is None else (levelled.picture, levelled.valid, levelled.wider)
     grid = pixel_grid((shown.shape[1], shown.shape[0]), 9) if levelled is None else levelled.grid(25)
     known_width = ground_width(frame)
     if known_width is not None and ratios:
         known_width *= float(np.median(ratios[-_RECENT:]))
+    if near is not None and near.centre is not None and near.width is not None:
+        centres, known_width = near.centre[None], near.width
     best: Registration | None = None
     searched = 0.0
     for again in (False, True):
@@ -288,14 +379,19 @@ def register_photo(
             reach = AROUND * width + (options.prior or 0.0 if side is None else 0.5 * side)
             ground = kind.around(centres, reach, width)
             if ground is None:
-                return StageRecord(
-                    "refused",
+                reason = (
                     f"More than {MAX_BLOCKS} blocks of {basemap.name} would have to be searched for this photo; give --model, or "
-                    "--prior with the metres around the tag.",
+                    "--prior with the metres around the tag."
                 )
-            expected = Expectation(
-                width if known else None, frame.heading, heading_is_certain(frame), _guess(located, heading)
-            )
+                return _Search(
+                    Registration(False, reason, kind.matcher.name), levelled, reach, frame.pitch, has_ground=False
+                )
+            if near is None:
+                expected = Expectation(
+                    width if known else None, frame.heading, heading_is_certain(frame), _guess(located, heading)
+                )
+            else:
+                expected = Expectation(width, near.heading)
             answer = register(kind.matcher, shown, ground, expected, [width], basemap.bounds, valid)
             alike = searches.setdefault(width, {})
             alike[answer.matcher] = kind.matcher, ground
@@ -314,12 +410,7 @@ def register_photo(
         assert best.centre is not None
         centres = best.centre[None]
     assert best is not None
-    size = (photo.shape[1], photo.shape[0])
-    if levelled is not None:
-        best = _of_photo(best, levelled, size, frame)
-    solved = photo_pose(basemap, frame, size, best, levelled) if best.accepted else ""
-    around_tag = searched if side is None and centres is not None else None
-    return _record(frame, size, best, around_tag, solved, basemap.elevation is not None or levelled is not None)
+    return _Search(best, levelled, searched, frame.pitch)
 
 
 def _guess(located: LocatedFrame, before: float | None) -> float | None:
@@ -372,6 +463,7 @@ def _record(
     reach: float | None,
     solved: CameraPose | str,
     placed: bool,
+    tried: float | None,
 ) -> StageRecord:
     """Return the record of a registration.
 
@@ -380,6 +472,7 @@ def _record(
         solved: the pose of the camera, or why there is none.
         placed: whether the pose may give the position. On flat ground that of a photo from nearly straight above is worse than
             the middle of its picture.
+        tried: the pitch in degrees at which the photo was levelled, without one in its file; None if it was not.
     """
     how = ""
     if reach is not None:
@@ -403,7 +496,10 @@ def _record(
             f"{registration.inliers} details matched by {registration.matcher} agree on {_AGREED[registration.model]}."
         )
         told = solved if isinstance(solved, str) else solved.sentence
-        sentence = " ".join(part for part in (agreed, registration.turn_sentence, told, by_tilt) if part)
+        levelled = ""
+        if tried is not None:
+            levelled = f"Its file tells no tilt; it fits after it was levelled by {90 + tried:.0f} degrees."
+        sentence = " ".join(part for part in (agreed, levelled, registration.turn_sentence, told, by_tilt) if part)
     return StageRecord(
         "accepted" if registration.accepted else "refused",
         sentence + how,

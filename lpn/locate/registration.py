@@ -47,7 +47,7 @@ _SAMPLES = 200_000
 _HYPOTHESES = 4000
 # Places that are matched again, and their least distance in ground widths.
 _PLACES = 4
-_APART = 0.25
+APART = 0.25
 # Features of a photo; more cost time, and raise the support of wrong places.
 _FEATURES = 2048
 
@@ -285,7 +285,7 @@ def register(
     if at_given is not None and best is not None:
         if at_given.support >= best.support:
             best = at_given
-        runner_up = rival if abs(best.b - at_given.b) <= _APART * abs(at_given.a) else max(runner_up, at_given.support)
+        runner_up = rival if abs(best.b - at_given.b) <= APART * abs(at_given.a) else max(runner_up, at_given.support)
     if best is None:
         return Registration(False, "Fewer than four features of the photo match the map.", matcher.name)
     others = (known[seed] for seed in chosen if known[seed] is not best)
@@ -319,7 +319,7 @@ def contested(
     own, *_ = answer.places
     others: list[Similarity] = []
     for rival in rivals:
-        if all(abs(rival.b - place.b) > _APART * abs(place.a) for place in (own, *others)):
+        if all(abs(rival.b - place.b) > APART * abs(place.a) for place in (own, *others)):
             others.append(rival)
     if not others:
         return answer
@@ -340,7 +340,7 @@ def _support_at(
     turn = heading if matcher.tolerance < 90 else 0.0
     seen = _described(matcher, photo, valid, abs(place.a) / ground.resolution, turn)
     refined = _guided(_Seed(seen, place.a, place.b, 0.0), ground)
-    return max(refined.support, 0.0) if abs(refined.b - place.b) <= _APART * abs(place.a) else 0.0
+    return max(refined.support, 0.0) if abs(refined.b - place.b) <= APART * abs(place.a) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -442,7 +442,7 @@ def _seeds(
     while len(seeds) < _PLACES and support.max() > 0:
         i = int(support.argmax())
         seeds.append(_Seed(seen, complex(a[i]), complex(b[i]), float(support[i])))
-        support[np.abs(b - b[i]) < _APART * width] = 0
+        support[np.abs(b - b[i]) < APART * width] = 0
     return seeds
 
 
@@ -450,7 +450,7 @@ def _apart(seeds: list[_Seed]) -> list[_Seed]:
     """Return the seeds with most support, of places apart."""
     chosen: list[_Seed] = []
     for seed in sorted(seeds, key=lambda seed: -seed.support):
-        if len(chosen) < _PLACES and all(abs(seed.b - other.b) > _APART * abs(seed.a) for other in chosen):
+        if len(chosen) < _PLACES and all(abs(seed.b - other.b) > APART * abs(seed.a) for other in chosen):
             chosen.append(seed)
     return chosen
 
@@ -461,7 +461,7 @@ def _ranked(candidates: list[_Candidate]) -> tuple[_Candidate | None, float]:
     if best is None:
         return None, 0.0
     return best, max(
-        (other.support for other in candidates if abs(other.b - best.b) > _APART * abs(best.a)), default=0.0
+        (other.support for other in candidates if abs(other.b - best.b) > APART * abs(best.a)), default=0.0
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,11 +14,16 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.flights import Flight, Frame
 from lpn.flights.cameras import rotation
+from lpn.locate import registered_stage
 from lpn.locate.camera_pose import CameraPose, PoseMatches, solve_pose
+from lpn.locate.ground import MapFeatures
 from lpn.locate.levelled import level
+from lpn.locate.located import LocatedFrame
+from lpn.locate.matchers import Matcher, SiftMatcher
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.locate.pose_errors import pose_errors
+from lpn.locate.registration import Expectation, Ground, Registration, register
 from lpn.maps import Map, open_map
 from lpn.maps.elevation import ElevationFile
 from lpn.maps.folder import build_map
@@ -198,3 +204,32 @@ def test_a_photo_of_hills_has_the_pose_that_it_was_taken_from(town: Map, tmp_pat
         pose_errors(located)
     point = located.track()[0]
     assert (point.yaw, point.altitude, point.sigma_up) == (pose.heading, pose.altitude, pose.sigmas[2])
+
+
+@pytest.mark.parametrize("rival", [0.0, 500.0])
+def test_a_photo_that_tells_no_tilt_is_levelled_at_tilts_that_are_tried(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rival: float
+) -> None:
+    place, heading, pitch = np.array([-15.0, -55.0, 290.0]), 25.0, -50.0
+    cv2.imwrite(str(tmp_path / "a.png"), photographed(heading, pitch, place)[..., ::-1])
+
+    def register_levelled(
+        matcher: Matcher, photo: UInt8Array, ground: Ground, expected: Expectation, *rest: Any
+    ) -> Registration:
+        if rest[-1] is not None:
+            return register(matcher, photo, ground, expected, *rest)
+        return Registration(False, "It fits nowhere.", "SIFT", support=rival, centre=np.array([90.0, 90.0]))
+
+    monkeypatch.setattr(registered_stage, "register", register_levelled)
+    frame = Frame("a.png", tmp_path / "a.png", *SIZE, height_above_ground=80.0, heading=heading, fov=FOV)
+    features = [MapFeatures(town, SiftMatcher())]
+    answer = registered_stage.register_frame(town, features, LocatedFrame(frame, None), LocateOptions(), [], [], None)
+    # Another place that a photo fits as well with another tilt is a rival.
+    assert answer.accepted == (rival == 0)
+    if answer.accepted:
+        assert "Its file tells no tilt; it fits after it was levelled by 30 degrees." in answer.sentence
+        assert answer.pose is not None
+        assert answer.pose.pitch == pytest.approx(pitch, abs=0.5)
+        assert np.linalg.norm([answer.pose.east - place[0], answer.pose.north - place[1]]) < 1.0
+    else:
+        assert answer.sentence == "It fits nowhere."
