@@ -33,6 +33,9 @@ class FlightCommand:
     """Horizontal field of view in degrees, for frames whose files have none."""
     pitch: float | None = None
     """Pitch in degrees, for frames whose files have none; -90 is straight down."""
+    camera: Path | None = None
+    """File of the camera's lens, YAML or JSON of OpenCV, ROS, Kalibr, or ODM, whose distortion is taken out before photos are
+    matched; by default the one in DJI's photos."""
 
     def run(self) -> None:
         from lpn.core.errors import InputError
@@ -40,7 +43,7 @@ class FlightCommand:
 
         if not self.files:
             raise InputError("There are no files; give photos, videos, logs, tracks, or folders of them.")
-        options = FlightOptions(self.every, self.every_metres, self.gps_order, self.fov, self.pitch)
+        options = FlightOptions(self.every, self.every_metres, self.gps_order, self.fov, self.pitch, self.camera)
         flight = make_flight(self.files, self.out, options)
         print(summary(flight))
         print(f"The flight is in {self.out}.")
@@ -62,6 +65,8 @@ def summary(flight: Flight) -> str:
         ("width on the ground", *_range(frames, ground_width, " m")),
         ("time", _known(frames, lambda frame: frame.time), _span(flight)),
     ]
+    if lenses := _known(frames, lambda frame: None if frame.lens is None else frame.lens.fov):
+        rows.insert(-2, ("lens", lenses, "its distortion is taken out before photos are matched"))
     lines = [f"{flight.name}: {len(frames)} frames"]
     lines += [f"  {name:22}{known:>6} of {len(frames)}  {values}".rstrip() for name, known, values in rows]
     return "\n".join([*lines, *(f"- {note}" for note in flight.notes)])

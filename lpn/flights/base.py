@@ -14,6 +14,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets import geo
+from lpn.flights.lenses import Lens
 
 HeadingSource = Literal["gimbal", "camera", "aircraft", "course"]
 
@@ -38,6 +39,7 @@ class Frame:
         roll: in degrees about the picture's upward direction; positive with the right side down, so that a camera that would look
             straight down looks to the left.
         fov: horizontal field of view in degrees.
+        lens: with its distortion, where a file tells it and the picture has it still.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Frame:
     pitch: float | None = None
     roll: float | None = None
     fov: float | None = None
+    lens: Lens | None = None
 
     @property
     def flying_height(self) -> float | None:

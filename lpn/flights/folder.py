@@ -23,12 +23,15 @@ from lpn.core.files import json_bytes, printable, write_together
 from lpn.core.formats import decode_json, format_of
 from lpn.datasets.base import read_rows
 from lpn.flights.base import Flight, Frame, HeadingSource
+from lpn.flights.lenses import Lens, lens_of_text
 
 FORMAT = "lpn-flight/1"
 TABLE, HEADER, FRAMES = "flight.csv", "flight.json", "frames"
 _COLUMNS = tuple(field.name for field in fields(Frame))
-_FIRST_LINE = ",".join(_COLUMNS).encode() + b"\n"
-_NUMBERS = tuple(name for name in _COLUMNS if name not in ("name", "file", "width", "height", "heading_source"))
+# Flights of earlier versions have no lens, the last column.
+_TABLES = (_COLUMNS, _COLUMNS[:-1])
+_FIRST_LINES = tuple(",".join(columns).encode() + b"\n" for columns in _TABLES)
+_NUMBERS = tuple(name for name in _COLUMNS if name not in ("name", "file", "width", "height", "heading_source", "lens"))
 _LIMITS: Mapping[str, tuple[float, float]] = {
     "latitude": (-90, 90),
     "longitude": (-180, 180),
@@ -55,15 +58,15 @@ def check_folder(folder: Path) -> None:
     """Raise OutputError if the flight would replace a file that `lpn flight` did not write."""
     try:
         header = format_of(file.read_bytes()) if (file := folder / HEADER).exists() else FORMAT
-        begin = _FIRST_LINE
+        begin = _FIRST_LINES[0]
         if (file := folder / TABLE).exists():
             with file.open("rb") as table:
-                begin = table.read(len(_FIRST_LINE))
+                begin = table.readline(len(_FIRST_LINES[0]))
     except OSError as error:
         raise OutputError(f"{printable(str(file))} cannot be read ({error.strerror or error}); check it.") from error
     ours = {
         HEADER: isinstance(header, str) and header.startswith(FORMAT.partition("/")[0] + "/"),
-        TABLE: begin == _FIRST_LINE,
+        TABLE: begin in _FIRST_LINES,
     }
     for name, is_ours in ours.items():
         if not is_ours:
@@ -82,7 +85,10 @@ def write_flight(flight: Flight, folder: Path) -> None:
     check_folder(folder)
     rows: list[list[object]] = [list(_COLUMNS)]
     for frame in flight.frames:
-        values = {name: getattr(frame, name) for name in _COLUMNS} | {"file": _relative(frame.file, folder)}
+        values = {name: getattr(frame, name) for name in _COLUMNS} | {
+            "file": _relative(frame.file, folder),
+            "lens": None if frame.lens is None else frame.lens.text(),
+        }
         rows.append(list(values.values()))
     header = msgspec.to_builtins(_Header(FORMAT, flight.name, flight.utc, list(flight.notes)))
     write_together(
@@ -104,9 +110,10 @@ def read_flight(folder: Path) -> Flight:
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not what lpn flight writes; write the flight again.") from error
     rows = read_rows(folder / TABLE, str(folder / TABLE), "surrogateescape")
-    if tuple(next(rows, (0, []))[1]) != _COLUMNS:
+    columns = tuple(next(rows, (0, []))[1])
+    if columns not in _TABLES:
         raise DataError(f"The first line of {folder / TABLE} is not {','.join(_COLUMNS)}; write the flight again.")
-    frames = tuple(_frame(values, folder, f"Line {line} of {folder / TABLE}") for line, values in rows)
+    frames = tuple(_frame(values, columns, folder, f"Line {line} of {folder / TABLE}") for line, values in rows)
     names = {frame.name for frame in frames}
     if len(names) < len(frames):
         raise DataError(f"{folder / TABLE} names {len(frames) - len(names)} frames twice; names are unique.")
@@ -121,10 +128,10 @@ def _relative(file: Path, folder: Path) -> str:
         return file.resolve().as_posix()
 
 
-def _frame(values: list[str], folder: Path, line: str) -> Frame:
-    if len(values) != len(_COLUMNS):
-        raise DataError(f"{line} has {len(values)} values; expected {len(_COLUMNS)}.")
-    texts = dict(zip(_COLUMNS, map(unescape, values), strict=True))
+def _frame(values: list[str], columns: tuple[str, ...], folder: Path, line: str) -> Frame:
+    if len(values) != len(columns):
+        raise DataError(f"{line} has {len(values)} values; expected {len(columns)}.")
+    texts = dict(zip(columns, map(unescape, values), strict=True))
     numbers: dict[str, Any] = {name: _number(texts[name], name, line) for name in _NUMBERS}
     source = texts["heading_source"] or None
     if (source is not None and source not in get_args(HeadingSource)) or (source is None) != (
@@ -140,7 +147,17 @@ def _frame(values: list[str], folder: Path, line: str) -> Frame:
         raise DataError(f"{line} has no name or no file; expected both.")
     width, height = (_pixels(texts[name], name, line) for name in ("width", "height"))
     file = Path(os.path.normpath(folder / texts["file"]))
-    return Frame(texts["name"], file, width, height, heading_source=source, **numbers)  # type: ignore[arg-type]
+    lens = _lens(texts.get("lens", ""), line)
+    return Frame(texts["name"], file, width, height, heading_source=source, lens=lens, **numbers)  # type: ignore[arg-type]
+
+
+def _lens(text: str, line: str) -> Lens | None:
+    try:
+        return lens_of_text(text) if text.strip() else None
+    except ValueError as error:
+        raise DataError(
+            f"{line} has the lens {printable(text)[:80]!r} ({printable(str(error))[:80]}); expected nine numbers of a lens."
+        ) from error
 
 
 def _number(text: str, name: str, line: str) -> float | None:

@@ -70,6 +70,7 @@ NAMESPACES: Mapping[str, Namespace] = {
 
 _DJI = "https://github.com/exiftool/exiftool lib/Image/ExifTool/DJI.pm"
 _DJI_GUIDE = "Mavic 3M Image Processing Guide, https://ag.dji.com/mavic-3-m"
+_DJI_MANUAL = "Mavic 3M User Manual, page 90, https://www.easymanua.ls/dji/mavic-3m/manual?p=90"
 _DJI_SDK = "https://github.com/dji-sdk/Mobile-SDK-Android/issues/984"
 _PARROT = "https://developer.parrot.com/docs/groundsdk-tools/photo-metadata.html"
 _PIX4D = "https://support.pix4d.com/hc/en-us/articles/360016450032"
@@ -168,6 +169,8 @@ ROWS: tuple[XmpRow, ...] = (
     XmpRow("drone-dji", "CalibratedOpticalCenterY", "optical centre's height", "pixels", "", _DJI),
     XmpRow("drone-skydio", "CalibratedOpticalCenter/X", "optical centre", "pixels", "", _SKYDIO),
     XmpRow("drone-skydio", "CalibratedOpticalCenter/Y", "optical centre's height", "pixels", "", _SKYDIO),
+    XmpRow("drone-dji", "DewarpData", "lens", "text", "", _DJI_MANUAL),
+    XmpRow("drone-dji", "DewarpFlag", "undistorted", "text", "", _DJI_MANUAL),
     XmpRow("exif", "CameraHorizontalFOV", "fov", "degrees", "", _TEAL),
     XmpRow("Camera", "PerspectiveFocalLength", "perspective focal length", "millimetres", "", _PIX4D),
     XmpRow("Camera", "PerspectiveFocalLengthUnits", "perspective unit", "text", "", _PIX4D),

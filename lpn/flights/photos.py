@@ -4,7 +4,8 @@ position     XMP of the maker; else EXIF GPS, which some firmware truncates; els
 height       above ground, above take-off, altitude: XMP of the maker; altitude also EXIF GPSAltitude
 heading      the gimbal's, by XMP or DJI's maker note; the camera's, by XMP or EXIF GPSImgDirection; the aircraft's
 pitch, roll  of the gimbal or the camera; of an aircraft without a gimbal, whose camera looks straight down in level flight
-fov          XMP CalibratedFocalLength; FocalPlaneXResolution and FocalLength; XMP Camera:PerspectiveFocalLength;
+lens         XMP DewarpData of DJI
+fov          the lens's; XMP CalibratedFocalLength; FocalPlaneXResolution and FocalLength; XMP Camera:PerspectiveFocalLength;
              FocalLengthIn35mmFilm
 time         XMP UTCAtExposure, sensefly:UTCTime; EXIF DateTimeOriginal with OffsetTimeOriginal; GPSDateStamp and GPSTimeStamp.
              XMP CreateDate and EXIF DateTimeDigitized stand in for a missing DateTimeOriginal, before DateTime
@@ -36,6 +37,7 @@ from lpn.core.numbers import wrap_degrees
 from lpn.datasets.integrity import stream_error
 from lpn.flights import cameras
 from lpn.flights.base import Frame, HeadingSource
+from lpn.flights.lenses import Lens, lens_of_dewarp_data
 from lpn.flights.makers import ROWS, Convention, XmpValues, degrees_of
 from lpn.flights.xmp import XmpProperty, read_xmp
 
@@ -160,7 +162,8 @@ def photo_of(data: bytes, file: Path) -> Photo:
     latitude, longitude = _position(known)
     frame = _with_heights(replace(frame, latitude=latitude, longitude=longitude), known)
     frame = _with_angles(frame, known, turns)
-    frame = replace(frame, fov=_fov(known, width, height, turns))
+    lens = _lens(known, width, height, turns)
+    frame = replace(frame, lens=lens, fov=_fov(known, width, height, turns) if lens is None else lens.fov)
     utc, local = _times(known)
     if frame.latitude is None and (named := _AERIALVL.fullmatch(file.name)) is not None:
         frame, utc = _named_frame(frame, named, known, utc)
@@ -503,14 +506,35 @@ def upright_angles(
     return cameras.turned(heading, pitch, roll or 0.0, turns)
 
 
-def _fov(known: _Metadata, width: int, height: int, turns: int) -> float | None:
-    """Return the horizontal field of view of the upright picture in degrees."""
+def _lens(known: _Metadata, width: int, height: int, turns: int) -> Lens | None:
+    """Return the lens of DJI's DewarpData; None where the camera took its distortion out already, or the picture is not whole."""
+    if not (text := known.xmp.text("lens").strip()) or known.xmp.text("undistorted").strip() == "1":
+        return None
+    original, original_height = _original(known, width, height)
+    if turns or abs(original / original_height * height / width - 1) > _SAME:
+        known.oddities.append("was turned or cropped, so the lens of its DewarpData was not used")
+        return None
+    try:
+        return lens_of_dewarp_data(text, original)
+    except ValueError as error:
+        known.oddities.append(f"has a DewarpData that was not used, because it has {printable(str(error))[:80]}")
+        return None
+
+
+def _original(known: _Metadata, width: int, height: int) -> tuple[float, float]:
+    """Return the width and height in pixels of the picture as it was taken."""
     original = _number(known.exif.get(ExifTags.Base.ExifImageWidth)) or float(width)
     original_height = _number(known.exif.get(ExifTags.Base.ExifImageHeight)) or float(height)
     if (
         abs(original_height / original * height / width - 1) <= _SAME
     ):  # a program turned the picture, or swapped the sizes
-        original, original_height = original_height, original
+        return original_height, original
+    return original, original_height
+
+
+def _fov(known: _Metadata, width: int, height: int, turns: int) -> float | None:
+    """Return the horizontal field of view of the upright picture in degrees."""
+    original, original_height = _original(known, width, height)
     across = _fov_across(known, original, original_height)
     if across is None:
         tags = [

@@ -21,6 +21,7 @@ from lpn.flights import logs, subtitles, track_files, vehicle_logs, videos
 from lpn.flights.base import Flight, Frame, HeadingSource, local_metres
 from lpn.flights.clock_fit import ClockFit, fit_clocks
 from lpn.flights.folder import FRAMES, check_folder, write_flight
+from lpn.flights.lenses import Lens, read_camera
 from lpn.flights.logs import Log, LogRow
 from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_angles
 from lpn.flights.quality import flight_notes, with_courses
@@ -37,6 +38,8 @@ _LEAST_EVERY = 0.04
 # Latitude and longitude of a log count as swapped if the log lies more than `_SWAPPED_FAR` metres from the photos as it is, and
 # less than `_SWAPPED_NEAR` metres after a swap.
 _SWAPPED_NEAR, _SWAPPED_FAR = 5_000.0, 20_000.0
+# Proportions of pictures that differ by less are those of one camera.
+_SAME_PROPORTIONS = 0.01
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class FlightOptions:
         gps_order: order of the first two values of GPS(a, b, c) in subtitles; None detects it.
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
+        camera: file of the camera's lens, for all frames, see `lpn.flights.lenses.read_camera`.
     """
 
     every: float = 1.0
@@ -56,6 +60,7 @@ class FlightOptions:
     gps_order: GpsOrder | None = None
     fov: float | None = None
     pitch: float | None = None
+    camera: Path | None = None
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -91,11 +96,13 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
         out: the folder; frames of videos are written to `frames` in it.
 
     Raises:
-        DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log is damaged.
+        DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log or the camera's file is
+            damaged, or the camera's pictures have other proportions than all frames.
         OutputError: if the folder cannot be written, or holds a flight.csv or flight.json that `lpn flight` did not write.
     """
     options = options or FlightOptions()
     check_folder(out)
+    camera = None if options.camera is None else read_camera(options.camera)
     inputs = _sorted_files(files)
     read, texts, unread = _read_logs(inputs.logs)
     inputs = replace(inputs, logs=list(read), others=[*inputs.others, *texts])
@@ -112,6 +119,8 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
             raise DataError(_no_pictures(inputs))
         flight = flight_of_photos(photos, name, list(read.values()))
     flight = _completed(flight, options)
+    if camera is not None:
+        flight = _with_lens(flight, *camera)
     flight = replace(flight, notes=(*flight.notes, *unread, *_others_note(inputs.others)))
     write_flight(flight, out)
     return flight
@@ -507,6 +516,23 @@ def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> t
         for frame in part.frames
     ]
     return sorted(frames, key=lambda frame: (frame.time, natural(frame.name))), notes
+
+
+def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:
+    """Give a lens to the frames whose pictures have these proportions (height over width), and say how many they are."""
+    fits = [abs(frame.height / frame.width / proportions - 1) <= _SAME_PROPORTIONS for frame in flight.frames]
+    if not any(fits):
+        frame = flight.frames[0]
+        raise DataError(
+            f"The camera's pictures are {proportions:.3f} times as high as wide, and those of the flight, such as "
+            f"{printable(frame.name)}, {frame.height / frame.width:.3f} times; give the file of the flight's camera."
+        )
+    frames = tuple(
+        replace(frame, lens=lens, fov=lens.fov) if fit else frame
+        for frame, fit in zip(flight.frames, fits, strict=True)
+    )
+    note = f"The lens of {sum(fits)} of {len(frames)} frames is the one given with --camera, as is their field of view."
+    return replace(flight, frames=frames, notes=(*flight.notes, note))
 
 
 def _completed(flight: Flight, options: FlightOptions) -> Flight:

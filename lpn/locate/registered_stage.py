@@ -263,6 +263,8 @@ def register_photo(
 ) -> StageRecord:
     """Register the picture of a frame, RGB (H, W, 3), and describe the answer in a sentence.
 
+    The distortion of a known lens is taken out first; the answer's homography is that of the picture without it.
+
     Args:
         features: of the map by each matcher, which are tried in this order.
         widths: metres of ground across the pictures that were registered before.
@@ -272,6 +274,8 @@ def register_photo(
         quick: try the width by height and field of view alone, where it is known, and no tilt that the photo does not tell.
     """
     frame = located.frame
+    if frame.lens is not None:
+        photo = frame.lens.undistorted(photo)
     if options.prior is not None and located.tag is None and side is None:
         return StageRecord(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,10 @@ import pytest
 
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
+from lpn.core.homography import middle_pixel
 from lpn.flights import Flight, Frame
 from lpn.flights.cameras import rotation
+from lpn.flights.lenses import Lens
 from lpn.locate import registered_stage
 from lpn.locate.camera_pose import CameraPose, PoseMatches, solve_pose
 from lpn.locate.ground import MapFeatures
@@ -30,6 +33,8 @@ from lpn.maps.folder import build_map
 from tests.lpn.locate.scenery import CORNER, RESOLUTION, SIDE, land, write_map
 
 SIZE, FOV = (640, 480), 71.6
+# A wide lens without correction: pixels at the picture's corners lie 50 pixels too near to its middle.
+LENS = Lens(0.5 / math.tan(math.radians(FOV) / 2), 0.5 / math.tan(math.radians(FOV) / 2), 0.0, 0.0, -0.2, 0.05)
 PLACE = np.array([10.0, -20.0, 110.0])
 # Of the matches, in pixels along each axis.
 PIXEL_NOISE = 0.8
@@ -152,9 +157,13 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
     return open_map(folder / "map")
 
 
-def photographed(heading: float, pitch: float, place: Float64Array) -> UInt8Array:
+def photographed(heading: float, pitch: float, place: Float64Array, lens: Lens | None = None) -> UInt8Array:
     """A photo of the drawn map over its hills: each ray is followed to the ground."""
     pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1).reshape(-1, 2).astype(np.float64)
+    if lens is not None:
+        focal, (x, y) = lens.focal_x * SIZE[0], middle_pixel(*SIZE)
+        camera = np.array([[focal, 0, x], [0, focal, y], [0, 0, 1]])
+        pixels = np.asarray(cv2.undistortPoints(pixels[:, None], camera, lens.coefficients, P=camera)[:, 0], np.float64)
     along = rays(heading, pitch, 0.0, pixels)
     ground = np.full(len(pixels), 210.0)
     for _ in range(15):
@@ -165,16 +174,18 @@ def photographed(heading: float, pitch: float, place: Float64Array) -> UInt8Arra
     return np.asarray(cv2.remap(land(), columns, rows, cv2.INTER_CUBIC), np.uint8)
 
 
-@pytest.mark.parametrize("pitch", [-86.0, -55.0])
-def test_a_photo_of_hills_has_the_pose_that_it_was_taken_from(town: Map, tmp_path: Path, pitch: float) -> None:
+@pytest.mark.parametrize(("pitch", "lens"), [(-86.0, None), (-55.0, None), (-84.0, LENS)])
+def test_a_photo_of_hills_has_the_pose_that_it_was_taken_from(
+    town: Map, tmp_path: Path, pitch: float, lens: Lens | None
+) -> None:
     place, heading = np.array([5.0, -12.0, 290.0]), 25.0
     photo = tmp_path / "photos" / "a.png"
     photo.parent.mkdir()
-    cv2.imwrite(str(photo), photographed(heading, pitch, place)[..., ::-1])
+    cv2.imwrite(str(photo), photographed(heading, pitch, place, lens)[..., ::-1])
     latitude, longitude = town.frame.degrees(place[None, :2])[0].tolist()
     frame = Frame(
         "a.png", photo, *SIZE, 0.0, latitude, longitude, 80.0, heading=heading + 3, heading_source="gimbal",
-        pitch=pitch + 1, roll=0.0, fov=FOV,
+        pitch=pitch + 1, roll=0.0, fov=FOV, lens=lens,
     )  # fmt: skip
     located = locate(town, Flight("hills", (frame,)), None, LocateOptions(matcher="sift"))
     answer = located.frames[0].stages["registration"]

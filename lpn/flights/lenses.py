@@ -1,0 +1,231 @@
+"""The table of a lens, and photos without its distortion.
+
+The model is that of Brown (1971), as OpenCV has it: a ray (x, y, 1) of the camera is seen at f (x', y') + c with
+
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+    y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y,    r^2 = x^2 + y^2
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.core.homography import middle_pixel
+from lpn.core.requirements import missing_package
+
+# Focal lengths in widths of the picture (170 to 3 degrees of view), how far the optical centre may be off the middle, and the
+# largest coefficient of distortion.
+_FOCALS, _OFF_CENTRE, _MOST = (0.04, 20.0), 0.25, 100.0
+# Bytes of a camera's file.
+_MOST_BYTES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens, by OpenCV's model with five coefficients.
+
+    Attributes:
+        focal_x, focal_y: focal lengths in widths of the picture.
+        centre_x, centre_y: of the lens from the picture's middle, to the right and down, in widths of the picture.
+        k1, k2, p1, p2, k3: coefficients of distortion.
+
+    Raises:
+        ValueError: if the numbers are no lens's; the message says which.
+    """
+
+    focal_x: float
+    focal_y: float
+    centre_x: float
+    centre_y: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+
+    def __post_init__(self) -> None:
+        focals, centre = (self.focal_x, self.focal_y), (self.centre_x, self.centre_y)
+        if not all(_FOCALS[0] <= focal <= _FOCALS[1] for focal in focals) or not 0.9 < focals[0] / focals[1] < 1.1:
+            raise ValueError(f"focal lengths of {focals[0]:.3g} and {focals[1]:.3g} widths of the picture")
+        if not all(abs(value) <= _OFF_CENTRE for value in centre):
+            raise ValueError(
+                f"an optical centre that is {max(map(abs, centre)):.3g} widths of the picture off its middle"
+            )
+        if not all(abs(value) <= _MOST for value in self.coefficients):
+            raise ValueError("impossible coefficients")
+        # Pixels of a picture show rays in the same order as they leave the middle; a table of another lens folds them.
+        reach = 0.5 * math.hypot(1.0, 1.0) / min(focals)
+        radii = np.linspace(0, reach, 200)
+        seen = radii * (1 + self.k1 * radii**2 + self.k2 * radii**4 + self.k3 * radii**6)
+        folded = np.flatnonzero(np.diff(seen) <= 0)
+        if len(folded) and seen[folded[0]] < 0.5 / max(focals):
+            raise ValueError("a distortion that folds the picture")
+
+    @property
+    def coefficients(self) -> Float64Array:
+        """Coefficients of distortion in OpenCV's order, (5,)."""
+        return np.array([self.k1, self.k2, self.p1, self.p2, self.k3])
+
+    @property
+    def fov(self) -> float:
+        """The horizontal field of view of an undistorted picture in degrees."""
+        return 2 * math.degrees(math.atan(0.5 / self.focal_x))
+
+    def undistorted(self, photo: UInt8Array) -> UInt8Array:
+        """Return a photo (H, W, 3) as a pinhole of the same focal length shows it, whose optical centre is the middle."""
+        height, width = photo.shape[:2]
+        x, y = middle_pixel(width, height)
+        camera = np.array(
+            [
+                [self.focal_x * width, 0, x + self.centre_x * width],
+                [0, self.focal_y * width, y + self.centre_y * width],
+                [0, 0, 1],
+            ]
+        )
+        pinhole = np.array([[self.focal_x * width, 0, x], [0, self.focal_x * width, y], [0, 0, 1]])
+        maps = cv2.initUndistortRectifyMap(camera, self.coefficients, np.eye(3), pinhole, (width, height), cv2.CV_32FC1)
+        # Repeated border pixels have no edge that could match.
+        return np.asarray(cv2.remap(photo, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+
+    def text(self) -> str:
+        """Return the nine numbers with blanks between them, as flight.csv has them."""
+        return " ".join(f"{value:.9g}" for value in astuple(self))
+
+
+def lens_of_text(text: str) -> Lens:
+    """Return the lens of `Lens.text`.
+
+    Raises:
+        ValueError: if the text has not nine numbers of a lens.
+    """
+    numbers = [float(word) for word in text.split()]
+    if len(numbers) != 9:
+        raise ValueError(f"{len(numbers)} numbers")
+    return Lens(*numbers)
+
+
+def lens_of_dewarp_data(text: str, width: float) -> Lens:
+    """Return the lens of DJI's XMP property DewarpData, "date;fx,fy,cx,cy,k1,k2,p1,p2,k3".
+
+    Focal lengths and the optical centre, counted from the photo's middle, are in pixels (Mavic 3M user manual, page 90).
+
+    Args:
+        width: of the photo as it was taken, in pixels.
+
+    Raises:
+        ValueError: if the text is no lens; the message says what it has.
+    """
+    words = text.rpartition(";")[2].split(",")
+    if len(words) != 9:
+        raise ValueError(f"{len(words)} numbers where 9 are expected")
+    fx, fy, cx, cy, *coefficients = (float(word) for word in words)
+    return Lens(fx / width, fy / width, cx / width, cy / width, *coefficients)
+
+
+def read_camera(file: Path) -> tuple[Lens, float]:
+    """Read a camera's file: the lens, and the proportions (height over width) of its pictures.
+
+    It is YAML or JSON by OpenCV or ROS (`camera_matrix`, `distortion_coefficients`), by Kalibr (`cam0` with `intrinsics`,
+    `distortion_coeffs`, `resolution`), or by OpenDroneMap (cameras.json, `focal_x`), with the size of its pictures.
+
+    Raises:
+        DataError: if it cannot be read, is another model than a pinhole with Brown's distortion, or has impossible numbers.
+    """
+    name = printable(str(file))
+    try:
+        data = file.read_bytes()[: _MOST_BYTES + 1]
+        if len(data) > _MOST_BYTES:
+            raise DataError(f"{name} is larger than a camera's file, {_MOST_BYTES:,} bytes; give YAML or JSON.")
+        text = data.decode().removeprefix("\ufeff")
+        content = json.loads(text) if text.lstrip().startswith("{") else _yaml(text)
+    except OSError as error:
+        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
+    except (ValueError, RecursionError) as error:
+        raise DataError(
+            f"{name} is neither YAML nor JSON; give a camera's file of OpenCV, ROS, Kalibr, or ODM."
+        ) from error
+    try:
+        return _camera(content)
+    except (KeyError, TypeError, IndexError, ZeroDivisionError) as error:
+        raise DataError(
+            f"{name} lacks what a camera needs ({printable(str(error))[:80]}); expected the size of its pictures with "
+            "camera_matrix and distortion_coefficients, or intrinsics and distortion_coeffs, or focal_x and k1."
+        ) from error
+    except ValueError as error:
+        raise DataError(
+            f"{name} has {printable(str(error))[:120]}; expected a pinhole with k1, k2, p1, p2, k3."
+        ) from error
+
+
+def _yaml(text: str) -> Any:
+    """Return the content of YAML, also of OpenCV's, whose first line and matrices are its own.
+
+    Raises:
+        ValueError: if it is damaged.
+        MissingPackageError: without PyYAML.
+    """
+    try:
+        import yaml
+    except ModuleNotFoundError as error:
+        raise missing_package(error) from error
+    first, _, rest = text.partition("\n")
+    plain = rest if first.startswith("%YAML:") else text
+    try:
+        return yaml.safe_load(plain.replace("!!opencv-matrix", ""))
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from error
+
+
+def _camera(content: Any) -> tuple[Lens, float]:
+    if not isinstance(content, dict):
+        raise TypeError("no names and values")
+    if "camera_matrix" in content:
+        width, height = float(content["image_width"]), float(content["image_height"])
+        model = content.get("distortion_model", "plumb_bob")
+        matrix = _numbers(content["camera_matrix"])
+        (fx, cx), (fy, cy) = (matrix[0], matrix[2]), (matrix[4], matrix[5])
+        coefficients = _numbers(content.get("distortion_coefficients", []))
+    elif isinstance(inner := next(iter(content.values()), None), dict) and "intrinsics" in inner:
+        width, height = (float(value) for value in inner["resolution"])
+        model = inner.get("distortion_model", "radtan")
+        if inner.get("camera_model", "pinhole") != "pinhole":
+            model = inner["camera_model"]
+        fx, fy, cx, cy = _numbers(inner["intrinsics"])
+        coefficients = _numbers(inner.get("distortion_coeffs", []))
+    else:
+        inner = content if "width" in content else next(iter(content.values()))
+        width, height = float(inner["width"]), float(inner["height"])
+        model = inner.get("projection_type", "brown")
+        # OpenSfM divides by the longer side, and counts from the picture's middle.
+        scale = max(width, height)
+        names = ("focal", "focal") if "focal" in inner else ("focal_x", "focal_y")
+        fx, fy = (scale * float(inner[name]) for name in names)
+        cx, cy = (
+            side + scale * float(inner.get(name, 0.0))
+            for name, side in (("c_x", (width - 1) / 2), ("c_y", (height - 1) / 2))
+        )
+        coefficients = [float(inner.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
+    if model not in ("plumb_bob", "radtan", "brown", "perspective", "none"):
+        raise ValueError(f"the model {model}")
+    if any(coefficients[5:]):
+        raise ValueError(f"{len(coefficients)} coefficients of distortion")
+    middle = (width - 1) / 2, (height - 1) / 2
+    numbers = (fx / width, fy / width, (cx - middle[0]) / width, (cy - middle[1]) / width)
+    return Lens(*numbers, *coefficients[:5]), height / width
+
+
+def _numbers(values: Any) -> list[float]:
+    """Return the numbers of a list, a list of rows, or a matrix with its data, row by row."""
+    if isinstance(values, dict):
+        values = values["data"]
+    return [float(value) for row in values for value in (row if isinstance(row, list) else [row])]
