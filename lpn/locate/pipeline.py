@@ -16,6 +16,7 @@ from lpn.locate.audit import TagAudit, audit_tags, corrected_tags
 from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import WindowIndex
 from lpn.locate.located import LocatedFlight, LocatedFrame, tag_positions
+from lpn.locate.map_proof import refuse_unproven
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
 from lpn.locate.registered_stage import FORMAT, refuse_jumps, register_frames
@@ -140,6 +141,7 @@ def registered(
     )
     if located.retrieval is not None:
         confirm_sequence(frames, float(np.median(located.retrieval.sizes)), located.basemap.bounds)
+    notes += refuse_unproven(frames, located.basemap.bounds)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
