@@ -20,7 +20,7 @@ class MapCommand:
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles, .sqlitedb; several
-    are sheets of one map."""
+    are sheets of one map. A scene of AnyVisLoc or a sample of OrthoLoC (.npz) is a map with heights."""
     out: Path
     """Folder of the map; sheets that are quick to read stay where they are, and are named in it."""
     crs: str | None = None
@@ -77,6 +77,11 @@ class MapCommand:
         elevation = None if self.elevation is None else ElevationFile(self.elevation, self.elevation_unit)
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
         if self.from_flight is None:
+            if len(self.files) == 1 and elevation is None and self.crs is None and self.corners is None:
+                from lpn.maps.posed_scenes import build_scene
+
+                if (scene := build_scene(self.files[0], self.out, options, on_progress)) is not None:
+                    return scene
             return build_map(self.files, self.out, options, on_progress, elevation)
         if self.files or options != MapOptions():
             raise InputError(

@@ -13,6 +13,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.images import SUFFIXES
+from lpn.core.posed_samples import sample_folders
 from lpn.datasets.base import hidden_name
 
 # Folders right below a data set's, in any layout; the drone pictures of SUES-200 have a name of the user's.
@@ -49,13 +50,6 @@ _ARCHIVE = re.compile(
     r"\.(zip|7z|rar|tar|tgz|tbz2?|txz|tzst|(tar\.)?(gz|bz2|xz|zst))(\.(\d{2,3}|[a-z]{2}))?$|\.[zr]\d\d$|\.part\d+\.rar$",
     re.IGNORECASE,
 )
-# Samples of two data sets whose pictures are arrays: L01_0001.npz beside L01_reference.json, and L01_R0000.npz, L01_xDOP0000.npz.
-_ARRAYS = {
-    "AnyVisLoc, whose photos are arrays in .npz files and whose gallery is cut anew for each photo": re.compile(
-        r"L\d\d_reference\.json"
-    ),
-    "OrthoLoC, whose photos and orthophotos are arrays in .npz files": re.compile(r"L\d+_(R|xDOP|xDOPDSM)\d+\.npz"),
-}
 # First bytes of zip (also empty and in parts), 7z, rar, gzip, bzip2, xz, and zstandard.
 _MAGIC = (
     b"PK\x03\x04",
@@ -99,18 +93,16 @@ def archives_alone(root: Path) -> DataError | None:
 
 def arrays(root: Path) -> DataError | None:
     """Return the error about AnyVisLoc or OrthoLoC, at most two levels below; None for another folder."""
-    level = [root]
-    for _ in range(3):
-        for folder in level[:_MOST_FOLDERS]:
-            names = _names(folder)
-            for kind, sample in _ARRAYS.items():
-                if any(sample.fullmatch(name) for name in names):
-                    return DataError(
-                        f"{printable(str(root))} is {kind}; it is not read, so save pairs of pictures, and list them in a "
-                        "pairs.csv."
-                    )
-        level = [folder / name for folder in level for name in _folders(folder)][:_MOST_FOLDERS]
-    return None
+    found = sample_folders(root)
+    if not found:
+        return None
+    first = found[0]
+    one = first.folder if first.layout == "AnyVisLoc" else first.samples[0]
+    return DataError(
+        f"{printable(str(root))} is {first.layout}, photos with poses over maps with heights, and no data set for retrieval; "
+        f"make a map and a flight of it for lpn locate, such as lpn map {printable(str(one))} --out MAP and lpn flight "
+        f"{printable(str(one))} --out FLIGHT."
+    )
 
 
 def below(root: Path, marked: Marked) -> DataError | None:

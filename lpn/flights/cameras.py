@@ -117,6 +117,13 @@ def angles(matrix: Float64Array) -> tuple[float, float, float]:
     return heading % 360.0, tilt - 90.0, math.degrees(math.atan2(matrix[2, 1], matrix[2, 2]))
 
 
+def angles_of_view(matrix: Float64Array) -> tuple[float, float, float]:
+    """Return heading, pitch, and roll in degrees of OpenCV's rotation (3, 3) from (east, north, up) to (right, down, forward)."""
+    right, down, forward = matrix
+    body = np.stack([-down, right, forward], axis=1)
+    return angles(body[[1, 0, 2]] * np.array([[1.0], [1.0], [-1.0]]))
+
+
 def _yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> Float64Array:
     """Return the matrix of the three turns about down, right, and forward, in degrees, (3, 3)."""
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(math.radians(a)), math.sin(math.radians(a))) for a in (yaw, pitch, roll))

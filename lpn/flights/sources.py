@@ -24,6 +24,7 @@ from lpn.flights.folder import FRAMES, check_folder, write_flight
 from lpn.flights.lenses import Lens, read_camera
 from lpn.flights.logs import Log, LogRow
 from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_angles
+from lpn.flights.posed_samples import flight_of_samples
 from lpn.flights.quality import flight_notes, with_courses
 from lpn.flights.subtitles import GpsOrder, Subtitles
 from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
@@ -92,7 +93,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
 
     Args:
         files: photos, videos, subtitles, logs, tracks, and folders of photos, videos, and subtitles. A log alone brings the
-            photos that it names from below its folder.
+            photos that it names from below its folder. Else samples of AnyVisLoc or OrthoLoC, see `flight_of_samples`.
         out: the folder; frames of videos are written to `frames` in it.
 
     Raises:
@@ -103,6 +104,9 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     options = options or FlightOptions()
     check_folder(out)
     camera = None if options.camera is None else read_camera(options.camera)
+    if (samples := flight_of_samples(files, out.resolve().name, out / FRAMES)) is not None:
+        write_flight(samples, out)
+        return samples
     inputs = _sorted_files(files)
     read, texts, unread = _read_logs(inputs.logs)
     inputs = replace(inputs, logs=list(read), others=[*inputs.others, *texts])

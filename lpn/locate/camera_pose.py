@@ -18,7 +18,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, inverse
 from lpn.core.numbers import wrap_degrees
-from lpn.flights.cameras import angles, fov_of_sensor
+from lpn.flights.cameras import angles_of_view, fov_of_sensor
 
 # Fields of view in degrees across the picture that are tried where it is unknown, and the one that stands for it.
 _FOVS = (35.0, 50.0, 62.0, 72.0, 82.0, 95.0)
@@ -205,7 +205,7 @@ def solve_pose(
         return "The matches do not tell the pose: its error would be more than a quarter of the height."
     if source == "assumed":
         covariance[2, 2] += (_ASSUMED_ERROR * above) ** 2
-    heading, pitch, roll = _angles(camera.matrix)
+    heading, pitch, roll = angles_of_view(camera.matrix)
     return CameraPose(
         float(place[0]),
         float(place[1]),
@@ -399,7 +399,7 @@ def _covariance(
 
     def outer(values: Float64Array) -> Float64Array:
         moved = _Camera(values[:3], values[3:], camera.focal)
-        return np.array([*moved.place, *_angles(moved.matrix)])
+        return np.array([*moved.place, *angles_of_view(moved.matrix)])
 
     at = np.concatenate([camera.turn, camera.shift])
     start = outer(at)
@@ -409,13 +409,6 @@ def _covariance(
         change[3] = wrap_degrees(change[3])
         slopes[:, i] = change / step
     return np.asarray(slopes @ inner @ slopes.T)
-
-
-def _angles(matrix: Float64Array) -> tuple[float, float, float]:
-    """Return heading, pitch, and roll in degrees of OpenCV's rotation from (east, north, up) to (right, down, forward)."""
-    right, down, forward = matrix
-    body = np.stack([-down, right, forward], axis=1)
-    return angles(body[[1, 0, 2]] * np.array([[1.0], [1.0], [-1.0]]))
 
 
 def _cells(pixels: Float64Array, size: tuple[int, int]) -> int:

@@ -1,4 +1,4 @@
-"""Errors of poses against exact ones, which a rendered flight has."""
+"""Errors of poses against exact ones, which a rendered flight has, and one of AnyVisLoc or OrthoLoC."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.rendered import TruePose, true_poses
+from lpn.flights.cameras import rotation
 from lpn.locate.located import LocatedFlight
 
 # Metres beyond three sigmas from which an error counts as one that the covariance should have told.
@@ -26,8 +27,9 @@ class PoseErrors:
         poses: of these, photos with an accepted pose.
         position: metres, (poses,): in space, or in the plane where the ground counts as flat.
         heading, pitch: degrees, (poses,), 0 or more.
+        turn: degrees, (poses,): the angle of the rotation between both; NaN where the exact roll is not known.
         beyond: poses whose position errs by more than three sigmas and 5 m.
-        flat: whether the ground counts as flat.
+        flat: whether positions are compared in the plane, because the ground counts as flat or exact altitudes are not known.
     """
 
     frames: int
@@ -35,6 +37,7 @@ class PoseErrors:
     position: Float64Array
     heading: Float64Array
     pitch: Float64Array
+    turn: Float64Array
     beyond: int
     flat: bool
 
@@ -53,7 +56,7 @@ class PoseErrors:
 
 
 def pose_errors(located: LocatedFlight) -> PoseErrors | None:
-    """Return the errors of a flight's poses; None unless `lpn world` rendered it.
+    """Return the errors of a flight's poses; None unless exact ones lie beside its photos.
 
     Raises:
         DataError: if the exact poses cannot be read.
@@ -67,7 +70,7 @@ def pose_errors(located: LocatedFlight) -> PoseErrors | None:
 
 def _compared(located: LocatedFlight, truths: Mapping[str, TruePose]) -> PoseErrors:
     known = [frame for frame in located.frames if frame.frame.file.name in truths]
-    flat = located.basemap.elevation is None
+    flat = located.basemap.elevation is None or any(math.isnan(truths[f.frame.file.name].altitude) for f in known)
     rows, beyond = [], 0
     for frame in known:
         answer, truth = frame.stages.get("registration"), truths[frame.frame.file.name]
@@ -77,6 +80,8 @@ def _compared(located: LocatedFlight, truths: Mapping[str, TruePose]) -> PoseErr
         off = [pose.east - east, pose.north - north] + ([] if flat else [pose.altitude - truth.altitude])
         metres = math.hypot(*off)
         beyond += metres > 3 * math.hypot(*pose.sigmas[: len(off)].tolist()) + _TOLERANCE
-        rows.append((metres, abs(wrap_degrees(pose.heading - truth.heading)), abs(pose.pitch - truth.pitch)))
-    position, heading, pitch = np.array(rows, np.float64).reshape(-1, 3).T
-    return PoseErrors(len(known), len(rows), position, heading, pitch, beyond, flat)
+        turn = rotation(pose.heading, pose.pitch, pose.roll).T @ rotation(truth.heading, truth.pitch, truth.roll)
+        degrees = math.degrees(math.acos(float(np.clip((np.trace(turn) - 1) / 2, -1, 1))))
+        rows.append((metres, abs(wrap_degrees(pose.heading - truth.heading)), abs(pose.pitch - truth.pitch), degrees))
+    position, heading, pitch, turns = np.array(rows, np.float64).reshape(-1, 4).T
+    return PoseErrors(len(known), len(rows), position, heading, pitch, turns, beyond, flat)

@@ -107,6 +107,7 @@ def build_map(
     options: MapOptions | None = None,
     on_progress: Callable[[str], None] = lambda _: None,
     elevation: ElevationFile | None = None,
+    notes: Sequence[str] = (),
 ) -> Map:
     """Write the folder of a map, and return the map.
 
@@ -116,6 +117,7 @@ def build_map(
         options: what is known about the files beyond what they say.
         on_progress: called with a sentence before each long step.
         elevation: heights of the map's ground; they are copied into the folder, in metres.
+        notes: sentences about the files, which commands that read the map print.
 
     Raises:
         DataError: if a file cannot be read, or has no or an impossible georeference, or heights have an unknown or impossible
@@ -129,7 +131,7 @@ def build_map(
     earlier = _written_before(out)
     heights = None if elevation is None else ElevationSource(elevation)
     _check_inputs([*files, *([] if elevation is None else [elevation.path])], out)
-    return _build(files, out, options, earlier, on_progress, heights=heights)
+    return _build(files, out, options, earlier, on_progress, notes, heights)
 
 
 def write_own_map(

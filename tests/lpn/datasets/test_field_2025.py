@@ -358,5 +358,7 @@ def test_data_sets_of_arrays_are_called_by_their_names(tmp_path: Path, kind: str
         else:
             (tmp_path / file).write_bytes(b"PK")
     for folder in (tmp_path, (tmp_path / files[0]).parent):
-        with pytest.raises(DataError, match=rf"is {kind}, whose photos .*are arrays in \.npz files.*; it is not read"):
+        with pytest.raises(
+            DataError, match=rf"is {kind}, photos with poses over maps with heights.*lpn map .* --out MAP"
+        ):
             open_dataset(folder)
