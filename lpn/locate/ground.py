@@ -45,14 +45,15 @@ class MapFeatures:
     Args:
         basemap: the map.
         matcher: describes it.
+        on_disk: whether features are kept on disk, too.
     """
 
-    def __init__(self, basemap: Map, matcher: Matcher) -> None:
+    def __init__(self, basemap: Map, matcher: Matcher, on_disk: bool = True) -> None:
         self._map, self.matcher = basemap, matcher
         self._blocks: OrderedDict[tuple[int, int, int], Ground] = OrderedDict()
         identity = [FORMAT, basemap.digest(), matcher.name, matcher.version, _SIDE, _MARGIN, _LIMIT]
         digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
-        self._folder: Path | None = cache_folder() / "locate" / "ground" / digest
+        self._folder: Path | None = cache_folder() / "locate" / "ground" / digest if on_disk else None
 
     def resolution(self, width: float) -> float:
         """Return the metres per pixel at which photos of a ground width are compared: a power of two of the map's half pixel."""

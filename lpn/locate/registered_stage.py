@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -26,6 +25,7 @@ from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_err
 from lpn.locate.camera_pose import DEFAULT_FOV, CameraPose
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.levelled import Levelled, level, pixel_grid
+from lpn.locate.line_records import LineRecords
 from lpn.locate.located import LocatedFrame, StageRecord, tag_positions
 from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
 from lpn.locate.options import TOP, LocateOptions
@@ -81,9 +81,7 @@ def register_frames(
     shipped: Mapping[str, StageRecord],
 ) -> list[str]:
     """Enter the answers of the registration, shipped ones and those of a killed run's records first; return sentences on them."""
-    matchers = [open_matcher(options.matcher)]
-    if options.matcher == "auto" and matchers[0].name != SiftMatcher.name:
-        matchers.append(SiftMatcher())
+    matchers = matchers_of(options)
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
@@ -91,7 +89,8 @@ def register_frames(
     side = None if retrieval is None else float(np.median(retrieval.sizes))
     heights = None if basemap.elevation is None else basemap.elevation.digest()
     key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]
-    records = _Records(cache_folder() / "locate" / "registration" / _digest([*key, flight.name]))
+    file = cache_folder() / "locate" / "registration" / f"{_digest([*key, flight.name])}.jsonl"
+    records = LineRecords(file, StageRecord)
     widths: list[float] = []
     ratios: list[float] = []
     heading: float | None = None
@@ -115,6 +114,14 @@ def register_frames(
             on_progress("registration", i + 1, len(frames))
     notes = refuse_jumps(frames, options.map_error or 0.0)
     return notes + correct_radii(frames, answers, options.map_error or 0.0)
+
+
+def matchers_of(options: LocateOptions) -> list[Matcher]:
+    """Return the matchers that a registration tries, in their order."""
+    matchers = [open_matcher(options.matcher)]
+    if options.matcher == "auto" and matchers[0].name != SiftMatcher.name:
+        matchers.append(SiftMatcher())
+    return matchers
 
 
 def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], map_error: float) -> list[str]:
@@ -518,33 +525,6 @@ def _record(
         [float(value) for value in registration.homography.ravel()],
         pose=solution,
     )
-
-
-class _Records:
-    """Answers of frames in a file of lines, appended one by one; a line that a kill cut short is left out."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file.with_suffix(".jsonl")
-        self._answers: dict[str, StageRecord] = {}
-        try:
-            lines = self._file.read_bytes().splitlines()
-        except OSError:
-            return
-        for line in lines:
-            try:
-                trail, answer = msgspec.json.decode(line, type=tuple[str, StageRecord])
-            except (msgspec.MsgspecError, ValueError):
-                continue
-            self._answers[trail] = answer
-
-    def get(self, trail: str) -> StageRecord | None:
-        return self._answers.get(trail)
-
-    def append(self, trail: str, answer: StageRecord) -> None:
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        with self._file.open("ab") as file:
-            # A line that was cut short must not swallow this one.
-            file.write(b"\n" + msgspec.json.encode((trail, answer)) + b"\n")
 
 
 def _plain(frame: Frame) -> dict[str, Any]:

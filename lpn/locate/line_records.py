@@ -1,0 +1,45 @@
+"""Records in a file of lines, appended one by one, so that a run that was killed goes on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import msgspec
+
+Kept = TypeVar("Kept", bound=msgspec.Struct)
+
+
+class LineRecords(Generic[Kept]):
+    """Records by a key; a line that a kill cut short is left out.
+
+    Args:
+        file: of JSON lines, made by the first record.
+        kind: of the records.
+    """
+
+    def __init__(self, file: Path, kind: type[Kept]) -> None:
+        self._file = file
+        self._records: dict[str, Kept] = {}
+        try:
+            lines = self._file.read_bytes().splitlines()
+        except OSError:
+            return
+        decoder = msgspec.json.Decoder(tuple[str, kind])  # type: ignore[valid-type]
+        for line in lines:
+            try:
+                key, record = decoder.decode(line)
+            except (msgspec.MsgspecError, ValueError):
+                continue
+            self._records[key] = record
+
+    def get(self, key: str) -> Kept | None:
+        """Return the record of a key; None if there is none."""
+        return self._records.get(key)
+
+    def append(self, key: str, record: Kept) -> None:
+        """Write a record."""
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        with self._file.open("ab") as file:
+            # A line that was cut short must not swallow this one.
+            file.write(b"\n" + msgspec.json.encode((key, record)) + b"\n")
