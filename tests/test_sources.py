@@ -79,7 +79,7 @@ def options(
             *arrays[4:],
         ],
         ("compare", "index"): ["index", index, folder / "again", "--data", data, *model, "--depth", "10"],
-        ("compare", "flight"): ["flight", model_file, one_part_model_file, *flown],
+        ("compare", "flight"): ["flight", model_file, one_part_model_file, *flown, "--page", folder / "page.html"],
         ("evaluate", "published"): ["published", "--saved", saved, "--n-parts", "4"],
         ("evaluate", "flight"): ["flight", *flown, *model, "--no-register"],
         ("explore", "flight"): ["flight", *flown, *model, "--no-register"],

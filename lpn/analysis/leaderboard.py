@@ -17,6 +17,7 @@ from lpn.analysis.model_table import (
     compare,
     has_distractors,
     rank_model,
+    rank_task,
 )
 from lpn.analysis.text_tables import TableSection, TextTable, markdown_text
 from lpn.core.errors import InputError
@@ -30,6 +31,7 @@ from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
 from lpn.retrieval.sides import TaskPictures
 from lpn.retrieval.weathers import WeatherResult, evaluate_weathers
+from lpn.tasks.task import Task
 
 # Passes of one picture that are timed, after others that are not.
 _TIMED, _WARM = 15, 3
@@ -240,6 +242,41 @@ def leaderboard(
         of_weathers[name] = evaluate_weathers(model, dataset, [task for task in tasks if not _of_tiles(task)])
         report()
     return Leaderboard(dataset.root.resolve().name, facts, tables, parts, turned, of_weathers)
+
+
+def task_leaderboard(
+    name: str,
+    models: Mapping[str, Model],
+    sizes: Mapping[str, int],
+    tasks: Mapping[str, Task],
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+) -> Leaderboard:
+    """Measure models on one task that each of them has opened, such as a flight over a map.
+
+    Args:
+        name: of the data.
+        models: by their names.
+        sizes: bytes of the files of those that were read from one.
+        tasks: of each model, by its name, with the same queries and gallery.
+        seed, resamples: of the bootstrap, see `model_table`.
+
+    Raises:
+        InputError: when the tasks differ in their queries or gallery, or no query's truth is known.
+    """
+    table = compare([rank_task(task, model) for model, task in tasks.items()], seed, resamples)
+    parts: dict[str, dict[str, RecallAndAP]] = {}
+    for model, task in tasks.items():
+        if (count := task.contract.n_parts) > 1:
+            weights = {str(part + 1): [float(part == one) for one in range(count)] for part in range(count)}
+            ranked = {part: rank_task(task, model, alone) for part, alone in weights.items()}
+            ranked["all"] = rank_task(task, model)
+            parts[model] = {
+                part: (100 * float(one.within(1).mean()), 100 * float(one.precision.mean()))
+                for part, one in ranked.items()
+            }
+    facts = {model: ModelFacts.of(network, sizes.get(model)) for model, network in models.items()}
+    return Leaderboard(name, facts, [table], {table.task: parts} if parts else {}, {}, {})
 
 
 def _of_tiles(task: str) -> bool:

@@ -286,8 +286,8 @@ def rank_published(saved: PublishedResult, name: str, dataset: Dataset, gallery:
     return _ranked(name, dataset.root, pictures, gallery, (saved.query, saved.gallery), labels)
 
 
-def rank_task(task: Task, name: str) -> RankedModel:
-    """Rank an opened task, whatever it was opened from, under equal part weights.
+def rank_task(task: Task, name: str, weights: Sequence[float] | None = None) -> RankedModel:
+    """Rank an opened task, whatever it was opened from, under part weights, equal ones by default.
 
     Indexes count as one gallery if they hold the same number of tiles and the same true ones.
 
@@ -295,11 +295,14 @@ def rank_task(task: Task, name: str) -> RankedModel:
         InputError: when no query's truth is known.
         StoreError: when an index cannot be read.
     """
-    task = replace(task, weights=None)
+    task = replace(task, weights=weights)
     task.check_truth()
     if task.lists_gallery:
         pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
-        return _ranked(name, task.root, pictures, "full", task.compared, (task.query_labels, task.gallery_labels))
+        query, gallery = task.compared
+        if weights is not None:
+            query = query * task.part_weights[:, None]
+        return _ranked(name, task.root, pictures, "full", (query, gallery), (task.query_labels, task.gallery_labels))
     retrieval, known = task.retrieved, task.known
     kept = np.ones(len(task.queries), bool) if known is None else known
     queries = np.array(geo.names_below(task.root, task.queries), object)

@@ -20,7 +20,9 @@ from lpn.sources import Arrays, Flown, Indexed, ModelOptions, Published, TaskSou
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lpn.analysis.leaderboard import Leaderboard
     from lpn.analysis.model_table import ModelTable, RankedModel
+    from lpn.models.base import Model
 
 
 @dataclass(kw_only=True)
@@ -193,6 +195,26 @@ class ComparisonOfFlights(ComparisonOfSources):
     """Map under the flight: a folder of lpn map, or a georeferenced picture."""
     flight: Path
     """Flight over the map: a folder of lpn flight, or one of photos."""
+    page: Path | None = None
+    """Page to write in place of one table: parts, speed, and size of each model, too. It is HTML if the name ends in .html, else
+    Markdown."""
+
+    def run(self) -> None:
+        if self.page is None:
+            super().run()
+            return
+        from lpn.analysis.leaderboard import task_leaderboard
+        from lpn.sources.opened import progress_bars
+
+        models, sizes = _networks(self.page, self.comparison, self.models)
+        tasks = {}
+        with progress_bars() as on_progress:
+            for name, options in self.models.options().items():
+                source = Flown(map=self.map, flight=self.flight, model=options)
+                tasks[name] = source.locate(on_progress=on_progress, loaded=models[name]).task
+        title = f"{self.flight.resolve().name} over {self.map.resolve().stem}"
+        board = task_leaderboard(title, models, sizes, tasks, self.comparison.seed, self.comparison.resamples)
+        _write_page(board, self.page, self.comparison.json)
 
     def _ranked(self) -> Iterator[RankedModel]:
         models = self.models.options()
@@ -241,36 +263,22 @@ class CompareCommand(ComparisonOfSources):
                 raise InputError("--turns and --weathers belong to a page; give its file with --page.")
             super().run()
         else:
-            self._write_page(self.page)
+            self._measure_page(self.page)
 
-    def _write_page(self, page: Path) -> None:
+    def _measure_page(self, page: Path) -> None:
         from rich.console import Console
 
         from lpn.analysis.leaderboard import leaderboard
         from lpn.core.consoles import stage_bars
-        from lpn.core.files import check_writable, write_atomic, write_json
         from lpn.datasets import open_dataset
-        from lpn.models.shipped import model_file
-        from lpn.report import build_leaderboard
 
         if self.calibrate or self.csls or self.task or self.gallery != "full":
             raise InputError(
                 "A page has all tasks and galleries, ranked plainly; leave --task, --gallery, --calibrate, and --csls out."
             )
-        if self.comparison.markdown is not None or self.comparison.csv is not None:
-            raise InputError("A page is written by --page, and its figures by --json; leave --markdown and --csv out.")
-        options, json = self.models.options(), self.comparison.json
-        saved = [name for name, model in options.items() if model.model.suffix.lower() == ".mat"]
-        if saved:
-            raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
-        _check_several(len(options))
-        for file in filter(None, (page, json)):
-            check_writable(file)
-        models = {name: model.load() for name, model in options.items()}
-        files = {name: model_file(model.model) for name, model in options.items()}
-        sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
+        models, sizes = _networks(page, self.comparison, self.models)
         with stage_bars(Console(stderr=True), "Taking {}") as on_progress:
-            written = leaderboard(
+            board = leaderboard(
                 models,
                 sizes,
                 open_dataset(self.data),
@@ -280,11 +288,7 @@ class CompareCommand(ComparisonOfSources):
                 self.comparison.resamples,
                 on_progress,
             )
-        of_html = page.suffix.lower() in (".html", ".htm")
-        write_atomic(page, build_leaderboard(written) if of_html else written.to_markdown().encode())
-        if json is not None:
-            write_json(json, written.to_dict())
-        print(f"{page}: {len(models)} models, {len(written.tables)} tables of tasks and galleries")
+        _write_page(board, page, self.comparison.json)
 
     def _ranked(self) -> Iterator[RankedModel]:
         from lpn.analysis.model_table import rank_model, rank_published
@@ -329,6 +333,45 @@ class CompareCommand(ComparisonOfSources):
                     rows[f"{list(rows)[-1]}, CSLS"] = (self.calibrate, self.csls)
                 for title, (calibrated, neighbours) in rows.items():
                     yield rank_model(model, title, dataset, task, self.gallery, read, calibrated, neighbours)
+
+
+def _networks(
+    page: Path, options: ComparisonOptions, compared: ComparedModels
+) -> tuple[dict[str, Model], dict[str, int]]:
+    """Return the networks of a page by their names, and the bytes of their files.
+
+    Raises:
+        InputError: if there are fewer than two, one holds descriptors, or other files than the page's are to be written.
+        OutputError: if a file cannot be written.
+    """
+    from lpn.core.files import check_writable
+    from lpn.models.shipped import model_file
+
+    if options.markdown is not None or options.csv is not None:
+        raise InputError("A page is written by --page, and its figures by --json; leave --markdown and --csv out.")
+    models = compared.options()
+    saved = [name for name, model in models.items() if model.model.suffix.lower() == ".mat"]
+    if saved:
+        raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
+    _check_several(len(models))
+    for file in filter(None, (page, options.json)):
+        check_writable(file)
+    files = {name: model_file(model.model) for name, model in models.items()}
+    sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
+    return {name: model.load() for name, model in models.items()}, sizes
+
+
+def _write_page(board: Leaderboard, page: Path, json: Path | None) -> None:
+    """Write a page as HTML or Markdown, and its figures as JSON."""
+    from lpn.core.files import write_atomic, write_json
+    from lpn.report import build_leaderboard
+
+    of_html = page.suffix.lower() in (".html", ".htm")
+    write_atomic(page, build_leaderboard(board) if of_html else board.to_markdown().encode())
+    if json is not None:
+        write_json(json, board.to_dict())
+    tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
+    print(f"{page}: {len(board.facts)} models, {tables}")
 
 
 def _check_several(models: int) -> None:

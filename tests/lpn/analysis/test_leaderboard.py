@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import lpn
-from lpn.analysis.leaderboard import Leaderboard, ModelFacts
+from lpn.analysis.leaderboard import Leaderboard, ModelFacts, task_leaderboard
 from lpn.cli.main import main
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS
 from lpn.report import build_leaderboard
 from lpn.retrieval.protocol import Protocol
+from lpn.sources import Data, ModelOptions
+from lpn.sources.opened import open_task
 
 TASK = "drone-to-satellite"
 
@@ -53,6 +56,18 @@ def test_each_measure_is_that_of_the_model_alone(page: tuple[str, dict], model_f
     assert row["R@1"]["value"] == pytest.approx(figures["all"][0])
     assert values["models"][name]["megabytes"] == model_file.stat().st_size / 1e6
     assert values["models"][name]["milliseconds"] > 0
+
+
+def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: Path, data: Path) -> None:
+    model, dataset = lpn.load(model_file), lpn.open_dataset(data)
+    task = open_task(Data(data=data, model=ModelOptions(model=model_file)))
+    tasks = {"a": task, "b": replace(task, weights=(1, 0, 0, 0))}
+    board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20)
+    for part, protocol in (("all", Protocol()), ("2", Protocol(parts=(2,)))):
+        result = lpn.evaluate(model, dataset, TASK, protocol)
+        assert board.parts[TASK]["a"][part] == pytest.approx((result.recall["1"], result.ap))
+    assert board.parts[TASK]["a"]["all"] != board.parts[TASK]["a"]["2"]
+    assert board.parts[TASK]["a"] == board.parts[TASK]["b"]
 
 
 def test_the_page_has_a_table_for_each_measure_and_no_parts_of_a_model_with_one(page: tuple[str, dict]) -> None:  # type: ignore[type-arg]
