@@ -108,6 +108,7 @@ def _mccg(entries: Entries) -> PublishedParts:
             {key: value for key, value in entries.state.items() if not key.startswith("model_1.")}
             | {f"model_1.{key}": value for key, value in entries.under("model_2.").state.items()},
             entries.options,
+            read=entries.read,
         )
 
     own = entries.under("model_1.")

@@ -13,6 +13,8 @@ from torch import Tensor, nn
 from lpn.core.errors import ModelFileError
 
 _EPSILON = 1e-5
+# Entries that layers have; one of them alone is no layer.
+_OF_LAYER = ("weight", "bias", "running_mean", "running_var", "gamma")
 
 
 @dataclass(frozen=True)
@@ -24,17 +26,19 @@ class Entries:
         state: the tensors.
         options: of `opts.yaml`; empty without one.
         prefix: what was cut off the names of `state`, for messages.
+        read: identities of the tensors that were read, in common with the entries that these are part of.
     """
 
     name: str
     state: Mapping[str, Tensor]
     options: Mapping[str, Any] = field(default_factory=dict)
     prefix: str = ""
+    read: set[int] = field(default_factory=set)
 
     def under(self, prefix: str) -> Entries:
         """Return the entries whose names begin with a prefix, without it."""
         cut = {key[len(prefix) :]: value for key, value in self.state.items() if key.startswith(prefix)}
-        return Entries(self.name, cut, self.options, self.prefix + prefix)
+        return Entries(self.name, cut, self.options, self.prefix + prefix, self.read)
 
     def renamed(self, patterns: Mapping[str, str]) -> Entries:
         """Return the entries under other names: the first pattern that matches a name's begin replaces it."""
@@ -46,21 +50,51 @@ class Entries:
                     key = changed
                     break
             renamed[key] = value
-        return Entries(self.name, renamed, self.options, self.prefix)
+        return Entries(self.name, renamed, self.options, self.prefix, self.read)
 
     def count(self, pattern: str) -> int:
-        """Return how many numbers 0, 1, ... in a row complete a pattern such as `blocks.{}.norm1.weight`."""
-        number = 0
-        while pattern.format(number) in self.state:
-            number += 1
-        return number
+        """Return how many numbers 0, 1, ... in a row complete a pattern such as `blocks.{}.norm1.weight`.
+
+        Raises:
+            ModelFileError: if further numbers are there behind one that is missing.
+        """
+        return self._counted(pattern, 0)
 
     def count_heads(self, name: str) -> int:
-        """Count the heads `name`1, `name`2, ... up to the first that is missing."""
-        number = 0
-        while f"{name}{number + 1}.add_block.0.weight" in self.state:
+        """Count the heads `name`1, `name`2, ...
+
+        Raises:
+            ModelFileError: if further heads are there behind one that is missing.
+        """
+        return self._counted(f"{name}{{}}.add_block.0.weight", 1)
+
+    def _counted(self, pattern: str, first: int) -> int:
+        number = first
+        while pattern.format(number) in self.state:
             number += 1
-        return number
+        begin = re.escape(pattern.partition("{")[0])
+        there = [int(match[1]) for key in self.state if (match := re.match(rf"{begin}(\d+)\.", key))]
+        if there and max(there) >= number:
+            self.shape(pattern.format(number), 1)
+        return number - first
+
+    def left_over(self) -> list[str]:
+        """Return the names of the entries that nothing has read.
+
+        Raises:
+            ModelFileError: if a layer was read in part, such as its weight without its bias.
+        """
+        read = {key for key, value in self.state.items() if id(value) in self.read}
+        layers = {key.rpartition(".")[0] for key in read}
+        unread = [key for key in self.state if key not in read]
+        for key in unread:
+            layer, _, own = key.rpartition(".")
+            if own in _OF_LAYER and layer in layers:
+                raise ModelFileError(
+                    f"{self.name} has {self.prefix}{key}, and others of its kind are missing; the file is incomplete or of a "
+                    "changed model, so give a whole checkpoint."
+                )
+        return unread
 
     def shape(self, key: str, sides: int) -> tuple[int, ...]:
         """Return the shape of an entry.
@@ -89,6 +123,7 @@ class Entries:
             raise ModelFileError(
                 f"In {self.name}, {self.prefix}{key} has shape {tuple(self.state[key].shape)}; expected {shape}."
             )
+        self.read.add(id(self.state[key]))
         value = self.state[key].to(torch.float32)
         # The sum is a cheap test: it is finite only if all entries are.
         if not bool(value.sum().isfinite()) and not bool(value.isfinite().all()):

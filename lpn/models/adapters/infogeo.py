@@ -152,4 +152,5 @@ def _with_view_token(entries: Entries) -> Entries:
     if tokens:
         state["reg_token"] = torch.stack([token.float().reshape(1, -1, width) for token in tokens]).sum(0)
     state |= {"norm.weight": torch.ones(width), "norm.bias": torch.zeros(width)}
-    return Entries(entries.name, state, entries.options, entries.prefix)
+    entries.read.update(id(entries.state[key]) for key in ("view_token", "pos_view_embed") if key in entries.state)
+    return Entries(entries.name, state, entries.options, entries.prefix, entries.read)

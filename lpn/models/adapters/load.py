@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 
 import torch
@@ -33,6 +34,11 @@ log = logging.getLogger(__name__)
 # Methods whose checkpoint is a network of timm and no parts, so that its tokens may be pooled otherwise.
 _PLAIN = ("Sample4Geo", "Game4Loc")
 _SHOWN = 3
+# Entries that the released code of the methods has for training alone, or that are read in another form.
+_KNOWN = re.compile(
+    r"num_batches_tracked$|classifier|(^|\.)(logit_scale\w*|mask_token|cls_token|reg_token|pos_embed|pos_scale|gem\d*\.p)$|"
+    r"(^|\.)(head|fc|bn|tri_layer|proj|DEG|MSF|feature_scaling|slot_model|slot_moe|mix_fusion)\."
+)
 
 
 def load_file(
@@ -148,6 +154,26 @@ def _check_alone(entries: Entries) -> None:
         )
 
 
+def _tell_unknown(method: str, entries: Entries) -> None:
+    """Name the entries that nothing read and the method's released code does not have: the file may be of a method built on it.
+
+    Raises:
+        ModelFileError: as for `Entries.left_over`.
+    """
+    unread = entries.left_over()
+    first = {re.sub(r"^model_\d\.", "model_1.", key) for key in entries.state.keys() - set(unread)}
+    unknown = [key for key in unread if not _KNOWN.search(key) and re.sub(r"^model_\d\.", "model_1.", key) not in first]
+    if unknown:
+        log.warning(
+            "%s has entries that %s's released code does not have, %d in number (%s); they are not read, so if descriptors "
+            "depend on them, the file is of another method.",
+            printable(entries.name),
+            method,
+            len(unknown),
+            first_few([printable(key)[:80] for key in unknown], _SHOWN),
+        )
+
+
 def _built(
     kind: Recognised, state: StateDict, path: Path, device: torch.device | str, compiled: bool, recognised: bool
 ) -> Model:
@@ -164,7 +190,9 @@ def _built(
         raise InputError(
             f"torch.compile is for LPN and SAFA, and {path.name} is of another kind ({kind}); leave --compile out."
         )
-    published = build(kind, Entries(path.name, state, options))
+    entries = Entries(path.name, state, options)
+    published = build(kind, entries)
+    _tell_unknown(published.contract.method, entries)
     # The stride of SUES-200's networks is in no tensor.
     also = repr((published.contract, options) if kind == "sues200" else published.contract)
     return PublishedModel(published, fingerprint(path, also=also), device)

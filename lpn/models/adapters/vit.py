@@ -248,7 +248,7 @@ def _fill(network: nn.Module, vit: VitTensors, grid: tuple[int, int]) -> None:
         }
     if "blocks.0.attn.q_bias" in wanted or not any(key.endswith("qkv.bias") for key in wanted):
         _split_biases(state, vit.entries.name)
-    Entries(vit.entries.name, state, vit.entries.options, vit.entries.prefix).fill(network)
+    Entries(vit.entries.name, state, vit.entries.options, vit.entries.prefix, vit.entries.read).fill(network)
 
 
 def _add_front(state: dict[str, Tensor], front: Tensor) -> None:

@@ -17,8 +17,9 @@ from lpn.models import timm_networks
 from lpn.models.adapters.build import build
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.recognise import KINDS, Kind, recognise, unwrapped, unwrapped_as
+from lpn.models.base import Model
 from tools.fixtures import published_models, seeded, small_worlds
-from tools.fixtures.published_models import small_denseuav, small_fsra, small_mccg, small_vector, small_vit
+from tools.fixtures.published_models import State, small_denseuav, small_fsra, small_mccg, small_vector, small_vit
 
 GOLDENS = {
     "fsra_vits_b3": "fsra",
@@ -210,3 +211,48 @@ def test_timm_is_imported_where_torchvision_is_missing_and_no_stand_in_stays(mon
         InputError, match=r"comes from timm, which is not installed; pip install 'lpn-explorer\[models\]'"
     ):
         timm_networks.rotary_transformer(512, 12, (64, 64))
+
+
+def _two_blocks() -> State:
+    """Return a checkpoint of DenseUAV whose block stands twice."""
+    state = small_denseuav(0)
+    return state | {
+        key.replace("blocks.0.", "blocks.1."): value.clone() for key, value in state.items() if "blocks.0." in key
+    }
+
+
+def _opened(state: State, folder: Path) -> Model:
+    torch.save(state, folder / "net_119.pth")
+    return lpn.load(folder / "net_119.pth", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("state", "lost", "message"),
+    [
+        (
+            small_mccg(2),
+            "model_1.classifier_mcb1.add_block.0.weight",
+            r"lacks model_1\.classifier_mcb1\.add_block\.0\.weight",
+        ),
+        (small_denseuav(2), "head.head.classifier_heat1.add_block.0.weight", r"lacks head\.head\.classifier_heat1\."),
+        (_two_blocks(), "backbone.backbone.blocks.0.norm1.weight", r"lacks backbone\.backbone\.blocks\.0\.norm1"),
+        (_two_blocks(), "backbone.backbone.blocks.0.attn.qkv.bias", r"has .*blocks\.1\.attn\.qkv\.bias, and others"),
+    ],
+)
+def test_a_lost_entry_makes_no_smaller_model(state: State, lost: str, message: str, tmp_path: Path) -> None:
+    _opened(state, tmp_path)
+    with pytest.raises(ModelFileError, match=message):
+        _opened({key: value for key, value in state.items() if key != lost}, tmp_path)
+
+
+def test_entries_of_a_method_that_is_built_on_a_known_one_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state = small_vector("camp")
+    _opened(state, tmp_path)
+    assert not caplog.records
+    _opened(state | {"model_1.pool.attention.weight": torch.zeros(2, 2)}, tmp_path)
+    assert (
+        "has entries that CAMP's released code does not have, 1 in number (model_1.pool.attention.weight)"
+        in caplog.text
+    )
