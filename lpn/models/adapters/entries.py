@@ -17,6 +17,9 @@ _EPSILON = 1e-5
 _OF_LAYER = ("weight", "bias", "running_mean", "running_var", "gamma")
 
 
+_BLOCK = re.compile(r"(?:.*\.)?(?:blocks|layers|stages)\.\d+(?=\.)")
+
+
 @dataclass(frozen=True)
 class Entries:
     """Named tensors of a checkpoint, and the options beside it.
@@ -82,14 +85,13 @@ class Entries:
         """Return the names of the entries that nothing has read.
 
         Raises:
-            ModelFileError: if a layer was read in part, such as its weight without its bias.
+            ModelFileError: if a layer or a block was read in part, such as its weight without its bias.
         """
         read = {key for key, value in self.state.items() if id(value) in self.read}
-        layers = {key.rpartition(".")[0] for key in read}
+        layers = {_layer(key) for key in read}
         unread = [key for key in self.state if key not in read]
         for key in unread:
-            layer, _, own = key.rpartition(".")
-            if own in _OF_LAYER and layer in layers:
+            if key.rpartition(".")[2] in _OF_LAYER and _layer(key) in layers:
                 raise ModelFileError(
                     f"{self.name} has {self.prefix}{key}, and others of its kind are missing; the file is incomplete or of a "
                     "changed model, so give a whole checkpoint."
@@ -185,3 +187,9 @@ class Entries:
                 f"In {self.name}, the heads {', '.join(prefixes)} give {', '.join(map(str, sizes))} numbers; expected one size."
             )
         return torch.stack([weight for weight, _ in pairs]), torch.stack([bias for _, bias in pairs])
+
+
+def _layer(key: str) -> str:
+    """Return the block that an entry is of, else its layer."""
+    block = _BLOCK.match(key)
+    return block[0] if block else key.rpartition(".")[0]

@@ -15,7 +15,7 @@ from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, on_grid, whole_mean
 from lpn.models.adapters.published import PublishedParts, fixed_size, published
 from lpn.models.adapters.token_parts import CellsAndClass
-from lpn.models.adapters.vit import network_of_entries
+from lpn.models.adapters.vit import dinov2, network_of_entries
 
 _EPSILON = 1e-5
 _HELD = "the LayerNorms' means and variances and the open ReLUs of the mixing"
@@ -147,8 +147,13 @@ def build_infogeo(entries: Entries) -> PublishedParts:
 def _with_view_token(entries: Entries) -> Entries:
     """Return a DINOv2's entries in which the token of the view is a register token, and with a last norm."""
     width = entries.shape("patch_embed.proj.weight", 4)[0]
-    state = dict(entries.state)
+    state = dict(dinov2(entries).state)
     tokens = [state.pop(key) for key in ("view_token", "pos_view_embed") if key in state]
+    if len(tokens) == 1:
+        raise ModelFileError(
+            f"{entries.name} has one of {entries.prefix}view_token and {entries.prefix}pos_view_embed; expected both or none, so "
+            "give a whole checkpoint."
+        )
     if tokens:
         state["reg_token"] = torch.stack([token.float().reshape(1, -1, width) for token in tokens]).sum(0)
     state |= {"norm.weight": torch.ones(width), "norm.bias": torch.zeros(width)}

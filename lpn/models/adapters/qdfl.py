@@ -13,7 +13,7 @@ from lpn.core.views import VIEWS
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
 from lpn.models.adapters.published import PublishedParts, published
-from lpn.models.adapters.vit import network_of_entries
+from lpn.models.adapters.vit import dinov2, network_of_entries
 
 _SIZE = (280, 280)
 # Heads of the attention of queries, the share of the second adapter, and the least number under GeM's power.
@@ -256,7 +256,7 @@ def build_qdfl(entries: Entries) -> PublishedParts:
         ModelFileError: if entries are missing or have wrong shapes, or the network or its pictures are others.
         InputError: if timm is needed and cannot be imported.
     """
-    network = network_of_entries(entries.under("backbone."), None, _SIZE)
+    network = network_of_entries(dinov2(entries.under("backbone.model.")), None, _SIZE)
     if network.size[0] != network.size[1]:
         raise ModelFileError(
             f"The opts.yaml beside {entries.name} says {network.size[0]} x {network.size[1]} pixels; QDFL takes squares alone."

@@ -138,12 +138,17 @@ def unwrapped(state: Mapping[str, Tensor], name: str) -> tuple[Recognised, dict[
         ModelFileError: as for `recognise`.
     """
     whole, inner = dict(state), dict(state)
+    transformer: dict[str, Tensor] | None = None
     while True:
-        if (kind := _kind(inner)) is not None:
+        kind = _kind(inner)
+        if kind is not None and kind != "vit":
             return kind, inner
+        # The entries of a vision transformer are known under any prefix, also where a method holds one.
+        if kind == "vit" and transformer is None:
+            transformer = inner
         prefix = _wrapper(inner)
         if prefix is None:
-            return recognise(whole, name), whole
+            return ("vit", transformer) if transformer is not None else (recognise(whole, name), whole)
         inner = {key.removeprefix(prefix): value for key, value in inner.items()}
 
 

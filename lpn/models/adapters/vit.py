@@ -99,6 +99,21 @@ def build_pooled(entries: Entries, folder: Path, pooling: TokenPooling, name: st
     return replace(made, contract=replace(made.contract, title=f"{network.title}, {pooling}, {height} x {width}"))
 
 
+def dinov2(entries: Entries) -> Entries:
+    """Return the entries of a network that is known to be torch.hub's DINOv2, with the one by which it is recognised.
+
+    That entry, the token of masked patches, serves training alone, and a file may lack it.
+
+    Raises:
+        ModelFileError: if entries that every DINOv2 has are missing.
+    """
+    width = entries.shape("patch_embed.proj.weight", 4)[0]
+    for key, sides in (("cls_token", 3), ("blocks.0.ls1.gamma", 1)):
+        entries.shape(key, sides)
+    state = {"mask_token": torch.zeros(1, width), **entries.state}
+    return Entries(entries.name, state, entries.options, entries.prefix, entries.read)
+
+
 def network_of_entries(
     entries: Entries, folder: Path | None, default_size: tuple[int, int] | None = None
 ) -> TokenNetwork:

@@ -42,6 +42,21 @@ def test_the_vector_is_that_of_the_released_head_and_its_account_adds_up(tmp_pat
         lpn.load(tmp_path / "infogeo.pth", "cpu", pooling="mean")
 
 
+def test_a_lost_token_is_told_and_one_that_serves_training_may_be_missing(tmp_path: Path) -> None:
+    own, state = "model.backbone.dino_model.", golden("infogeo_small").state
+    pictures = golden("infogeo_small").pictures
+    expected = opened(tmp_path).descriptors(pictures, "drone")
+    for lost, message in (("view_token", "one of"), ("cls_token", "lacks"), ("blocks.0.ls1.gamma", "lacks")):
+        kept = {key: value for key, value in state.items() if key != own + lost}
+        torch.save(kept, tmp_path / "infogeo.pth")
+        with pytest.raises(ModelFileError, match=rf"{message} model\.backbone\.dino_model\."):
+            lpn.load(tmp_path / "infogeo.pth", "cpu")
+    # A prefix before all names does not make a plain vision transformer of a method that holds one.
+    compiled = {f"_orig_mod.{key}": value for key, value in state.items() if key != own + "mask_token"}
+    torch.save({"model": compiled}, tmp_path / "infogeo.pth")
+    np.testing.assert_array_equal(lpn.load(tmp_path / "infogeo.pth", "cpu").descriptors(pictures, "drone"), expected)
+
+
 def test_a_transformer_beside_entries_of_an_unknown_method_is_not_taken_for_a_plain_one(tmp_path: Path) -> None:
     state = {key: value for key, value in golden("infogeo_small").state.items() if "dino_model" in key}
     torch.save(state | {"head.prototypes": torch.zeros(8, 32)}, tmp_path / "unknown.pth")
