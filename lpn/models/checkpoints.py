@@ -29,7 +29,14 @@ from lpn.models.efficientnet_lite import STAGES
 from lpn.models.file_contents import check_contents, contents_of
 from lpn.models.network import LPN, map_size
 from lpn.models.pickled_states import find_state, unpickle
-from lpn.models.published_checkpoints import StateDict, infer_backbone, infer_spec, read_options
+from lpn.models.published_checkpoints import (
+    StateDict,
+    infer_backbone,
+    infer_spec,
+    name_unknown,
+    read_options,
+    unknown_entries,
+)
 from lpn.models.spec import ModelSpec, is_timm
 from lpn.models.timm_networks import TimmMap
 from lpn.models.weight_storage import WeightType, to_eight_bits
@@ -151,7 +158,11 @@ def from_state(
     state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu", compiled: bool = False
 ) -> TorchModel:
     """Return the LPN of a published state dict and the options beside it, see `load_torch`."""
-    return _model(infer_spec(state, options, path.name), state, path, device, compiled)
+    spec = infer_spec(state, options, path.name)
+    with torch.device("meta"):
+        network = LPN(spec)
+    name_unknown(path.name, "LPN", unknown_entries(_entries(network, state)[1], network.state_dict().keys()))
+    return _model(spec, state, path, device, compiled)
 
 
 def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str, compiled: bool) -> TorchModel:

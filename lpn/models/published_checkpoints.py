@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import yaml
 from torch import Tensor
 
 from lpn.core.errors import ModelFileError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 from lpn.core.views import BRANCH, View
 from lpn.models.efficientnet_lite import STAGES, last_block
 from lpn.models.spec import BACKBONES, ModelSpec, is_timm
@@ -40,6 +40,10 @@ _PROJECTION = re.compile(r"_blocks\.(\d{1,3})\._project_conv\.weight")
 
 # Entries of layers that the published code keeps and does not use.
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
+# Further ones, by which a checkpoint may differ from the network without being of another method.
+_BESIDE = re.compile(
+    r"num_batches_tracked$|^classifier\d*\.classifier\.|\.(head|_fc|_bn1|_conv_head)\.|(^|\.)logit_scale"
+)
 
 
 def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file") -> ModelSpec:
@@ -103,6 +107,24 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
         dropout=float(options.get("droprate", 0.5)),
         input_size=size,
     )
+
+
+def unknown_entries(state: StateDict, known: Collection[str]) -> list[str]:
+    """Return the names of a state dict's entries that are neither of an LPN's network nor such as its code keeps unused."""
+    return [key for key in state if key not in known and not UNUSED.match(key) and not _BESIDE.search(key)]
+
+
+def name_unknown(name: str, method: str, unknown: Sequence[str]) -> None:
+    """Log the entries that are not read and the method's released code does not have: the file may be of one built on it."""
+    if unknown:
+        log.warning(
+            "%s has entries that %s's released code does not have, %d in number (%s); they are not read, so if descriptors "
+            "depend on them, the file is of another method.",
+            printable(name),
+            method,
+            len(unknown),
+            first_few([printable(key)[:80] for key in unknown], 3),
+        )
 
 
 def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:

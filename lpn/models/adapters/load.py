@@ -26,7 +26,7 @@ from lpn.models.adapters.vit import build_pooled
 from lpn.models.adapters.vit_names import vit_prefix
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
-from lpn.models.published_checkpoints import StateDict, read_options
+from lpn.models.published_checkpoints import StateDict, name_unknown, read_options
 from lpn.models.token_pooling import TokenPooling
 
 log = logging.getLogger(__name__)
@@ -163,15 +163,7 @@ def _tell_unknown(method: str, entries: Entries) -> None:
     unread = entries.left_over()
     first = {re.sub(r"^model_\d\.", "model_1.", key) for key in entries.state.keys() - set(unread)}
     unknown = [key for key in unread if not _KNOWN.search(key) and re.sub(r"^model_\d\.", "model_1.", key) not in first]
-    if unknown:
-        log.warning(
-            "%s has entries that %s's released code does not have, %d in number (%s); they are not read, so if descriptors "
-            "depend on them, the file is of another method.",
-            printable(entries.name),
-            method,
-            len(unknown),
-            first_few([printable(key)[:80] for key in unknown], _SHOWN),
-        )
+    name_unknown(entries.name, method, unknown)
 
 
 def _built(

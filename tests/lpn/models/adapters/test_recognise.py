@@ -256,3 +256,9 @@ def test_entries_of_a_method_that_is_built_on_a_known_one_are_named(
         "has entries that CAMP's released code does not have, 1 in number (model_1.pool.attention.weight)"
         in caplog.text
     )
+    network = small_worlds.make_network().state_dict()
+    caplog.clear()
+    _opened(network, tmp_path)
+    assert "released code does not have" not in caplog.text
+    _opened(network | {"model_1.attention.weight": torch.zeros(2, 2)}, tmp_path)
+    assert "LPN's released code does not have, 1 in number (model_1.attention.weight)" in caplog.text
