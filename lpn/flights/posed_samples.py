@@ -81,12 +81,14 @@ def flight_of_samples(files: Sequence[Path], name: str, pictures: Path) -> Fligh
 
     Raises:
         DataError: if no sample can be read; a note names those that are left out.
-        InputError: if the files are of several layouts or scenes, or are several samples of OrthoLoC.
+        InputError: if the files are of several layouts or scenes, several samples of OrthoLoC, or samples and others.
     """
     found: list[tuple[SampleLayout, Path]] = []
+    others: list[Path] = []
     for path in files:
         if path.is_dir():
             below = [one for one in posed_samples.sample_folders(path) if one.samples]
+            others += [] if below else [path]
             found += [(one.layout, sample) for one in below for sample in one.samples]
         elif (layout := posed_samples.layout_of(path)) is not None:
             found.append((layout, path))
@@ -94,8 +96,14 @@ def flight_of_samples(files: Sequence[Path], name: str, pictures: Path) -> Fligh
             raise DataError(
                 f"{printable(str(path))} is no sample of AnyVisLoc or OrthoLoC; expected one with the arrays of their releases."
             )
+        else:
+            others.append(path)
     if not found:
         return None
+    if others:
+        raise InputError(
+            f"{printable(str(others[0]))} holds no sample of {found[0][0]}, which other files are; make one flight of each."
+        )
     _check_one_map(found)
     frames: list[Frame] = []
     rows: list[list[object]] = [list(POSE_COLUMNS)]

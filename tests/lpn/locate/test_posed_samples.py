@@ -165,6 +165,8 @@ def test_samples_over_several_maps_are_no_flight(tmp_path: Path) -> None:
         posed_samples.anyvisloc(tmp_path / "scenes" / f"Scene_0{number}")
     with pytest.raises(InputError, match=r"2 scenes \(Scene_01, Scene_02\)"):
         make_flight([tmp_path / "scenes"], tmp_path / "flight")
+    with pytest.raises(InputError, match=r"photo\.jpg holds no sample of AnyVisLoc"):
+        make_flight([tmp_path / "scenes" / "Scene_01", tmp_path / "photo.jpg"], tmp_path / "flight")
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     with pytest.raises(DataError, match="no sample of AnyVisLoc or OrthoLoC"):
         make_flight([tmp_path / "other.npz"], tmp_path / "flight")
