@@ -75,10 +75,11 @@ PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= LPN_MILVUS_PYTHON=$(abspath
 test: check $(VENV)/.browser $(VENV)/.milvus
 	$(PYTEST) --dist worksteal
 
-# Everything: with the tests marked slow (whole files to one process each, which share servers), a short fuzz run, and a short soak.
+# Everything: with the tests marked slow, a short fuzz run, and a short soak. A whole file goes to one process, which shares its
+# servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
 # Fuzzing takes one core, and a soak waits for most of its time.
 test-all: check $(VENV)/.browser $(VENV)/.milvus
-	$(PYTEST) --dist loadfile -m '' --durations 40 --durations-min 5
+	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
 # mypy takes as long as all other checks together.
