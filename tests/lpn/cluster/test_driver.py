@@ -94,8 +94,9 @@ def done(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Pa
     return shutil.copytree(described[1], tmp_path / "shards")
 
 
-def describe(model_file: Path, folder: Path, out: Path, **given: object) -> Summary:
-    return describe_shards(model_file, folder, "drone", out, workers=2, shard=8, say=lambda _: None, **given)  # type: ignore[arg-type]
+def describe(model_file: Path, folder: Path, out: Path, workers: int = 1, **given: object) -> Summary:
+    """By one worker, as each takes seconds to start, where not two are what is tested."""
+    return describe_shards(model_file, folder, "drone", out, workers=workers, shard=8, say=lambda _: None, **given)  # type: ignore[arg-type]
 
 
 def expected(model_file: Path, folder: Path, out: Path) -> descriptors.Store:
@@ -176,7 +177,7 @@ class Killed(DescribeWorker):
 @pytest.mark.slow
 def test_a_killed_worker_costs_its_own_partitions_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
-    summary = describe(model_file, folder, out, worker=Killed)
+    summary = describe(model_file, folder, out, workers=2, worker=Killed)
     assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
     begun = [line.split() for line in (tmp_path / "begun").read_text().splitlines()]
     process, lost = (tmp_path / "killed").read_text().split()
@@ -324,7 +325,7 @@ def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path
 
     def run(worker: type[DescribeWorker] = DescribeWorker) -> Summary:
         return describe_shards(
-            model_file, pictures, "drone", out, workers=2, shard=4, say=lambda _: None, worker=worker
+            model_file, pictures, "drone", out, workers=1, shard=4, say=lambda _: None, worker=worker
         )
 
     def sizes() -> list[int]:
@@ -487,7 +488,7 @@ def test_commands_say_what_they_did(
 ) -> None:
     (folder / "1" / "text.jpg").write_bytes(b"no picture")
     out = tmp_path / "shards"
-    common = ["describe", "--model", str(model_file), "--view", "drone", "--engine", "ray", "--workers", "2"]
+    common = ["describe", "--model", str(model_file), "--view", "drone", "--engine", "ray", "--workers", "1"]
     given = [*common, "--images", f"file://{folder}", "--out", str(out), "--precision", "float16"]
     assert main.main(given) == 1
     said = capsys.readouterr().out
