@@ -116,15 +116,6 @@ def app(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.fixture
-def two_models(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
-    """The app with a network of one part beside that of four."""
-    whole = tmp_path / "whole.onnx"
-    whole.symlink_to(one_part_model_file)
-    with started(data, model_file, tmp_path / "cache", beside=[whole]) as running:
-        yield running
-
-
-@pytest.fixture
 def three_models(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
     """The app with networks of one part, and of two parts and more pixels, beside that of four."""
     whole, two = tmp_path / "whole.onnx", tmp_path / "two.onnx"

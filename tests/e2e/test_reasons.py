@@ -145,11 +145,16 @@ def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Ex
 
 
 @pytest.mark.slow
-def test_a_profile_is_computed_and_a_point_taken(explorer: ExplorerPage, app: RunningApp) -> None:
+def test_a_profile_asked_for_twice_is_computed_to_the_end_and_a_point_taken(
+    explorer: ExplorerPage, app: RunningApp
+) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
-    explorer.page.locator("#lpn-profile .chips a", has_text="Turn").click()
+    turn = explorer.page.locator("#lpn-profile .chips a", has_text="Turn")
+    turn.click()
     profile = explorer.page.locator("#lpn-profile")
+    expect(profile).to_have_attribute("data-done", re.compile("[1-9]"))
+    turn.click()
     expect(profile).to_have_attribute("data-done", str(len(sweeps.changes_over("rotation"))))
     expect(profile).to_contain_text("Best for the true tile")
     points = profile.locator(".point")
@@ -242,21 +247,6 @@ def test_a_report_of_the_pair_is_saved(
 
 
 @pytest.mark.slow
-def test_two_models_answer_the_same_query(two_models: RunningApp, new_page: Callable[[], Page]) -> None:
-    explorer = ExplorerPage(new_page())
-    explorer.open(two_models.url)
-    open_window(explorer)
-    explorer.page.get_by_role("tab", name="Two models").click()
-    shown = explorer.page.locator("#lpn-model-comparison")
-    for said in ("model.onnx", "whole.onnx", "n = 4", "n = 1", "alone finds"):
-        expect(shown).to_contain_text(said)
-    row = shown.locator(".row").first
-    query = row.get_attribute("data-query")
-    row.click()
-    explorer.expect_status("query", query or "")
-
-
-@pytest.mark.slow
 def test_a_link_opens_both_models_on_query_and_tile_and_the_chart_chooses_another(
     three_models: RunningApp, contexts: Callable[[], BrowserContext]
 ) -> None:
@@ -292,6 +282,10 @@ def test_a_link_opens_both_models_on_query_and_tile_and_the_chart_chooses_anothe
     again = ExplorerPage(contexts().new_page())
     again.open(explorer.page.url)
     expect(again.page.locator("#lpn-model-comparison [data-model=B] h2")).to_contain_text("two.onnx")
+    row = shown.locator(".row").first
+    query = row.get_attribute("data-query")
+    row.click()
+    explorer.expect_status("query", query or "")
 
 
 def _expect_address(explorer: ExplorerPage, pieces: Sequence[str]) -> None:
@@ -314,17 +308,6 @@ def test_one_click_compares_with_the_baseline_and_one_turns_the_task_around(
     explorer.page.locator("#lpn-tasks a", has_text="satellite → drone").click()
     expect(explorer.page.locator("#lpn-tasks a.chosen")).to_have_text("satellite → drone")
     explorer.expect_status("name", "0007")  # the same place
-
-
-@pytest.mark.slow
-def test_a_profile_asked_for_twice_is_computed_to_the_end(explorer: ExplorerPage) -> None:
-    open_window(explorer)
-    explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
-    turn = explorer.page.locator("#lpn-profile .chips a", has_text="Turn")
-    turn.click()
-    expect(explorer.page.locator("#lpn-profile")).to_have_attribute("data-done", re.compile("[1-9]"))
-    turn.click()
-    expect(explorer.page.locator("#lpn-profile")).to_have_attribute("data-done", "24")
 
 
 @pytest.mark.slow

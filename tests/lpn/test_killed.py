@@ -209,7 +209,7 @@ def test_world(tmp_path: Path, killer: Killer) -> None:
                     open_dataset(out / "cvusa")
 
     arguments = ["world", "--out", str(out), "--seed", "3", *settings]
-    survives(Command(arguments, whole, made), killer, out)
+    survives(Command(arguments, whole, made), killer, out, ROUNDS // 2)
     assert open_dataset(out).kind == "world"
 
 
@@ -239,7 +239,7 @@ def test_a_flight_over_a_world(tmp_path: Path, killer: Killer) -> None:
 
     settings = ["--flight", "--buildings", "2", "--frames", "6", "--width", "64", "--map-pixel", "2"]
     arguments = ["world", "--out", str(out), "--seed", "3", *settings]
-    survives(Command(arguments, whole, result), killer, out)
+    survives(Command(arguments, whole, result), killer, out, ROUNDS // 2)
 
 
 @pytest.mark.slow

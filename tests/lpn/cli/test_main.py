@@ -134,16 +134,14 @@ def test_mistakes_get_one_sentence(
 
 
 @pytest.mark.slow
-def test_train_takes_its_defaults_from_the_named_recipe(tmp_path: Path) -> None:
+def test_train_takes_its_defaults_from_the_named_recipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = small_worlds.make_dataset(tmp_path / "places", train=4, test=2)
-    done = run(
-        *("train", "--data", root, "--out", tmp_path / "run", "--recipe", "small"),
-        *("--size", 64, "--batch", 4, "--epochs", 1, "--n-parts", 2, "--from-scratch"),
-    )
-    assert done.returncode == 0, done.stderr
-    assert '"backbone": "resnet18"' in done.stdout.replace("\n", "")
+    training = ["train", "--data", str(root), "--out", str(tmp_path / "run"), "--recipe", "small"]
+    training += ["--size", "64", "--batch", "4", "--epochs", "1", "--n-parts", "2", "--from-scratch"]
+    assert main.main(training) == 0
+    assert '"backbone": "resnet18"' in capsys.readouterr().out.replace("\n", "")
     done = run("export", "--model", tmp_path / "run" / "last.safetensors", "--out", tmp_path / "m.onnx")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
-    done = run("evaluate", "--data", root, "--model", tmp_path / "m.onnx")
-    assert "n = 2, 64 x 64" in done.stdout
+    assert main.main(["evaluate", "--data", str(root), "--model", str(tmp_path / "m.onnx")]) == 0
+    assert "n = 2, 64 x 64" in capsys.readouterr().out

@@ -61,7 +61,7 @@ def test_damage_anywhere_never_ends_the_process(packed: bool, tmp_path: Path) ->
     savemat(file, VALUES, do_compression=packed)
     whole = file.read_bytes()
     messages: list[str] = []
-    for _ in range(40):
+    for _ in range(20):
         damaged = bytearray(whole)
         for _ in range(rng.randint(1, 5)):
             damaged[rng.randrange(len(whole))] = rng.randrange(256)
@@ -70,7 +70,7 @@ def test_damage_anywhere_never_ends_the_process(packed: bool, tmp_path: Path) ->
             matlab.load(file, list(VALUES), "such a file")
         except DataError as error:
             messages.append(str(error))
-    assert len(messages) > 8
+    assert len(messages) > 4
     assert not any("\n" in message for message in messages)
 
 

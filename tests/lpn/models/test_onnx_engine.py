@@ -17,6 +17,7 @@ from lpn.models.onnx_engine import Engine
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
 from tools.fixtures import seeded, small_worlds
+from tools.fixtures.trainings import make_resnets_shallow
 
 
 def close(found: np.ndarray, expected: np.ndarray) -> None:
@@ -151,7 +152,8 @@ def _two_files(folder: Path, seed: int = 0) -> list[Path]:
 
 
 @pytest.mark.slow
-def test_files_of_one_model_belong_together(tmp_path: Path) -> None:
+def test_files_of_one_model_belong_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_resnets_shallow(monkeypatch)
     first, second = _two_files(tmp_path / "a")
     pictures = seeded.pictures(0, 1, 64, 64)
     expected = Engine(first).descriptors(pictures, "street")
