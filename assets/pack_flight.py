@@ -18,6 +18,7 @@ from PIL import Image
 from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.files import write_atomic
 from lpn.datasets.rendered import FLIGHT_PLAN, TRUTH, UNFINISHED
+from lpn.maps import MapPlace
 from lpn.maps.folder import write_own_map
 from lpn.world.flight import MAP
 from lpn.world.flight_files import compressed_map
@@ -65,7 +66,7 @@ def pack(flight: Path, out: Path) -> None:
     write_atomic(out / FLIGHT_PLAN, (flight / FLIGHT_PLAN).read_bytes())
     file = out / packed_map / f"{packed_map}.tif"
     write_atomic(file, compressed_map(flight / MAP, QUALITY["map"]))
-    write_own_map(file, file.parent, ()).close()
+    write_own_map(file, file.parent, (), place=MapPlace(photographed="spring")).close()
 
 
 def as_webp(data: bytes) -> bytes:

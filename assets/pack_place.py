@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import rasterio
+from msgspec.structs import replace
 from PIL import ExifTags, Image
 from rasterio.enums import Resampling
 from rasterio.io import MemoryFile
@@ -22,11 +23,18 @@ from rasterio.io import MemoryFile
 from lpn.cli.map import MapCommand
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.files import write_atomic
-from lpn.maps import open_map
+from lpn.maps import MapPlace, open_map
 from lpn.maps.folder import write_own_map
 
 PIXEL, WIDTH = 0.105, 800
 """Metres of the map's pixels, and pixels across a photo."""
+
+PLACE = MapPlace(
+    name="Caliterra in Dripping Springs, Texas",
+    credit="Dennis Baldwin, CC0 1.0",
+    source="https://github.com/OpenDroneMap/odm_data_caliterra",
+)
+"""The place, by the title that its photos are published under."""
 
 QUALITY = {"photo": 66, "map": 70}
 """Quality of WebP."""
@@ -48,7 +56,8 @@ def main() -> None:
         large = open_map(Path(folder) / "map")
         file = part / map_name / f"{map_name}.tif"
         write_atomic(file, small_map(Path(folder) / "map" / "map.tif"))
-        write_own_map(file, file.parent, large.notes).close()
+        place = replace(PLACE, photographed=large.place.photographed)
+        write_own_map(file, file.parent, large.notes, place=place).close()
         for file in files[1::2]:
             write_atomic(part / photos_name / f"{file.stem}.webp", small_photo(file))
         shutil.copyfile(licence, part / licence.name)

@@ -11,6 +11,7 @@ import numpy as np
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.flight_window.pictures import Pyramid, ground_window
 from explorer.flight_window.service import FlightView
+from explorer.web.coordinates import MapCoordinate, describe_point
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
@@ -20,6 +21,7 @@ from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.summary import PLACED, describe_flight
 from lpn.maps import Window
+from lpn.maps.named_window import describe_offset
 
 # The part whose cosines are painted, or all parts under the current weights.
 Painted = int | Literal["all", "off"]
@@ -70,7 +72,7 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "bounds": list(basemap.bounds),
         "pyramid": {"west": pyramid.west, "north": pyramid.north, "side": pyramid.side, "levels": pyramid.levels},
         "resolution": basemap.resolution,
-        "degrees": basemap.frame.polynomials(basemap.bounds).tolist(),
+        "degrees": None if flight.rendered else basemap.frame.polynomials(basemap.bounds).tolist(),
         "sheets": sheets if len(sheets) > 1 else [],
         "names": [printable(frame.frame.name) for frame in frames],
         "times": None if any(time is None for time in known) else known,
@@ -136,9 +138,9 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
     verdict = view.beliefs[frame]
     stage = verdict.stage
     place = None if stage is None else located.stages[stage]
-    degrees = None
+    at: MapCoordinate | str | None = None
     if place is not None and place.x is not None and place.y is not None:
-        degrees = view.flight.basemap.frame.degrees([(place.x, place.y)])[0]
+        at = MapCoordinate.on_map(view.flight, (place.x, place.y)) or describe_offset(place.x, place.y)
     ground = ground_window(located, stage)
     return render(
         "flight/card",
@@ -149,7 +151,7 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
         verdict=verdict,
         colour=_verdict_colour(verdict.sign),
         place=place,
-        degrees=degrees,
+        at=at,
         ground=ground,
         on_map=None if ground is None else _share_on_map(view, ground),
         height=located.frame.flying_height,
@@ -163,15 +165,15 @@ def _share_on_map(view: FlightView, ground: Window) -> float:
     return float(view.flight.basemap.valid_shares(np.array([(ground.x, ground.y)]), ground.size)[0])
 
 
-def _correction(view: FlightView, frame: int, place: StageRecord | None) -> tuple[float, float, float | None] | None:
-    """Return latitude and longitude of a correction, and the metres from it to the answer that counts."""
+def _correction(view: FlightView, frame: int, place: StageRecord | None) -> tuple[str, float | None] | None:
+    """Return where a correction is, in words, and the metres from it to the answer that counts."""
     corrected = view.corrected(frame)
     if corrected is None:
         return None
-    latitude, longitude = view.corrections[view.flight.frames[frame].frame.name].middle.tolist()
+    words = describe_point(view.flight, corrected)
     if place is None or place.x is None or place.y is None:
-        return latitude, longitude, None
-    return latitude, longitude, math.hypot(place.x - corrected[0], place.y - corrected[1])
+        return words, None
+    return words, math.hypot(place.x - corrected[0], place.y - corrected[1])
 
 
 def _verdict_colour(sign: bool | None) -> str:
@@ -286,14 +288,13 @@ def lists(view: FlightView) -> dict[str, str]:
 
 def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float]) -> str:
     """Return the list of the frames that show a spot."""
-    degrees = view.flight.basemap.frame.degrees([place])[0]
     entries = []
     for i in frames:
         one = view.outlines[i]
         source = "by its registration" if one is not None and one.registered else "by its tag and the camera's angles"
         entries.append((i, printable(view.flight.frames[i].frame.name), [source]))
     unknown = sum(one is None for one in view.outlines)
-    sentence = f"{len(frames)} of {len(view.outlines)} frames show {degrees[0]:.6f}, {degrees[1]:.6f}."
+    sentence = f"{len(frames)} of {len(view.outlines)} frames show {describe_point(view.flight, place)}."
     if unknown:
         sentence += f" The ground of {unknown} frames is unknown."
     return _list(entries, sentence, "")

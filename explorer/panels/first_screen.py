@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from explorer import lab_choices, session_state
 from explorer.lab_choices import Tab
-from explorer.panels import answer_text
+from explorer.panels import answer_text, place_text
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours
@@ -160,6 +160,7 @@ def page(
         task=task,
         state=state,
         name=analysis.name,
+        place=place_text.place(workspace),
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,

@@ -42,6 +42,11 @@ class MapCommand:
     """Photos with GPS tags that look straight down, or folders of them, in place of files: an orthophoto is made of them, as if
     the ground were flat. Place and scale are those of the tags."""
 
+    place: str = ""
+    """Name of the place, such as "Dripping Springs, Texas"; lpn explore says it."""
+    photographed: str = ""
+    """Day of the map's pictures, such as 2014-10-19, or their season; by default that of the photos of --from-flight."""
+
     def run(self) -> None:
         import numpy as np
 
@@ -68,7 +73,7 @@ class MapCommand:
 
     def _written(self, on_progress: Callable[[str], None]) -> Map:
         from lpn.core.errors import InputError
-        from lpn.maps import MapOptions
+        from lpn.maps import MapOptions, MapPlace
         from lpn.maps.elevation import ElevationFile
         from lpn.maps.folder import build_map
 
@@ -76,20 +81,23 @@ class MapCommand:
             raise InputError("--elevation-unit needs --elevation; give both, or leave it out.")
         elevation = None if self.elevation is None else ElevationFile(self.elevation, self.elevation_unit)
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
+        place = MapPlace(self.place, self.photographed)
         if self.from_flight is None:
             if len(self.files) == 1 and elevation is None and self.crs is None and self.corners is None:
                 from lpn.maps.posed_scenes import build_scene
 
-                if (scene := build_scene(self.files[0], self.out, options, on_progress)) is not None:
+                if (scene := build_scene(self.files[0], self.out, options, on_progress, place)) is not None:
                     return scene
-            return build_map(self.files, self.out, options, on_progress, elevation)
+            return build_map(self.files, self.out, options, on_progress, elevation, place=place)
         if self.files or options != MapOptions():
             raise InputError(
                 "--from-flight makes the map of photos alone; leave the other files and options, except --elevation, out."
             )
         from lpn.flights import photos_of
-        from lpn.flights.base import degrees
         from lpn.maps.orthophoto import build_from_photos
 
-        frames = photos_of(self.from_flight, self.out.resolve().name).frames
-        return build_from_photos([frame.file for frame in frames], degrees(frames), self.out, on_progress, elevation)
+        flight = photos_of(self.from_flight, self.out.resolve().name)
+        if not self.photographed and flight.day is not None:
+            place = MapPlace(self.place, flight.day.isoformat())
+        files = [frame.file for frame in flight.frames]
+        return build_from_photos(files, flight.degrees, self.out, on_progress, elevation, place)

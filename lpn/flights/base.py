@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, date, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -89,6 +90,16 @@ class Flight:
     def times(self) -> Float64Array:
         """Seconds of each frame, (N,); NaN where unknown."""
         return np.array([math.nan if frame.time is None else frame.time for frame in self.frames], np.float64)
+
+    @cached_property
+    def day(self) -> date | None:
+        """The day in UTC on which all pictures of known time were taken; None if it is not one day, or not known."""
+        days = {
+            datetime.fromtimestamp(frame.time, UTC).date()
+            for frame in self.frames
+            if self.utc and frame.time is not None
+        }
+        return days.pop() if len(days) == 1 else None
 
 
 def degrees(frames: Sequence[Frame]) -> Float64Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, middle_pixel
+from lpn.datasets.rendered import is_rendered_flight
 from lpn.flights import Flight, Frame
 from lpn.locate import measures
 from lpn.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
@@ -199,6 +200,11 @@ class LocatedFlight:
     def stages(self) -> list[str]:
         """The stages that ran."""
         return [stage for stage in STAGES if any(stage in located.stages for located in self.frames)]
+
+    @cached_property
+    def rendered(self) -> bool:
+        """Whether its photos are those of a rendered world, whose coordinates are of no real place."""
+        return bool(self.frames) and is_rendered_flight(self.frames[0].frame.file.parent)
 
     @cached_property
     def late_tags(self) -> TagAudit | None:

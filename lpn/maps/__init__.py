@@ -11,7 +11,8 @@ from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
 from lpn.maps.named_window import NamedWindow
 from lpn.maps.opening import open_map
+from lpn.maps.place import MapPlace
 from lpn.maps.sources import MapOptions
 from lpn.maps.window import Window
 
-__all__ = ["LocalFrame", "Map", "MapOptions", "NamedWindow", "Window", "open_map"]
+__all__ = ["LocalFrame", "Map", "MapOptions", "MapPlace", "NamedWindow", "Window", "open_map"]

@@ -31,6 +31,7 @@ from lpn.maps import _gdal
 from lpn.maps.elevation import Elevation, ElevationFile, ElevationSource, probes, write_elevation
 from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
+from lpn.maps.place import MapPlace, checked_place
 from lpn.maps.raster import GdalRaster, Treatment, is_jpeg
 from lpn.maps.sheet import Sheet
 from lpn.maps.sources import MapOptions, files_of, georeference, open_sheet, parse_crs, raster_sheet
@@ -90,6 +91,7 @@ class MapRecord(msgspec.Struct, frozen=True):
         sheets: none until all are done.
         written: names of files in `sheets/` that `lpn map` wrote, or may have written; it replaces and deletes no others.
         elevation: of `sheets/elevation.tif`; None without one.
+        place: what is known about the place beyond its georeference.
     """
 
     format: str
@@ -99,6 +101,7 @@ class MapRecord(msgspec.Struct, frozen=True):
     sheets: list[SheetRecord]
     written: list[str]
     elevation: ElevationRecord | None = None
+    place: MapPlace | None = None
 
 
 def build_map(
@@ -108,6 +111,7 @@ def build_map(
     on_progress: Callable[[str], None] = lambda _: None,
     elevation: ElevationFile | None = None,
     notes: Sequence[str] = (),
+    place: MapPlace | None = None,
 ) -> Map:
     """Write the folder of a map, and return the map.
 
@@ -118,20 +122,23 @@ def build_map(
         on_progress: called with a sentence before each long step.
         elevation: heights of the map's ground; they are copied into the folder, in metres.
         notes: sentences about the files, which commands that read the map print.
+        place: what is known about the map's place.
 
     Raises:
         DataError: if a file cannot be read, or has no or an impossible georeference, or heights have an unknown or impossible
             unit, or are those of another place; nothing is written. If the elevation covers less than half of what the map shows,
             the folder is left as by a run that was killed.
-        InputError: if an option is malformed, or does not apply, or a file lies in the map's folder; nothing is written.
+        InputError: if an option or the place is malformed, or does not apply, or a file lies in the map's folder; nothing is
+            written.
         OutputError: if the folder holds other files where those of the map go, or cannot be written.
     """
     options = options or MapOptions()
+    place = None if place is None else checked_place(place)
     files = files_of(paths, options)
     earlier = _written_before(out)
     heights = None if elevation is None else ElevationSource(elevation)
     _check_inputs([*files, *([] if elevation is None else [elevation.path])], out)
-    return _build(files, out, options, earlier, on_progress, notes, heights)
+    return _build(files, out, options, earlier, on_progress, notes, heights, place)
 
 
 def write_own_map(
@@ -140,6 +147,7 @@ def write_own_map(
     notes: Sequence[str],
     on_progress: Callable[[str], None] = lambda _: None,
     heights: ElevationSource | None = None,
+    place: MapPlace | None = None,
 ) -> Map:
     """Write the folder of a map whose one sheet lies in the folder itself, and return the map.
 
@@ -147,12 +155,13 @@ def write_own_map(
         file: a GeoTIFF with transparency in `out`, a folder that holds nothing else.
         notes: sentences about how the sheet was made, which commands that read the map print.
         heights: of the map's ground; they are copied into the folder.
+        place: what is known about the map's place; it is checked.
 
     Raises:
         DataError: if the file cannot be read, or has no valid pixel, or the heights cover less than half of what it shows.
         OutputError: if the folder cannot be written.
     """
-    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes, heights)
+    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes, heights, place)
 
 
 def _build(
@@ -163,6 +172,7 @@ def _build(
     on_progress: Callable[[str], None],
     notes: Sequence[str] = (),
     heights: ElevationSource | None = None,
+    map_place: MapPlace | None = None,
 ) -> Map:
     """Write the folder of a map whose place is checked; `earlier` are the names in `sheets/` that it may replace."""
     places = [None if is_tile_set(file) else georeference(file, options) for file in files]
@@ -191,7 +201,7 @@ def _build(
         kept.add(_ELEVATION)
     for name in (earlier | planned) - kept:
         (out / _SHEETS / name).unlink(missing_ok=True)
-    whole = Map(files[0].stem, sheets)
+    whole = Map(files[0].stem, sheets, place=map_place)
     on_progress("Looking where the map has data.")
     if not whole.coverage().any():
         raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
@@ -208,7 +218,7 @@ def _build(
     records = [_record(sheet, out) for sheet in whole.sheets]
     written = sorted(name for name in kept if (out / _SHEETS / name).exists())
     frame = whole.frame
-    _write(out, MapRecord(FORMAT, whole.name, frame.latitude, frame.longitude, records, written, elevation))
+    _write(out, MapRecord(FORMAT, whole.name, frame.latitude, frame.longitude, records, written, elevation, map_place))
     return whole
 
 
@@ -236,7 +246,11 @@ def open_folder(folder: Path) -> Map:
     coverage = cv2.imdecode(np.fromfile(folder / _COVERAGE, np.uint8), cv2.IMREAD_GRAYSCALE) if _has(folder) else None
     frame = LocalFrame(record.latitude, record.longitude)
     shares = None if coverage is None else (coverage / 255).astype(np.float32)
-    return Map(record.name, sheets, frame, shares, _opened_elevation(folder, record.elevation))
+    try:
+        place = checked_place(record.place or MapPlace())
+    except InputError as error:
+        raise DataError(f"{file_name} is damaged: {error}") from error
+    return Map(record.name, sheets, frame, shares, _opened_elevation(folder, record.elevation), place)
 
 
 def _opened_elevation(folder: Path, record: ElevationRecord | None) -> Elevation | None:

@@ -18,6 +18,7 @@ from lpn.core.homography import corner_pixels
 from lpn.maps import window as windows
 from lpn.maps.elevation import Elevation
 from lpn.maps.frame import LocalFrame
+from lpn.maps.place import MapPlace
 from lpn.maps.sheet import Bounds, Sheet
 from lpn.maps.window import Window
 
@@ -49,6 +50,7 @@ class Map:
         frame: a recorded frame; None takes the middle of the sheets as its origin.
         coverage: a recorded coverage; None computes it at first use.
         elevation: heights of its ground; None if nothing is known of them.
+        place: what is known about its place; None if nothing is.
 
     Attributes:
         name: of the map.
@@ -57,6 +59,7 @@ class Map:
         bounds: west, south, east, north in metres of the frame.
         resolution: metres per pixel of the finest sheet.
         elevation: as given.
+        place: as given; empty for None.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -69,8 +72,9 @@ class Map:
         frame: LocalFrame | None = None,
         coverage: Float32Array | None = None,
         elevation: Elevation | None = None,
+        place: MapPlace | None = None,
     ) -> None:
-        self.name, self.elevation = name, elevation
+        self.name, self.elevation, self.place = name, elevation, place or MapPlace()
         self.frame = frame or _frame_of(sheets)
         for sheet in sheets:
             sheet.locate(self.frame)
@@ -89,6 +93,15 @@ class Map:
         self._coverage = coverage
         self._lock, self._overview_lock = Lock(), Lock()
         self._overview: tuple[UInt8Array, BoolArray] | None = None
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Metres of its sides, the upper one and one beside it: of its one sheet, which may be turned, or of its bounds."""
+        if len(self.sheets) > 1:
+            west, south, east, north = self.bounds
+            return east - west, north - south
+        sheet = self.sheets[0]
+        return sheet.pixel[0] * sheet.raster.width, sheet.pixel[1] * sheet.raster.height
 
     @property
     def notes(self) -> list[str]:

@@ -87,6 +87,17 @@ class WindowCut:
             raise PictureError(str(error)) from error
 
 
+def describe_offset(x: float, y: float) -> str:
+    """Return where a point of a map is, for people: "46 m west and 3 m north of the map's middle"; x and y are in metres."""
+    east, north = round(x), round(y)
+    sides = [
+        f"{abs(metres):,} m {names[metres > 0]}"
+        for metres, names in ((east, ("west", "east")), (north, ("south", "north")))
+        if metres
+    ]
+    return f"{' and '.join(sides)} of the map's middle" if sides else "in the map's middle"
+
+
 def describe_place(window: Window, with_size: bool = True) -> str:
     """Return where a window is on its map, for people: metres from the map's origin to its centre, and its side."""
     east, north = round(window.x), round(window.y)

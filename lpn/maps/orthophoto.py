@@ -27,6 +27,7 @@ from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import open_folder, write_own_map
 from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
+from lpn.maps.place import MapPlace, checked_place
 
 # Photos that a map needs at least, and the names that a sentence lists.
 _LEAST, _NAMED = 3, 5
@@ -47,6 +48,7 @@ def build_from_photos(
     out: Path,
     on_progress: Callable[[str], None] = lambda _: None,
     elevation: ElevationFile | None = None,
+    place: MapPlace | None = None,
 ) -> Map:
     """Make an orthophoto of photos that look straight down, write it as the folder of a map, and return the map.
 
@@ -56,10 +58,11 @@ def build_from_photos(
         out: the folder, which must not be there; it appears when all is written.
         on_progress: called with a sentence at each step, which has its number.
         elevation: heights of the ground, copied into the folder in metres. The photos are laid as on a plane all the same.
+        place: what is known about the place; it is checked before any work.
 
     Raises:
         DataError: if fewer than three photos have GPS tags, or overlap, or the elevation is unusable or of another place.
-        InputError: if the elevation's unit is unknown.
+        InputError: if the elevation's unit is unknown, or the place is malformed.
         OutputError: if `out` is there already, or cannot be written.
         MissingPackageError: without the library.
     """
@@ -72,6 +75,7 @@ def build_from_photos(
     except ModuleNotFoundError as error:
         raise missing_package(error) from error
     _gdal.rasterio()
+    place = None if place is None else checked_place(place)
     _check_photos(photos, tags)
     heights = None if elevation is None else _heights(elevation, tags)
     name = out.resolve().name
@@ -86,7 +90,7 @@ def build_from_photos(
         on_progress(f"Making overviews of {printable(file.name)}.")
         _make_overviews(file)
         notes = [*_left_out(report), _limits(report, photos, tags)]
-        write_own_map(file, part, notes, on_progress, heights).close()
+        write_own_map(file, part, notes, on_progress, heights, place).close()
         try:
             os.replace(part, out)
         except OSError as error:

@@ -17,6 +17,7 @@ from lpn.maps import _gdal
 from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import build_map, write_own_map
 from lpn.maps.map import Map
+from lpn.maps.place import MapPlace
 from lpn.maps.sources import MapOptions
 
 # A height may lie so many pixels off the grid that all heights of a sample tell.
@@ -25,7 +26,11 @@ _ROWS = 1024
 
 
 def build_scene(
-    path: Path, out: Path, options: MapOptions, on_progress: Callable[[str], None] = lambda _: None
+    path: Path,
+    out: Path,
+    options: MapOptions,
+    on_progress: Callable[[str], None] = lambda _: None,
+    place: MapPlace | None = None,
 ) -> Map | None:
     """Write the folder of a map with heights of a scene of AnyVisLoc, one of its two maps, or a sample of OrthoLoC.
 
@@ -41,7 +46,7 @@ def build_scene(
     """
     layout = posed_samples.layout_of(path)
     if layout == "OrthoLoC":
-        return _of_sample(path, out, on_progress)
+        return _of_sample(path, out, on_progress, place)
     if layout == "AnyVisLoc":
         raise InputError(
             f"{printable(str(path))} is a photo of AnyVisLoc; give its scene {printable(str(path.parent))} for the aerial map, "
@@ -71,10 +76,10 @@ def build_scene(
         file = Path(folder) / f"{dsm.stem}.tif"
         _write(file, heights[None], posed_samples.grid_matrix(one.dsm_resolution, first), "float32")
         elevation = ElevationFile(file, "metre")
-        return build_map([scene / one.map_path], out, options, on_progress, elevation, notes)
+        return build_map([scene / one.map_path], out, options, on_progress, elevation, notes, place)
 
 
-def _of_sample(path: Path, out: Path, on_progress: Callable[[str], None]) -> Map:
+def _of_sample(path: Path, out: Path, on_progress: Callable[[str], None], place: MapPlace | None) -> Map:
     """Write the map of a sample of OrthoLoC."""
     arrays = posed_samples.read_arrays(path, ("image_dop", "dsm", "scale"))
     picture, dsm = arrays["image_dop"], arrays["dsm"]
@@ -97,7 +102,7 @@ def _of_sample(path: Path, out: Path, on_progress: Callable[[str], None]) -> Map
             _write(file, heights[None], matrix, "float32")
             notes = [posed_samples.PLACE_NOTE.format("OrthoLoC")]
             return write_own_map(
-                out / "orthophoto.tif", out, notes, on_progress, ElevationSource(ElevationFile(file, "metre"))
+                out / "orthophoto.tif", out, notes, on_progress, ElevationSource(ElevationFile(file, "metre")), place
             )
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)

@@ -165,7 +165,7 @@
   const read = (at) => {
     const [x, y] = map.toPlane(at), frame = hit(at);
     find(".read").textContent =
-      (frame >= 0 ? flight.data.names[frame] + " · " : "") + lpn.mapMarks.degrees(degrees([x, y])) + " · " + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
+      (frame >= 0 ? flight.data.names[frame] + " · " : "") + (flight.data.degrees ? lpn.mapMarks.degrees(degrees([x, y])) + " · " : "") + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
   };
   const tapped = (at, { shiftKey }) => {
     if (shiftKey || flight.asking) {

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,24 @@ def test_a_map_folder_names_small_sheets_where_they_are(tmp_path: Path, capsys: 
     for name in ("data", "maps"):
         (tmp_path / name).rename(tmp_path / "elsewhere" / name)
     assert open_map(tmp_path / "elsewhere" / "maps" / "town").name == "town"
+
+
+def test_a_map_keeps_the_name_of_its_place_and_the_day_of_its_pictures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    town = write_geotiff(tmp_path / "town.tif", smooth(100, 160))
+    out = ["--out", str(tmp_path / "map")]
+    assert main(["map", str(town), *out, "--place", "A town", "--photographed", "2014-10-19"]) == 0
+    kept = open_map(tmp_path / "map")
+    assert (kept.place.name, kept.place.day, kept.place.season) == ("A town", date(2014, 10, 19), "")
+    assert kept.sides == pytest.approx((80, 50), rel=1e-3)
+    for wrong in ("2014-13-19", "yesterday"):
+        assert main(["map", str(town), *out, "--photographed", wrong]) == 2
+        assert f"said to be of '{wrong}'; expected a day such as 2014-10-19" in capsys.readouterr().err
+    record = tmp_path / "map" / "map.json"
+    record.write_text(record.read_text().replace("2014-10-19", "2014-99-19"))
+    with pytest.raises(DataError, match="is damaged"):
+        open_map(tmp_path / "map")
 
 
 def test_options_are_recorded(tmp_path: Path) -> None:

@@ -1,0 +1,60 @@
+"""Tests of the sentence about the place of a map."""
+
+from __future__ import annotations
+
+import re
+from datetime import date
+from html import unescape
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from explorer.panels import place_text
+from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.flights import open_flight
+from lpn.maps import MapPlace, open_map
+
+
+def workspace_of(place: tuple[Any, Any]) -> Any:
+    basemap, flight = open_map(place[0]), open_flight(place[1])
+    return SimpleNamespace(root=place[1], flight=SimpleNamespace(basemap=basemap, flight=flight))
+
+
+def text(html: str) -> str:
+    return unescape(" ".join(re.sub(r"<[^>]*>", "", html).split()))
+
+
+def test_a_real_place_has_a_coordinate_and_a_day() -> None:
+    workspace = workspace_of(DEMO_PLACE)
+    html = place_text.place(workspace)
+    assert text(html).startswith(
+        "The place is Caliterra in Dripping Springs, Texas (latitude 30.17117, longitude -98.08956: OpenStreetMap). "
+        "Map and photos are of 19 October 2014. The map is 186 m by 166 m"
+    )
+    assert place_text.same_day(workspace)
+    links = re.findall(r'<a href="(https://www\.openstreetmap[^"]*)" target="_blank" rel="noopener noreferrer"', html)
+    assert links == ["https://www.openstreetmap.org/?mlat=30.171165&amp;mlon=-98.089561#map=18/30.171165/-98.089561"]
+
+
+def test_a_rendered_place_has_no_coordinate() -> None:
+    workspace = workspace_of(DEMO_FLIGHT)
+    said = text(place_text.place(workspace))
+    assert said.startswith(
+        "This is no real place: map and photos are rendered. The map is of spring and the photos are of 14"
+    )
+    assert "latitude" not in said
+    assert not place_text.same_day(workspace)
+    assert place_text.place(cast(Any, SimpleNamespace(flight=None, basemap=None))) == ""
+
+
+@pytest.mark.parametrize(
+    ("mapped", "flown", "said"),
+    [
+        ("", None, ""),
+        ("2020-05-01", None, "the map is of 1 May 2020"),
+        ("2020-05-01", date(2020, 5, 2), "the map is of 1 May 2020 and the photos are of 2 May 2020"),
+    ],
+)
+def test_only_known_days_are_named(mapped: str, flown: date | None, said: str) -> None:
+    assert " ".join(place_text._times(MapPlace(photographed=mapped), flown).split()) == said
