@@ -266,7 +266,7 @@ class ModelComparison:
             picture = overlays.with_box(picture, centre_box(*described.trace.size))
         return _Map(
             side,
-            analysis.name if side == "query" else task.gallery[analysis.chosen.index].name,
+            analysis.name if side == "query" else task.gallery[analysis.chosen.index].title,
             overlays.data_uri(picture, 88),
             heatmaps.scale_labels(low, high),
             None if mean is None else 100 * centre_share(described.trace.activation),
@@ -422,7 +422,7 @@ def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own
         None if truth is None else truth.rank,
         _lead(analysis),
         [
-            (match, task.gallery[match.index].name, workspace.thumbnail(task.gallery[match.index]))
+            (match, task.gallery[match.index].title, workspace.thumbnail(task.gallery[match.index]))
             for match in analysis.matches[:_MATCHES]
         ],
         analysis.chosen.index,

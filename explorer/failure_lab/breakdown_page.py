@@ -112,14 +112,17 @@ def _pair_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card
     for confusion in confusions[:_MAX_PAIRS]:
         names = state.place_names(findings, confusion)
         tiles = int(findings.outcomes.true[confusion.queries[0]]), confusion.tile
+        shown = [
+            findings.task.gallery[tile].title if tile >= 0 else name for tile, name in zip(tiles, names, strict=True)
+        ]
         pictures = [workspace.thumbnail(findings.task.gallery[tile]) if tile >= 0 else "" for tile in tiles]
         lines.append(
             _Line(
                 "lab-pair",
                 [confusion.place, confusion.answered],
                 " taken for ".join(names) == chosen,
-                f"{names[1]} was the answer to {confusion.count} {say('query', confusion.count)} of {names[0]}",
-                (names, pictures, confusion.count),
+                f"{shown[1]} was the answer to {confusion.count} {say('query', confusion.count)} of {shown[0]}",
+                (shown, pictures, confusion.count),
             )
         )
     listed = f"; the first {_MAX_PAIRS} of {len(confusions):,}" if len(confusions) > _MAX_PAIRS else ""

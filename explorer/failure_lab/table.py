@@ -33,6 +33,13 @@ _HINTS = {
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
 }
+# The verdicts on photos of a flight in plain words.
+_PLAIN_VERDICTS = {
+    "registered": "placed by its details",
+    "contradicted": "its GPS tag disagrees",
+    "not verified": "only guessed",
+    "not located": "no place",
+}
 # Examples of filters, without and with a second model.
 _EXAMPLE, _EXAMPLE_OF_TWO = "rank > 5", f"{RANK_A} > 1 and {RANK_B} = 1"
 
@@ -274,7 +281,7 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
     """
     row = int(rows[0])
     picture = findings.task.queries[row]
-    rank, answer = (findings.table.columns[name].text(row) for name in ("rank", "answer"))
+    rank, answer = findings.table.columns["rank"].text(row), _answer(findings, row)
     margin = float(findings.outcomes.margin[row])
     return render(
         "failure_lab/tip",
@@ -291,6 +298,13 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
     )
 
 
+def _answer(findings: Findings, row: int) -> str:
+    """Return what people call the tile that was answered; of a task over an index, its name."""
+    tile, task = int(findings.outcomes.answer[row]), findings.task
+    listed = task.lists_gallery and 0 <= tile < len(task.gallery)
+    return task.gallery[tile].title if listed else findings.table.columns["answer"].text(row)
+
+
 def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit: float) -> _Cell:
     """Format a cell; `limit` is the margin at the end of the margins' scale."""
     text, outcomes = column.text(row), findings.outcomes
@@ -301,7 +315,13 @@ def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit
     if not text:
         return _Cell(column.kind, "")
     if column.name == "answer":
-        return _Cell("text pic", text, picture=feeds.thumbnail(findings.task, "tile", int(outcomes.answer[row])))
+        return _Cell(
+            "text pic",
+            _answer(findings, row),
+            picture=feeds.thumbnail(findings.task, "tile", int(outcomes.answer[row])),
+        )
+    if column.name == "verdict" and words.plain():
+        return _Cell("text", _PLAIN_VERDICTS.get(text, text), title=f"In filters: {text}")
     if column.name == "part":
         return _Cell("text", text, swatch=int(outcomes.deciding_part[row]))
     if column.name == "margin":

@@ -161,6 +161,7 @@ def page(
         state=state,
         name=analysis.name,
         place=place_text.place(workspace),
+        answer_name=place_text.piece(task.gallery[analysis.chosen.index]),
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,

@@ -9,9 +9,11 @@ from explorer.web.coordinates import MapCoordinate
 from explorer.web.render import render
 from explorer.workspace import Workspace
 from lpn.core.numbers import distance
+from lpn.datasets import Picture
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing.verdicts import listed
 from lpn.maps import MapPlace
+from lpn.maps.named_window import WindowCut, describe_offset
 
 
 def place(workspace: Workspace) -> str:
@@ -29,6 +31,14 @@ def place(workspace: Workspace) -> str:
         times=_times(basemap.place, None if workspace.flight is None else workspace.flight.flight.day),
         sides=[distance(side) for side in basemap.sides],
     )
+
+
+def piece(tile: Picture) -> str:
+    """Return what a tile is called: a piece of a map by where its middle lies on the map, and its width."""
+    if not isinstance(tile.cut, WindowCut):
+        return tile.title
+    window = tile.cut.window
+    return f"{describe_offset(window.x, window.y)}, {window.size:.0f} m wide"
 
 
 def same_day(workspace: Workspace) -> bool:

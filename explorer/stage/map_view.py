@@ -343,7 +343,7 @@ class GalleryMap:
     def _draw_caption(self, analysis: StateAnalysis, size: int) -> UInt8Array:
         """Draw the names of the query and the compared tile, at a size in pixels, and the error in metres."""
         chosen = analysis.chosen
-        name = analysis.task.gallery[chosen.index].name
+        name = analysis.task.gallery[chosen.index].title
         palette = analysis.state.palette
         image, draw = captions.caption(*SIGN_PIXELS, palette)
         head, step = max(30, size), max(36, round(1.1 * size))

@@ -336,8 +336,11 @@ class Stage:
     def _tile_caption(self, analysis: StateAnalysis) -> UInt8Array:
         chosen = analysis.chosen
         tile, palette = analysis.task.gallery[chosen.index], analysis.state.palette
-        text = ", ".join(filter(None, (f"{analysis.task.gallery_view} {tile.name}", tile.note)))
-        return title(rank_title(chosen), (text, tile.name), chosen.true, palette, self._caption_width, chosen.distance2)
+        view = analysis.task.gallery_view if tile.cut is None else "map"
+        text = ", ".join(filter(None, (f"{view} {tile.title}", tile.note)))
+        return title(
+            rank_title(chosen), (text, tile.title), chosen.true, palette, self._caption_width, chosen.distance2
+        )
 
 
 def _link_colours(weights: AnyArray, palette: Palette) -> UInt8Array:

@@ -161,7 +161,7 @@ def _slide(sources: WindowSources, step: Step, analysis: StateAnalysis, wait: Ca
 def _ranked(workspace: Workspace, analysis: StateAnalysis, match: Match) -> tuple[Match, str, str, float | None]:
     tile = analysis.task.gallery[match.index]
     off = math.nan if analysis.errors_m is None else float(analysis.errors_m[match.index])
-    return match, tile.name, workspace.thumbnail(tile), off if np.isfinite(off) else None
+    return match, tile.title, workspace.thumbnail(tile), off if np.isfinite(off) else None
 
 
 def _read(name: str) -> str:

@@ -57,6 +57,7 @@ class Picture:
         note: a remark to display beside the name.
         zoom: the factor by which it is zoomed when it is described, within its box; see `lpn.retrieval.calibration`.
         cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
+        caption: what people read in place of `name`; "" for the name itself. Links and files keep the name.
     """
 
     path: Path
@@ -68,6 +69,12 @@ class Picture:
     note: str = field(default="", compare=False)
     zoom: float = 1.0
     cut: Callable[[], UInt8Array] | None = field(default=None, compare=False, repr=False)
+    caption: str = field(default="", compare=False)
+
+    @property
+    def title(self) -> str:
+        """What people read: the caption, else the name."""
+        return self.caption or self.name
 
     def load(self) -> UInt8Array:
         """Return the picture without regard to box and zoom, (H, W, 3) uint8 RGB; PictureError if it cannot be read."""

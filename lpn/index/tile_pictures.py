@@ -16,7 +16,7 @@ from lpn.datasets import Picture
 from lpn.datasets.listed_paths import checked_path
 from lpn.drawing import captions
 from lpn.maps import Map, NamedWindow
-from lpn.maps.named_window import WindowCut, covers_part_of, describe_place
+from lpn.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
 
 _PLACEHOLDER = 256
 
@@ -70,7 +70,8 @@ def tile_picture(
     if window is not None and basemap is not None:
         place = window.on(basemap.frame)
         if covers_part_of(basemap, place):
-            return Picture(root / "windows" / name, label, describe_place(place), cut=WindowCut(basemap, place, pixels))
+            cut = WindowCut(basemap, place, pixels)
+            return Picture(root / "windows" / name, label, describe_place(place), cut=cut, caption=caption_of(place))
         reason = f"the window lies outside the map {printable(basemap.name)}."
     elif window is not None:
         reason = "it is a window of a map; give that map as --map."

@@ -25,7 +25,7 @@ from lpn.locate.belief import beliefs, disagreements
 from lpn.locate.located import STAGES, LocatedFlight
 from lpn.locate.retrieval import MapRetrieval, heading_is_certain
 from lpn.maps import Map
-from lpn.maps.named_window import WindowCut, describe_place
+from lpn.maps.named_window import WindowCut, caption_of, describe_place
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.gallery_task import GalleryTask
@@ -116,6 +116,7 @@ def _gallery(basemap: Map, retrieval: MapRetrieval, root: Path) -> list[Picture]
             first + j,
             describe_place(window, several),
             cut=WindowCut(basemap, window, retrieval.pixels),
+            caption=caption_of(window),
         )
         for j, window in enumerate(retrieval.windows)
     ]

@@ -105,6 +105,12 @@ def describe_place(window: Window, with_size: bool = True) -> str:
     return f"{place} ({window.size:.0f} m)" if with_size else place
 
 
+def caption_of(window: Window) -> str:
+    """Return where a window is on its map, in short: "46 m W, 0 m N, 37 m wide", from the map's middle to the window's."""
+    east, north = round(window.x), round(window.y)
+    return f"{abs(east):,} m {'W' if east < 0 else 'E'}, {abs(north):,} m {'S' if north < 0 else 'N'}, {window.size:.0f} m wide"
+
+
 def covers_part_of(basemap: Map, window: Window) -> bool:
     """Return whether a window lies at least partly within a map's bounds."""
     if not all(map(math.isfinite, (window.x, window.y))):

@@ -7,7 +7,7 @@ import pytest
 
 from lpn.core.errors import PictureError
 from lpn.maps import LocalFrame, NamedWindow, Window, open_map
-from lpn.maps.named_window import WindowCut, covers_part_of
+from lpn.maps.named_window import WindowCut, caption_of, covers_part_of, describe_offset
 from tests.lpn.maps.small_maps import smooth, write_geotiff
 
 
@@ -65,3 +65,19 @@ def test_a_damaged_map_is_a_picture_that_cannot_be_read(tmp_path: Path) -> None:
     file.write_bytes(data)
     with pytest.raises(PictureError):
         WindowCut(town, Window(0, 0, 90.0), 64)()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "place"),
+    [
+        (-46.1, 0.2, "46 m west of the map's middle"),
+        (1234.0, -13.0, "1,234 m east and 13 m south of the map's middle"),
+        (0.3, -0.4, "in the map's middle"),
+    ],
+)
+def test_a_place_is_said_in_metres_and_no_degrees(x: float, y: float, place: str) -> None:
+    assert describe_offset(x, y) == place
+
+
+def test_a_window_has_a_short_caption() -> None:
+    assert caption_of(Window(-46.1, 12.0, 36.6)) == "46 m W, 12 m N, 37 m wide"
