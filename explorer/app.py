@@ -135,9 +135,13 @@ class App:
     def _add(self, key: str, workspace: Workspace) -> WorkspaceServices:
         """Return the services of a workspace, made once."""
         if key not in self._services:
-            workspace.key, workspace.choices = key, self._choices
+            workspace.key, workspace.choices, workspace.opened = key, self._choices, self._open_workspaces
             self._services[key] = WorkspaceServices.of(workspace)
         return self._services[key]
+
+    def _open_workspaces(self) -> dict[str, Workspace]:
+        shown = {key: services.workspace for key, services in list(self._services.items())}
+        return {key: one.workspace for key, one in self._others.items() if one.workspace is not None} | shown
 
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
         computes = (services.find_picture(path) for services in list(self._services.values()))

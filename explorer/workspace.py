@@ -119,6 +119,8 @@ class Workspace:
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
+        # The app's workspaces that are open, by their keys.
+        self.opened: Callable[[], Mapping[str, Workspace]] = dict
         # A few words about the pictures for the first screen; a workspace that has them opens there.
         self.about = ""
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.

@@ -43,7 +43,7 @@ from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
 # The figure of a flight is that of retrieval alone.
-_ALONE = "each searched by itself; the flight's window adds its neighbours and registration"
+_ALONE = "each searched by itself"
 # Sentences for a photo whose tag and registration contradict each other, by whether the answer is right by the tag.
 _DISPUTED = {
     False: "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece.",
@@ -153,6 +153,7 @@ def page(
     laid = None if state.why else _laid(analysis, workspace)
     if third is None and laid is None and right is False and positive is not None and not positive.beyond:
         third = positive.index
+    place = place_text.place(workspace)
     because = _because(analysis, workspace, lead, cells_of_parts)
     return render(
         "first_screen",
@@ -160,7 +161,7 @@ def page(
         task=task,
         state=state,
         name=analysis.name,
-        place=place_text.place(workspace),
+        place=place,
         answer_name=place_text.piece(task.gallery[analysis.chosen.index]),
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
@@ -192,6 +193,7 @@ def page(
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
         overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
+        criterion="" if state.upload else place_text.criterion(workspace, task),
         alterations=alterations,
     )
 
@@ -210,8 +212,6 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, alte
         text = answer_text.overall(workspace.rankings[analysis.task.key].result, altered)
         if text and workspace.has_flight:
             text = f"{text[:-1]}, {_ALONE}."
-            if workspace.flight is not None and workspace.flight.late_tags:
-                text += " Its GPS tags are late, so each photo counts where its details fit the map."
         if not text or not analysis.task.calibration:
             return text
         if words.plain():

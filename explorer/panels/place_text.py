@@ -12,8 +12,11 @@ from lpn.core.numbers import distance
 from lpn.datasets import Picture
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing.verdicts import listed
+from lpn.locate.located import LocatedFlight
 from lpn.maps import MapPlace
 from lpn.maps.named_window import WindowCut, describe_offset
+from lpn.maps.place import season_of
+from lpn.tasks.task import Task
 
 
 def place(workspace: Workspace) -> str:
@@ -29,6 +32,7 @@ def place(workspace: Workspace) -> str:
         place=basemap.place,
         coordinate=None if shows_rendered(workspace.root) else MapCoordinate.on(basemap, (0.0, 0.0)),
         times=_times(basemap.place, None if workspace.flight is None else workspace.flight.flight.day),
+        about=workspace.about,
         sides=[distance(side) for side in basemap.sides],
     )
 
@@ -41,10 +45,47 @@ def piece(tile: Picture) -> str:
     return f"{describe_offset(window.x, window.y)}, {window.size:.0f} m wide"
 
 
-def same_day(workspace: Workspace) -> bool:
-    """Return whether map and photos of a flight are known to be of the same day."""
+def criterion(workspace: Workspace, task: Task) -> str:
+    """Say within what an answer counts as right, who is the judge, and how far apart map and photos of a flight are in time."""
     flight = workspace.flight
-    return flight is not None and flight.flight.day is not None and flight.flight.day == flight.basemap.place.day
+    if flight is None or flight.retrieval is None:
+        judge = "the plan of the rendered city" if shows_rendered(workspace.root) else "the data set"
+        return f"Right is an answer that shows the same place; {judge} is the judge." if task.lists_gallery else ""
+    low, high = float(flight.retrieval.sizes.min()), float(flight.retrieval.sizes.max())
+    width = f"{low:.0f} to {high:.0f} m wide" if round(low) < round(high) else f"{high:.0f} m wide"
+    right = f"Right is a piece, {width}, on which the photo's middle lies"
+    if (audit := flight.late_tags) is None or audit.lag is None:
+        return f"{right}; its GPS tag is the judge. {_season(workspace, flight)}".rstrip()
+    return (
+        f"{right}. GPS tags here lag by {abs(audit.lag):.1f} s, so the judge is the program's second method, which lays the "
+        f"photo's details over the map; nobody measured the places. {_season(workspace, flight)}"
+    ).rstrip()
+
+
+def _season(workspace: Workspace, flight: LocatedFlight) -> str:
+    """Say if map and photos of a flight are of the same day or of two seasons, and name a flight of two seasons beside it."""
+    if _seasons_differ(flight):
+        return "Map and photos are of different seasons."
+    if flight.flight.day is None or flight.flight.day != flight.basemap.place.day:
+        return ""
+    for key, other in workspace.opened().items():
+        ranking = None if other.flight is None else other.rankings[next(iter(other.tasks.values())).key].result
+        if other.flight is None or not _seasons_differ(other.flight) or ranking is None:
+            continue
+        graded = int(ranking.results["queries"])
+        right = round(ranking.results["recall@1"] / 100 * graded)
+        return (
+            f"Map and photos are of the same day; where they are of different seasons ({workspace.choices[key]}), the first "
+            f"answer is right {right} of {graded} times."
+        )
+    return "Map and photos are of the same day."
+
+
+def _seasons_differ(flight: LocatedFlight) -> bool:
+    """Return whether map and photos are known to be of different seasons."""
+    flown, mapped, latitude = flight.flight.day, flight.basemap.place, flight.basemap.frame.latitude
+    season = mapped.season if mapped.day is None else season_of(mapped.day, latitude)
+    return flown is not None and season != "" and season != season_of(flown, latitude)
 
 
 def _times(mapped: MapPlace, flown: date | None) -> str:

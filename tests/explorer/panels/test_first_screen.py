@@ -270,7 +270,7 @@ def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch:
     monkeypatch.setattr(Workspace, "has_flight", True)
     assert "searched by itself, without the flight:" in pages.header(workspace, workspace.tasks[TASK])
     assert "This photo searched by itself:" in pages.verdict(query(workspace, True), workspace)
-    assert "each searched by itself; the flight's window adds" in text(
+    assert "%), each searched by itself. Right is an answer that shows the same place" in text(
         first_screen.page(query(workspace, True), workspace)
     )
 
@@ -555,7 +555,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert flight.late_tags is not None
     assert flight.late_tags.lag == pytest.approx(2.67, abs=0.01)
     assert "right 25 times (83.3 %)" in said
-    assert "Its GPS tags are late, so each photo counts where its details fit the map." in said
+    assert "Right is a piece, 26 to 100 m wide, on which the photo's middle lies. GPS tags here lag by 2.7 s" in said
+    assert "Map and photos are of the same day." in said
     ranking = workspace.rankings[TASK].result
     assert ranking is not None
     right = [bool(first == 0) for first in ranking.ranking.first]

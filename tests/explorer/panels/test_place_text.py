@@ -8,6 +8,7 @@ from html import unescape
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from explorer.panels import place_text
@@ -18,7 +19,7 @@ from lpn.maps import MapPlace, open_map
 
 def workspace_of(place: tuple[Any, Any]) -> Any:
     basemap, flight = open_map(place[0]), open_flight(place[1])
-    return SimpleNamespace(root=place[1], flight=SimpleNamespace(basemap=basemap, flight=flight))
+    return SimpleNamespace(root=place[1], about="", flight=SimpleNamespace(basemap=basemap, flight=flight))
 
 
 def text(html: str) -> str:
@@ -32,7 +33,6 @@ def test_a_real_place_has_a_coordinate_and_a_day() -> None:
         "The place is Caliterra in Dripping Springs, Texas (latitude 30.17117, longitude -98.08956: OpenStreetMap). "
         "Map and photos are of 19 October 2014. The map is 186 m by 166 m"
     )
-    assert place_text.same_day(workspace)
     links = re.findall(r'<a href="(https://www\.openstreetmap[^"]*)" target="_blank" rel="noopener noreferrer"', html)
     assert links == ["https://www.openstreetmap.org/?mlat=30.171165&amp;mlon=-98.089561#map=18/30.171165/-98.089561"]
 
@@ -44,7 +44,6 @@ def test_a_rendered_place_has_no_coordinate() -> None:
         "This is no real place: map and photos are rendered. The map is of spring and the photos are of 14"
     )
     assert "latitude" not in said
-    assert not place_text.same_day(workspace)
     assert place_text.place(cast(Any, SimpleNamespace(flight=None, basemap=None))) == ""
 
 
@@ -58,3 +57,24 @@ def test_a_rendered_place_has_no_coordinate() -> None:
 )
 def test_only_known_days_are_named(mapped: str, flown: date | None, said: str) -> None:
     assert " ".join(place_text._times(MapPlace(photographed=mapped), flown).split()) == said
+
+
+def test_the_judge_of_right_answers_is_named() -> None:
+    place = workspace_of(DEMO_FLIGHT)
+    place.flight.retrieval = SimpleNamespace(sizes=np.array([99.2, 99.2]))
+    place.flight.late_tags = None
+    task = cast(Any, SimpleNamespace(lists_gallery=True))
+    said = "Right is a piece, 99 m wide, on which the photo's middle lies; its GPS tag is the judge."
+    assert place_text.criterion(place, task) == f"{said} Map and photos are of different seasons."
+    place.rankings = {"a": SimpleNamespace(result=SimpleNamespace(results={"queries": 40.0, "recall@1": 42.5}))}
+    place.tasks, place.choices = {"": SimpleNamespace(key="a")}, {"other": "an autumn"}
+
+    same = workspace_of(DEMO_PLACE)
+    same.flight.retrieval, same.choices = SimpleNamespace(sizes=np.array([26.0, 99.6])), place.choices
+    same.flight.late_tags = SimpleNamespace(lag=2.71)
+    same.opened = lambda: {"other": place}
+    assert place_text.criterion(same, task) == (
+        "Right is a piece, 26 to 100 m wide, on which the photo's middle lies. GPS tags here lag by 2.7 s, so the judge is the "
+        "program's second method, which lays the photo's details over the map; nobody measured the places. Map and photos are "
+        "of the same day; where they are of different seasons (an autumn), the first answer is right 17 of 40 times."
+    )
