@@ -91,7 +91,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
 def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), one word for it, and one sentence without a technical term."""
     first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
-    pictures = f"{analysis.task.tiles:,} {_pictures(analysis.task)}"
+    pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if analysis.ranking.relevant is None:
         if elsewhere := _elsewhere(analysis):
             return None, "Not one of these", f"{elsewhere}. This is the most similar of {pictures}, all the same."
@@ -129,7 +129,7 @@ def _far(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool, str] | No
     return answer_context.describe_distance(measured, distance2)
 
 
-def _pictures(task: Task) -> str:
+def pictures_of(task: Task) -> str:
     """Return what the gallery's pictures are in plain words."""
     of_map = len(task.gallery) > 0 and task.gallery[0].cut is not None
     return "pieces of the map" if of_map else _PICTURES[task.gallery_view]
@@ -148,7 +148,7 @@ def own_hint(workspace: Workspace, rendered: bool) -> str:
         city = " They show a rendered city: a photo of a real place has no right answer among them."
     return (
         f"Choose pictures on this device (JPEG, PNG, or WebP){above}. The model finds the most similar of the {task.tiles:,} "
-        f"{_pictures(task)} here.{city}"
+        f"{pictures_of(task)} here.{city}"
     )
 
 

@@ -30,7 +30,7 @@ from lpn.core.errors import PictureError
 from lpn.core.numbers import distance
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
-from lpn.drawing import overlays, theme, verdicts, words
+from lpn.drawing import captions, overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
@@ -155,6 +155,8 @@ def page(
         third = positive.index
     place = place_text.place(workspace)
     because = _because(analysis, workspace, lead, cells_of_parts)
+    pictures = answer_text.pictures_of(task)
+    leaning = "" if lead is None or cells is None or not words.plain() else _leaning(lead, float(cells.sum()))
     return render(
         "first_screen",
         workspace=workspace,
@@ -177,7 +179,9 @@ def page(
         sentence=sentence,
         lead=lead,
         because=because,
-        fixed_share=any(_itself(task.gallery_view) in sentence for sentence in because),
+        leaning=leaning,
+        pictures_compared=pictures,
+        fixed_share=any(_itself(pictures) in sentence for sentence in because),
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         trust=answer_text.trust(analysis, workspace),
@@ -278,25 +282,54 @@ def _because(
             place = replace(place, cells=np.zeros_like(place.cells), uses=((), ()))
         names = workspace.part_names
         said = verdicts.describe_lead_place(place, names, task.query_view, (ahead[0], behind[0]), whose)
-        its = "their places speak" if len(parts) > 1 else "its places speak"
-        besides = f", by {_itself(task.gallery_view)}; {its} for {behind[0]}." if against else "."
-        sentences.append(said.removesuffix(".") + besides)
-    return [*sentences, *_besides_places(lead, float(cells.sum()), task.gallery_view)]
+        besides = ""
+        if against and words.plain():
+            besides = f", though what the picture shows there speaks for {behind[0]}"
+        elif against:
+            its = "their places speak" if len(parts) > 1 else "its places speak"
+            besides = f", by {_itself(answer_text.pictures_of(task))}; {its} for {behind[0]}"
+        sentences.append(f"{said.removesuffix('.')}{besides}.")
+    return [*sentences, *_besides_places(lead, float(cells.sum()), answer_text.pictures_of(task))]
 
 
-def _itself(gallery_view: View) -> str:
-    """Return what comes from no place of the query, in words."""
-    return f"what the model gives the two {gallery_view} pictures themselves, wherever it looks"
+def _itself(pictures: str) -> str:
+    """Return what comes from no place of the query, in words; `pictures` are those that were searched."""
+    return f"what the model gives the two {pictures} themselves, wherever it looks"
 
 
-def _besides_places(lead: answer_text.Lead, places: float, gallery_view: View) -> list[str]:
+def _leaning(lead: answer_text.Lead, places: float) -> str:
+    """Say in plain words that most of a lead comes from no place of the picture; "" where most of it comes from places.
+
+    Args:
+        places: what all places of the picture make of the lead.
+    """
+    winner = lead.leader if lead.total > 0 else lead.follower
+    if places * lead.total < 0:
+        shown = lead.leader if places > 0 else lead.follower
+        return f"What the picture shows speaks for {shown}, but the model leans to {winner} whatever a picture shows."
+    if abs(lead.total - places) > abs(places):
+        share = f"{100 * places / lead.total:.0f} %"
+        return (
+            f"Only {share} of what puts {winner} ahead comes from what the picture shows; for the rest, the model leans to "
+            f"{winner} whatever a picture shows."
+        )
+    return ""
+
+
+def _besides_places(lead: answer_text.Lead, places: float, pictures: str) -> list[str]:
     """Say what comes from no place of the picture, where the places alone would tell another story than the answer."""
-    itself = _itself(gallery_view)
+    itself = _itself(pictures)
     if places * lead.total < 0:
         ahead = lead.leader if places > 0 else lead.follower
         return [f"All places together speak for {ahead}; what decides is {itself}."]
     if abs(lead.total - places) > abs(places):
         return [f"The places make less of the difference than {itself}."]
+    if (places - lead.total) * lead.total > lead.total**2:  # the rest takes back more than is left
+        other = lead.follower if lead.total > 0 else lead.leader
+        back = f"takes back {100 * (1 - lead.total / places):.0f} % of what all places make"
+        if words.plain():
+            return [f"The model leans to {other} whatever a picture shows, which {back}."]
+        return [f"{words.capitalised(itself)}, speaks for {other} and {back}."]
     return []
 
 
@@ -310,7 +343,9 @@ def _picture(
 ) -> str:
     """Return a picture of the pair as a data URI: as it is, or with its parts and what `cells` say while they are explained."""
     if analysis.state.why:
-        return overlays.data_uri(draw_parts(workspace, described, view, _SIZE, cells, colours=colours), 85)
+        turn = None if described is analysis.query else _turn(analysis, workspace)
+        drawn = draw_parts(workspace, described, view, _SIZE, cells, colours=colours)
+        return overlays.data_uri(_numbered(workspace, drawn, described, view, turn), 85)
     if analysis.state.upload and described is analysis.query:  # in its own shape; explained, it is as the model sees it
         height, width = described.picture.shape[:2]
         share = _SIZE[0] / max(height, width)
@@ -320,6 +355,14 @@ def _picture(
     width = min(round(_SIZE[0] * across / down), _SIZE[1])
     picture = images.resize(workspace.as_partitioned(described.picture, view), round(width * down / across), width)
     return overlays.data_uri(picture, 85)
+
+
+def _numbered(
+    workspace: Workspace, drawn: UInt8Array, described: DescribedPicture, view: View, turn: MatchingTurn | None
+) -> UInt8Array:
+    """Write the numbers of the parts into a drawn picture; they are upright when it is turned as the page turns it."""
+    degrees = 0.0 if turn is None else turn.degrees
+    return captions.with_part_numbers(drawn, workspace.areas(view, described), workspace.part_names, degrees)
 
 
 def _third_tile(
@@ -342,7 +385,9 @@ def _third_tile(
         picture = task.gallery[index].load_zoomed()
     except PictureError:
         picture = workspace.card(task, index)  # grey
-    drawn = draw_parts(workspace, replace(analysis.tile, picture=picture, trace=None), task.gallery_view, _SIZE)
+    described = replace(analysis.tile, picture=picture, trace=None)
+    drawn = draw_parts(workspace, described, task.gallery_view, _SIZE)
+    drawn = _numbered(workspace, drawn, described, task.gallery_view, _turn(analysis, workspace))
     return overlays.data_uri(drawn, 85), caption, right if known else None
 
 

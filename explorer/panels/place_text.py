@@ -5,6 +5,8 @@ from __future__ import annotations
 from calendar import month_name
 from datetime import date
 
+import numpy as np
+
 from explorer.web.coordinates import MapCoordinate
 from explorer.web.render import render
 from explorer.workspace import Workspace
@@ -17,6 +19,9 @@ from lpn.maps import MapPlace
 from lpn.maps.named_window import WindowCut, describe_offset
 from lpn.maps.place import season_of
 from lpn.tasks.task import Task
+
+# A piece that the map shows less of than this share has a visible part without a picture.
+_WHOLE = 0.95
 
 
 def place(workspace: Workspace) -> str:
@@ -38,11 +43,13 @@ def place(workspace: Workspace) -> str:
 
 
 def piece(tile: Picture) -> str:
-    """Return what a tile is called: a piece of a map by where its middle lies on the map, and its width."""
+    """Return what a tile is called: a piece of a map by where its middle lies, its width, and how much of it is off the map."""
     if not isinstance(tile.cut, WindowCut):
         return tile.title
     window = tile.cut.window
-    return f"{describe_offset(window.x, window.y)}, {window.size:.0f} m wide"
+    shown = float(tile.cut.basemap.valid_shares(np.array([(window.x, window.y)]), window.size)[0])
+    off = f", {100 * (1 - shown):.0f} % of it off the map" if shown < _WHOLE else ""
+    return f"{describe_offset(window.x, window.y)}, {window.size:.0f} m wide{off}"
 
 
 def criterion(workspace: Workspace, task: Task) -> str:

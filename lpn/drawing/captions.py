@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import BACKGROUND, DARK, TEXT, Colour, Palette, part_colour, verdict_colour
 
 
@@ -44,6 +46,31 @@ def numbered(picture: UInt8Array, number: int, size: int = 30) -> UInt8Array:
     width = draw.textlength(str(number), font=font(size))
     draw.rectangle((5, 5, 13 + width, 8 + size), fill=BACKGROUND)
     draw.text((9, 6 + size / 2), str(number), TEXT, font(size), anchor="lm")
+    return np.asarray(image)
+
+
+def with_part_numbers(
+    picture: UInt8Array, areas: PartAreas | None, names: Sequence[str], turn: float = 0.0, size: int = 22
+) -> UInt8Array:
+    """Write the number of each part at the upper border of its box, in its colour; nothing without boxes.
+
+    Args:
+        names: of the parts; a name that begins with a number is written as that number, another one as the part's position.
+        turn: degrees by which the picture will be turned counterclockwise, after which the numbers are upright.
+        size: of the numbers in pixels.
+    """
+    image = Image.fromarray(picture)
+    for part, (left, top, right, _) in enumerate([] if areas is None else areas.outlines):
+        first = names[part].split(" ")[0]
+        patch = Image.new("RGBA", (size + 4, size + 4))
+        draw = ImageDraw.Draw(patch)
+        draw.ellipse((0, 0, size + 3, size + 3), fill=BACKGROUND)
+        middle = size / 2 + 2
+        text = first if first.isdigit() else str(part + 1)
+        draw.text((middle, middle), text, part_colour(part), font(round(0.8 * size)), anchor="mm")
+        patch = patch.rotate(-turn, Image.Resampling.BICUBIC)
+        at = round((left + right) / 2 * image.width - middle), round(top * image.height + 5)
+        image.paste(patch, at, patch)
     return np.asarray(image)
 
 

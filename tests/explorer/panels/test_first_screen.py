@@ -153,6 +153,7 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     ("places", "said"),
     [
         (0.3, []),  # of a lead of 0.4
+        (0.9, ["Itself, speaks for the best wrong picture and takes back 56 % of what all places make."]),
         (0.1, ["The places make less of the difference than itself."]),
         (-0.1, ["All places together speak for the best wrong picture; what decides is itself."]),
     ],
@@ -160,8 +161,26 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
 def test_what_comes_from_no_place_is_said_where_it_decides(places: float, said: list[str]) -> None:
     lead = answer_text.Lead(np.array([0.5, -0.1]), "the best wrong picture", 3)
     itself = "what the model gives the two satellite pictures themselves, wherever it looks"
-    told = first_screen._besides_places(lead, places, "satellite")
-    assert [one.replace(itself, "itself") for one in told] == said
+    told = first_screen._besides_places(lead, places, "satellite pictures")
+    assert [one.replace(itself, "itself").replace(f"W{itself[1:]}", "Itself") for one in told] == said
+
+
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        (0.3, ""),  # of a lead of 0.4
+        (
+            0.1,
+            "Only 25 % of what puts this answer ahead comes from what the picture shows; for the rest, the model leans to",
+        ),
+        (-0.1, "What the picture shows speaks for the best wrong picture, but the model leans to this answer whatever"),
+    ],
+)
+def test_a_leaning_of_the_model_is_said_in_plain_words(places: float, said: str) -> None:
+    lead = answer_text.Lead(np.array([0.5, -0.1]), "the best wrong picture", 3)
+    told = first_screen._leaning(lead, places)
+    assert told.startswith(said)
+    assert bool(told) == bool(said)
 
 
 def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,10 @@ import pytest
 
 from explorer.panels import place_text
 from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.datasets import Picture
 from lpn.flights import open_flight
-from lpn.maps import MapPlace, open_map
+from lpn.maps import MapPlace, Window, open_map
+from lpn.maps.named_window import WindowCut
 
 
 def workspace_of(place: tuple[Any, Any]) -> Any:
@@ -78,3 +80,15 @@ def test_the_judge_of_right_answers_is_named() -> None:
         "program's second method, which lays the photo's details over the map; nobody measured the places. Map and photos are "
         "of the same day; where they are of different seasons (an autumn), the first answer is right 17 of 40 times."
     )
+
+
+def test_a_piece_says_how_much_of_it_is_off_the_map() -> None:
+    basemap = open_map(DEMO_PLACE[0])
+    east = basemap.bounds[2]
+
+    def called(x: float) -> str:
+        cut = WindowCut(basemap, Window(x, 0.0, 40.0), 8)
+        return place_text.piece(Picture(DEMO_PLACE[0], 0, "id", cut=cut))
+
+    assert called(0.0) == "in the map's middle, 40 m wide"
+    assert re.fullmatch(r"94 m east of the map's middle, 40 m wide, [5-9]\d % of it off the map", called(east))
