@@ -15,10 +15,12 @@ from explorer.failure_lab.state import LabState
 from explorer.web.render import render
 from explorer.workspace import Workspace
 from lpn.analysis import breakdown, near_duplicates
+from lpn.analysis.answer_context import describe_failures
 from lpn.analysis.breakdown import Rate
 from lpn.analysis.near_duplicates import NearDuplicate
 from lpn.core.tables import Column
 from lpn.drawing.words import capitalised, plain, say
+from lpn.locate.task import stage_columns
 from lpn.tasks.task import Task
 
 _MAX_PAIRS, _MAX_VALUES, _MAX_TILES = 10, 10, 6
@@ -66,7 +68,19 @@ def page(findings: Findings, lab: LabState, workspace: Workspace) -> str:
         replace(card, room=max(len(card.lines), len(whole.lines), 1))
         for card, whole in zip(cards(findings, lab, workspace), of_all, strict=True)
     ]
-    return render("failure_lab/breakdown", cards=drawn, has_columns=any(card.style == "rate" for card in drawn))
+    return render(
+        "failure_lab/breakdown",
+        sentence=_sentence(findings, workspace),
+        cards=drawn,
+        has_columns=any(card.style == "rate" for card in drawn),
+    )
+
+
+def _sentence(findings: Findings, workspace: Workspace) -> str:
+    """Say which kind of picture fails most among all queries."""
+    flight = workspace.flight
+    stages = () if flight is None else [column.name for column in stage_columns(flight)]
+    return describe_failures(findings.outcomes, findings.table, findings.task.query_labels, stages)
 
 
 def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card]:

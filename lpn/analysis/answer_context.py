@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +18,12 @@ from lpn.tasks.query_outcomes import Outcomes, picture_columns
 # neighbourhood.
 _ALIKE, _ALIKE_SHARE = 50, 0.1
 _FEWEST_GRADED = 2 * _ALIKE
-# A share of fewer right answers says little.
+# A share of fewer answers says little.
 _FEWEST = 20
 # An answer farther than this share of right answers is probably none.
 _TOO_FAR = 0.95
+# A difference that chance makes less often than this is none of chance.
+_BY_CHANCE = 0.05
 # Queries whose distances are computed at once.
 _BLOCK = 4096
 # From each share on, the words for it.
@@ -188,6 +190,47 @@ def describe_failure(outcomes: Outcomes, table: Table, query: int) -> str:
         return f"Among pictures of buildings with a twin elsewhere, like this one, {share} fail {of_all}."
     within = "in the range " if rate.low != rate.high and column.kind == "number" and rate.known else ""
     return f"This picture's {column.name} is {within}{rate.name}; {share} of such pictures fail {of_all}."
+
+
+def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()) -> str:
+    """Say how many queries fail, and which kind of picture fails most, if that is more than chance; a sentence or two.
+
+    Chance is the hypergeometric tail of a kind's failures among all (Fisher's exact test, one-sided), times the number of kinds
+    that are looked at (Bonferroni). Pictures of one place fail together, so their numbers are divided by
+    `breakdown.design_effect`.
+
+    Args:
+        query_labels: the place of each query, (Q,).
+        besides: columns that are no property of a picture, such as the answers of other stages.
+    """
+    known = np.flatnonzero(outcomes.known)
+    failures, queries = int(outcomes.failed[known].sum()), len(known)
+    if not queries:
+        return ""
+    wrong = f"The first answer is wrong for {failures:,} of {queries:,} pictures"
+    if failures in (0, queries):
+        return f"{wrong}."
+    kinds: list[tuple[float, Rate, Column]] = []
+    alike = breakdown.design_effect(outcomes.failed[known], query_labels[known])
+    for column in picture_columns(table):
+        rates = breakdown.rates(outcomes.failed, column, rows=known)
+        if column.name in _NOT_OF_A_KIND or column.name in besides or not 1 < len(rates) <= max(queries // 2, 2):
+            continue
+        for rate in rates:
+            counts = (int(count / alike) for count in (rate.failures, rate.queries, failures, queries))
+            kinds.append((breakdown.chance(*counts), rate, column))
+    if not kinds:
+        return f"{wrong}."
+    chance, rate, column = min(kinds, key=lambda kind: kind[0])
+    if chance * len(kinds) >= _BY_CHANCE:
+        few = "with so few, " if failures < _FEWEST else ""
+        return f"{wrong}; {few}no kind of picture fails more often than by chance."
+    if (column.name, rate.name) == ("twins", "yes"):
+        where = "for buildings with a twin elsewhere"
+    else:
+        where = f"where {column.name} is {rate.name}"
+    others = f"{failures - rate.failures:,} of {queries - rate.queries:,} others"
+    return f"{wrong}. It fails most {where}: for {rate.failures:,} of {rate.queries:,}, against {others}."
 
 
 def _rate_of(outcomes: Outcomes, column: Column, query: int) -> Rate | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -203,6 +204,45 @@ def wilson(hits: int, trials: int) -> tuple[float, float]:
     half = _NORMAL_95 / (trials + square) * np.sqrt(hits * (trials - hits) / trials + square / 4)
     low, high = float(middle - half), float(middle + half)
     return 0.0 if hits == 0 else low, 1.0 if hits == trials else high
+
+
+def chance(hits: int, group: int, all_hits: int, total: int) -> float:
+    """Return the probability that a group drawn at random from `total` has at least `hits` of all hits (hypergeometric tail).
+
+    Raises:
+        InputError: when the counts are impossible.
+    """
+    if not (0 <= hits <= min(group, all_hits) and max(group, all_hits) <= total):
+        raise InputError(f"There are {hits} hits in {group} of {all_hits} hits in {total}; expected parts of a whole.")
+
+    def log_ways(n: int, k: int) -> float:
+        return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+
+    possible = range(max(hits, all_hits + group - total), min(group, all_hits) + 1)
+    whole = log_ways(total, group)
+    return min(
+        1.0, sum(math.exp(log_ways(all_hits, k) + log_ways(total - all_hits, group - k) - whole) for k in possible)
+    )
+
+
+def design_effect(failed: BoolArray, labels: Int64Array) -> float:
+    """Return how many queries count as one independent query, 1 or more, as queries of one place fail together.
+
+    It is 1 + (m - 1) r for m queries a place, with the intraclass correlation r of a one-way analysis of variance (Kish 1965).
+
+    Args:
+        failed: True for queries that failed, (Q,).
+        labels: the place of each query, (Q,).
+    """
+    places, which, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    if len(places) < 2 or len(failed) == len(places):
+        return float(len(failed)) if len(places) < 2 else 1.0
+    shares = np.bincount(which, failed) / counts
+    between = float((counts * (shares - failed.mean()) ** 2).sum()) / (len(places) - 1)
+    within = float(((failed - shares[which]) ** 2).sum()) / (len(failed) - len(places))
+    size = len(failed) / len(places)
+    together = (between - within) / max(between + (size - 1) * within, 1e-12)
+    return 1 + (size - 1) * min(max(together, 0.0), 1.0)
 
 
 def _rows(outcomes: Outcomes, rows: Int64Array | None) -> Int64Array:

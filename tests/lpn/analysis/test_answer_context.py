@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lpn.analysis import answer_context
+from lpn.analysis import answer_context, breakdown
 from lpn.analysis.answer_context import AlikeAnswers
 from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.retrieval.metrics import Retrieval
@@ -126,3 +126,32 @@ def test_an_answer_s_distance_is_set_beside_those_of_right_answers_and_of_absent
     assert between is not None
     assert between[1].startswith(f"{100 * measured.farther(middle)[0]:.0f} % of the 23 right answers here are closer")
     assert answer_context.describe_distance(replace(measured, right=expected[:5]), 4.1) is None
+
+
+def test_the_kind_that_fails_most_is_named_if_it_is_no_chance(outcomes: Outcomes) -> None:
+    wrong, places = outcomes.failed, np.arange(COUNT)
+    low = number_column("altitude", np.where(wrong | (places < 5), 50.0, 200.0).tolist(), "m")
+    said = answer_context.describe_failures(outcomes, table(low), places)
+    assert said.startswith(
+        "The first answer is wrong for 20 of 100 pictures. It fails most where altitude is 50 m: for 20 of "
+    )
+    # Were all pictures of four places, nothing would be known of them.
+    assert answer_context.describe_failures(outcomes, table(low), places // 25).endswith(
+        "no kind of picture fails more often than by chance."
+    )
+    assert answer_context.describe_failures(outcomes, table(low), places, ["altitude"]).endswith("20 of 100 pictures.")
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [((3, 3, 3, 6), 1 / 20), ((0, 2, 3, 9), 1.0), ((2, 2, 3, 9), 3 / 36), ((1, 2, 3, 9), 1 - 15 / 36)],
+)
+def test_the_chance_of_a_group_is_that_of_drawing_it(counts: tuple[int, int, int, int], expected: float) -> None:
+    assert breakdown.chance(*counts) == pytest.approx(expected)
+
+
+def test_queries_of_a_place_that_fail_together_count_as_one() -> None:
+    labels = np.repeat(np.arange(50), 4)
+    assert breakdown.design_effect(labels % 2 == 0, labels) == pytest.approx(4.0)
+    assert breakdown.design_effect(np.tile([True, False, False, False], 50), labels) == 1.0
+    assert breakdown.design_effect(labels % 2 == 0, np.arange(200)) == 1.0
