@@ -21,6 +21,8 @@ _ELSEWHERE_M = 10_000.0
 _PRESSED = 1.05
 OWN_KEPT = "Your picture stays in this server's memory until you close this page, and goes nowhere else."
 _ANSWER = "this answer"
+# Headlines of an own picture that shows none of the places here.
+ELSEWHERE = ("Not one of these", "Probably none of these")
 _UNPROVEN = "It may show the same place; pictures of other places can look as close."
 _ANY = "Every picture gets an answer, and nothing measured here tells if yours shows one of these places."
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
@@ -94,7 +96,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if analysis.ranking.relevant is None:
         if elsewhere := _elsewhere(analysis):
-            return None, "Not one of these", f"{elsewhere}. This is the most similar of {pictures}, all the same."
+            return None, ELSEWHERE[0], f"{elsewhere}. This is the most similar of {pictures}, all the same."
         far = _far(analysis, workspace)
         place = _beside_tag(analysis, "this one") or "The true place is not known here, so it is not graded"
         text = f"This is the most similar of {pictures}. {place}."
@@ -102,7 +104,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
             unknown = f" {_ANY}" if analysis.state.upload else ""
             return None, "Best match", f"{text}{unknown}"
         if far[0]:
-            return None, "Probably none of these", f"{text} {far[1]}"
+            return None, ELSEWHERE[1], f"{text} {far[1]}"
         return None, "Best match", f"{text} {_UNPROVEN} {far[1]}"
     if positive is None and analysis.ranking.depth is None:
         return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."

@@ -194,6 +194,7 @@ def page(
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         own_position=own_position,
+        elsewhere=state.upload is not None and headline in answer_text.ELSEWHERE,
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
         overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,

@@ -215,7 +215,9 @@ def test_a_picture_that_is_farther_than_right_answers_is_said_to_be_none_of_thes
     for shift, headline in ((3.0, "Best match."), (-3.0, "Probably none of these.")):
         moved = replace(measured, right=measured.right + shift)
         monkeypatch.setattr(workspace, "answer_distances", lambda _, moved=moved: moved)
-        shown = text(first_screen.page(own, workspace))
+        html = first_screen.page(own, workspace)
+        assert ('<details class="bring" open>' in html) == (shift < 0), "another map is the way out"
+        shown = text(html)
         assert headline in shown
         of_right = "None of the" if shift > 0 else "All"
         assert f"{of_right} {len(hits)} right answers here are closer to their pictures than this one" in shown
