@@ -31,6 +31,12 @@ COLOURS = {name: theme.COLOURS[name] for name in ("tag", "retrieval", "sequence"
 }
 # Length of the lists of refused and of contradicting frames.
 _MAX_LISTED = 200
+# What is measured by itself, and what is not.
+_EVIDENCE = (
+    "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
+    "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "
+    "of them errs."
+)
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
@@ -80,6 +86,7 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "outlines": [None if one is None else [*_rounded(one.corners), one.registered] for one in view.outlines],
         "tracks": {name: _track(view, name) for name in _tracks(view)},
         "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
+        "plain": plain(),
         "signs": [view.beliefs[i].sign for i in range(len(frames))],
     }
 
@@ -271,6 +278,8 @@ def lists(view: FlightView) -> dict[str, str]:
     summary = flight.summaries().get("registration")
     proof = None if summary is None else summary.calibration_sentence("registration")
     audit = " ".join(filter(None, ("" if flight.audit is None else flight.audit.sentence, proof)))
+    if plain() and apart:
+        audit = f"{_EVIDENCE} {audit}"
     return {
         "refused": _list(refused, "", "Every frame is placed.", ("support", "registration") if refused else ()),
         "audit": _list(

@@ -20,6 +20,7 @@
   });
   const html = { counts: "", spot: "" };
   let list = "refused", sentence = "", status = "";
+  let more = false; // in plain words, all controls are shown
   const find = (flight.find = (selector) => flight.root?.querySelector(selector));
   const all = (flight.all = (selector) => (flight.root ? [...flight.root.querySelectorAll(selector)] : []));
   flight.total = () => flight.data.names.length;
@@ -126,6 +127,8 @@
       bar.querySelector("img").src = data.bar;
       for (const [name, key] of [["low", "low"], ["what", "label"], ["high", "high"]]) bar.querySelector("." + name).textContent = painted[key];
     }
+    root.classList.toggle("plainly", data.plain);
+    root.classList.toggle("more", more);
     flight.mark();
     flight.draw();
   };
@@ -141,6 +144,10 @@
     set("[data-photo]", "photo", flight.photo.mode);
     set("[data-plot]", "plot", flight.timeline.plot);
     set("[data-list]", "list", list);
+    all("[data-act=more]").forEach((one) => {
+      one.classList.toggle("chosen", more);
+      one.setAttribute("aria-pressed", more);
+    });
     all("[data-act=spot]").forEach((one) => one.classList.toggle("chosen", flight.asking));
     all(".entry").forEach((one) => one.classList.toggle("chosen", Number(one.dataset.frame) === flight.chosen));
     all("[data-act=play]").forEach((one) => (one.textContent = flight.play.on ? "❚❚" : "▶"));
@@ -163,6 +170,7 @@
     fit: () => flight.map.fit(),
     in: () => flight.map.stepIn(),
     out: () => flight.map.stepOut(),
+    more: () => (more = !more),
     spot: () => (flight.asking = !flight.asking),
     play: () => flight.play.turn(),
     skip: () => (flight.play.skips = !flight.play.skips),
