@@ -92,6 +92,7 @@ class FirstScreen:
             "start": session_state.to_first_screen,
             "data": session_state.leave_upload,
             "all": session_state.show_everything,
+            "workbench": lambda state: replace(state, first_screen=False, why=False),
             "cells": lambda state: replace(state, first_screen=False, why=True, why_tab="comparison"),
             "lab": lambda state: self._to_lab(state, "table"),
             "fails": lambda state: self._to_lab(state, "breakdown"),

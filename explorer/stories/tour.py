@@ -28,32 +28,32 @@ def story(workspace: Workspace) -> Story:
     rings = workspace.parts_word == "rings"
     whole = "rings" if rings else "parts"
     evidence = (
-        " Why this tile?, below it, shows the evidence cell by cell; it adds up to the score. Its tab Heatmaps shows the "
-        "activation of each part."
+        " Why this tile?, below it, shows place by place what speaks for it, which adds up. Its tab Heatmaps shows where the "
+        "model reacts."
     )
     cards: dict[Focus, tuple[str, str, str]] = {
         "query": (
             "A picture goes in",
-            f"This picture is the query: where was it taken? The panel Query has all {task.query_view} pictures"
+            f"Where was this picture taken? The panel Query has all {task.query_view} pictures"
             f"{', and takes one of your own' if live else ''}.",
             f"N takes the next one{'; J and L turn it' if live else ''}",
         ),
         "parts": (
             "Part by part",
             f"Both pictures are divided into {'square rings around the centre' if rings else 'parts'}, and each part is "
-            "compared with its counterpart. The left bar is the part's share of the squared distance d²: the longer, the less "
-            "they agree. The right one says for which of two tiles the part speaks.",
+            "compared with its counterpart. The left bar is its share of the whole difference: the longer, the less "
+            "they agree. The right one says for which of two pictures it speaks.",
             "",
         ),
         "ranking": (
             "The ranking",
-            "The nearest tiles, best first, with ✓ at the true place. Press one, here or on the stage, to compare it with the "
-            "query. In the panel Parts you weight the parts, and the ranking follows.",
+            "The most similar pictures, best first, with ✓ at the right place. Press one, here or on the stage, to compare it. "
+            "In the panel Parts you say how much each part counts, and the order follows.",
             "",
         ),
         "verdict": (
             "Why this tile?",
-            f"This says which part decided.{evidence if live and cells else ''}",
+            f"This says if the answer is right, and which part decided.{evidence if live and cells else ''}",
             "Y opens it" if live and cells else "",
         ),
         "controls": (

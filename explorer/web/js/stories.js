@@ -230,7 +230,7 @@
   lpn.tell = (story, first = 0) => {
     if (free(story.steps[first]) && lpn.screen() === "first") {
       wanted = begunOnFirst = story;
-      return lpn.send("screen", "all");
+      return lpn.send("screen", "workbench"); // in the words that are spoken
     }
     if (!told) [before, moved, pushed] = [story === begunOnFirst ? "first" : lpn.screen(), false, false];
     begunOnFirst = null;

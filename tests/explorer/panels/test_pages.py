@@ -84,7 +84,7 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     keys = pages.keys(open_source(Published(saved=tmp_path / "r.mat", data=data, n_parts=4)))
     assert "Ctrl K" in keys
     assert not any(word in keys for word in ("turn 5°", "upright", "why", "my own picture"))
-    assert not any(word in caption for caption in saved for word in ("evidence", "turn it", "your own"))
+    assert not any(word in caption for caption in saved for word in ("place by place", "turn it", "your own"))
 
 
 def test_the_verdict_has_the_sign_of_its_answer(workspace: Workspace) -> None:
