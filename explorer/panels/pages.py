@@ -89,6 +89,7 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
         "panels/header",
         workspace=workspace,
         task=task,
+        pictures=answer_text.pictures_of(task),
         results=None if ranking.result is None else ranking.results,
         automatic=ranking.automatic,
         done=ranking.n_ranked,

@@ -20,6 +20,7 @@ from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.core.numbers import distance
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
+from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme
 from lpn.flights.cameras import rotation
 from lpn.locate.camera_pose import CameraPose
@@ -151,14 +152,16 @@ class GalleryMap:
         """Return what the page needs to measure on the ground, as JSON takes it.
 
         These are the `middle` of the positions' metres in stage units, (2,), the `metres` of a stage unit, and for latitude and
-        longitude the `degrees` of that middle and of a metre.
+        longitude the `degrees` of that middle and of a metre; a rendered place, which is no real one, has none.
         """
         origin = places.origin
         steps = geo.metres_per_degree(origin.latitude)
         return {
             "middle": self._to_stage(np.zeros(2), 0.0)[:2].tolist(),
             "metres": 1 / self._scale,
-            "degrees": [[origin.latitude, 1 / steps[0]], [origin.longitude, 1 / steps[1]]],
+            "degrees": None
+            if shows_rendered(self._workspace.root)
+            else [[origin.latitude, 1 / steps[0]], [origin.longitude, 1 / steps[1]]],
         }
 
     def _set_scale(self, analysis: StateAnalysis, places: GalleryGeometry) -> None:

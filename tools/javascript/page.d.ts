@@ -9,7 +9,7 @@ interface Box { left: number; top: number; right: number; bottom: number }
 interface Place { selectors: string[]; box: number[] | null }
 interface Step { caption: string; notes: string; points_at: string; shows: string }
 interface Story { name: string; steps: Step[] }
-interface Ground { middle: Point; metres: number; degrees: Point[] }
+interface Ground { middle: Point; metres: number; degrees: Point[] | null }
 
 // What a map shows: the middle in its plane, and pixels per unit.
 interface View { x: number; y: number; scale: number }
@@ -153,6 +153,7 @@ interface Lpn {
     bar(pen: CanvasRenderingContext2D, at: Point, scale: number, width: number): number;
     north(pen: CanvasRenderingContext2D, at: Point, turn?: number): void;
     degrees(at: Point): string;
+    metres(at: Point): string;
   };
   labMap: { (next: any, tries?: number): void; pixels(i: number): Point };
   through(h: Homography, at: Point): Point;

@@ -31,5 +31,7 @@
   };
   // Latitude and longitude in words; a map over the date line counts on beyond 180 degrees.
   const degrees = ([latitude, longitude]) => latitude.toFixed(6) + ", " + (longitude - 360 * Math.round(longitude / 360)).toFixed(6);
-  lpn.mapMarks = { bar: bar, north: north, degrees: degrees };
+  // Metres east and north of the middle, for a place that is rendered.
+  const metres = ([east, north]) => Math.abs(east).toFixed(0) + " m " + (east < 0 ? "W" : "E") + ", " + Math.abs(north).toFixed(0) + " m " + (north < 0 ? "S" : "N") + " (no real place)";
+  lpn.mapMarks = { bar: bar, north: north, degrees: degrees, metres: metres };
 })();

@@ -86,7 +86,8 @@
     box.style.bottom = innerHeight - size.bottom + 8 + "px";
     drawMarks(camera, size);
     const at = cursor && ground(camera, cursor, size);
-    read.textContent = at ? lpn.mapMarks.degrees(place.degrees.map(([zero, step], axis) => zero + step * at[1 - axis])) : "";
+    const told = () => (place.degrees ? lpn.mapMarks.degrees(place.degrees.map(([zero, step], axis) => zero + step * at[1 - axis])) : lpn.mapMarks.metres(at));
+    read.textContent = at ? told() : "";
   };
 
   const point = (event) => {
@@ -96,7 +97,7 @@
   };
 
   // `given`: the middle of the ground in the stage's units, metres of a unit, and for latitude and longitude the degrees of the
-  // middle and of a metre; null without a map.
+  // middle and of a metre, null of a rendered place; null without a map.
   lpn.stageMap = (given) => {
     place = given;
     clearInterval(following);
