@@ -15,6 +15,7 @@ from rich.console import Console
 
 import lpn
 from explorer.compute.background_jobs import ReportProgress
+from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
@@ -428,6 +429,8 @@ def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
         first.root,
     )
     workspace.flight, workspace.basemap = source.located, source.map
+    basemap = source.map if source.located is None else source.located.basemap
+    workspace.own_photos = None if basemap is None else OwnPhotoJobs(basemap)
     return workspace
 
 

@@ -10,6 +10,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
+from lpn.flights import Frame
 from lpn.flights.photos import photo_of
 
 # Kinds of files that visitors may send: fewer decoders than a data set's own pictures go through.
@@ -50,10 +51,10 @@ def read(name: str, content: bytes) -> OwnPicture:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     with _READING:
         picture = images.shrink(images.decode_picture(content, name, KINDS, MAX_SIDE), MAX_SIDE)
-        return OwnPicture(name, picture, _place(content, name))
+        frame = photo_of(content, Path(name)).frame
+        return OwnPicture(name, picture, _place(frame), frame)
 
 
-def _place(content: bytes, name: str) -> tuple[float, float] | None:
+def _place(frame: Frame) -> tuple[float, float] | None:
     """Return latitude and longitude of the camera by EXIF or XMP; None where a picture that can be read has none."""
-    frame = photo_of(content, Path(name)).frame
     return None if frame.latitude is None or frame.longitude is None else (frame.latitude, frame.longitude)

@@ -19,6 +19,7 @@ from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, Repo
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.centre_mean import CentreMean
 from explorer.compute.inference_scheduler import InferenceScheduler
+from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
@@ -43,6 +44,7 @@ from lpn.drawing.words import Vocabulary
 from lpn.explain.lead_places import TileGround
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
+from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.models.contract import Contract
@@ -139,6 +141,8 @@ class Workspace:
         self.centre_mean = lru_cache(maxsize=None)(self._make_centre_mean)
         # The map that windows are cut from; None without one.
         self.basemap: Map | None = None
+        # Registers own pictures on the map; None without one.
+        self.own_photos: OwnPhotoJobs | None = None
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
         self.layout = layout_for(self.contract.input_size)
@@ -476,9 +480,19 @@ class LazyWorkspace:
 
 @dataclass(frozen=True, eq=False)
 class StateAnalysis(Analysis):
-    """The analysis of the query that a state shows."""
+    """The analysis of the query that a state shows.
+
+    Attributes:
+        own_photo: registers the own picture that is shown; None without one, or without a map that it may be of.
+    """
 
     state: SessionState
+    own_photo: BackgroundJob[OwnPhoto] | None = None
+
+    @property
+    def registered(self) -> OwnPhoto | None:
+        """The registration of the own picture; None until it has ended, or without one."""
+        return None if self.own_photo is None else self.own_photo.value
 
     @property
     def query_note(self) -> str:

@@ -20,6 +20,7 @@ from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.drawing import overlays
+from lpn.flights import Frame
 
 # A picture is held as JPEG of this quality, unless its own file is small: 200 pictures take some 150 MB.
 _QUALITY, _SMALL = 95, 1_000_000
@@ -38,12 +39,13 @@ _REASONS = {
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A picture in memory: its name, its file, its thumbnail, and the camera's position in degrees."""
+    """A picture in memory: its name, its file, its thumbnail, the camera's position in degrees, and what else its file tells."""
 
     name: str
     file: bytes
     thumbnail: bytes
     place: tuple[float, float] | None
+    frame: Frame | None
 
     @property
     def size(self) -> int:
@@ -274,7 +276,7 @@ class OwnPictures:
         if opened is not None and at == index:
             return opened
         held = self._held[index]
-        picture = OwnPicture(held.name, images.decode_picture(held.file, held.name), held.place)
+        picture = OwnPicture(held.name, images.decode_picture(held.file, held.name), held.place, held.frame)
         self._opened = picture, index
         return picture
 
@@ -319,7 +321,8 @@ def _hold(picture: OwnPicture, content: bytes) -> _Held:
     """Return a picture as it is held: as its own file if that is small and was not shrunk, else as JPEG of the size shown."""
     own = len(content) <= _SMALL and max(picture.picture.shape[:2]) < uploads.MAX_SIDE
     file = content if own else images.jpeg(picture.picture, _QUALITY)
-    return _Held(picture.name, file, images.jpeg(overlays.square(picture.picture, _THUMBNAIL), 80), picture.place)
+    thumbnail = images.jpeg(overlays.square(picture.picture, _THUMBNAIL), 80)
+    return _Held(picture.name, file, thumbnail, picture.place, picture.frame)
 
 
 def _thumbnails(held: Sequence[_Held]) -> Callable[[int], EncodedPicture | None]:

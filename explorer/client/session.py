@@ -19,9 +19,11 @@ from explorer.client.services import WorkspaceServices
 from explorer.client.views import ClientViews
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
+from explorer.compute.own_photos import OwnPhotoProgress
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
+from explorer.panels import answer_text
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.cards import SHOWN
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
@@ -87,6 +89,8 @@ class ClientSession:
             )
             self._worker = Worker(self._work, self.views.fail)
             self.views.viewport.watch(self._refit)
+            self._own_photo = OwnPhotoProgress(workspace.own_photos, self._follow_own_photo)
+            self._own_photo_changed = threading.Event()
             self._ranking_progress = RankingProgress(self.views.panels.answer.show_results, self._worker.wake)
             self._address = PageAddress(
                 workspace,
@@ -133,10 +137,16 @@ class ClientSession:
         if self._shown is not None and self.views.outgrown(self._shown):
             self._worker.wake()
 
+    def _follow_own_photo(self) -> None:
+        """Have the worker show what has become of the own picture's registration."""
+        self._own_photo_changed.set()
+        self._worker.wake()
+
     def leave(self) -> None:
         """Stop all threads and computations of this browser; it has disconnected."""
         self._address.leave()
         self._ranking_progress.close()
+        self._own_photo.close()
         self._worker.stop()
         self.views.leave()
         self._requests.close()
@@ -268,6 +278,11 @@ class ClientSession:
         if shown is not None and shown.state == self._state and self.views.outgrown(shown):
             self.views.refit(shown)
             return None
+        if self._own_photo_changed.is_set():
+            self._own_photo_changed.clear()
+            if shown is not None and shown.state == self._state:
+                self.views.show_own_photo(shown)
+                return None
         slow = DelayedCall(_SLOW, self.views.panels.answer.show_busy)
         try:
             ready, self._ready = self._ready, None
@@ -276,6 +291,7 @@ class ClientSession:
             else:
                 analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             started = time.perf_counter()
+            analysis = self._with_own_photo(analysis)
             self.views.show(analysis, slow.cancel)
             if self._shown is None:
                 self._on_shown()
@@ -293,6 +309,14 @@ class ClientSession:
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._log_line(analysis, time.perf_counter() - started))
         return None
+
+    def _with_own_photo(self, analysis: StateAnalysis) -> StateAnalysis:
+        """Begin to register the own picture of an analysis, if it may be of the map; leave the one before it."""
+        picture = analysis.state.upload
+        if picture is not None and not answer_text.may_be_here(analysis):
+            picture = None
+        windows = [] if picture is None else answer_text.own_windows(analysis)
+        return replace(analysis, own_photo=self._own_photo.follow(picture, windows))
 
     def _log_line(self, analysis: StateAnalysis, drawing: float) -> str:
         state = analysis.state

@@ -231,6 +231,17 @@ class ClientViews:
         if not covered:  # it goes when what it covered is there
             self.first_screen.show(analysis, self.stories.names)
 
+    def show_own_photo(self, analysis: StateAnalysis) -> None:
+        """Show how far the registration of the own picture is, or its answer beside the analysis that is shown."""
+        with speaking(self._workspace.vocabulary(analysis.state.plain)):
+            job, covered = analysis.own_photo, analysis.state.first_screen
+            if job is not None and not job.wait(0):
+                self.bridge.call("comparing", answer_text.comparing(job))
+                return
+            if covered:
+                self.first_screen.show(analysis, self.stories.names)
+            self.panels.show(analysis, self.sequence, covered)
+
     def refit(self, analysis: StateAnalysis) -> None:
         """Draw the stage of an analysis that is shown for the stage's new size."""
         with speaking(self._workspace.vocabulary(analysis.state.plain)), self._client.atomic():

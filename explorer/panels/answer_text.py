@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
@@ -12,6 +13,12 @@ from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
+from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements
+from lpn.locate.located import LocatedFrame
+from lpn.locate.options import TOP
+from lpn.locate.own_photo import OwnPhoto
+from lpn.maps import Window
+from lpn.maps.named_window import WindowCut
 from lpn.retrieval import Match
 from lpn.tasks.task import Task
 
@@ -74,11 +81,16 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         gap = verdicts.next_tile(first)
         if analysis.state.upload is None:
             return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
+        if analysis.registered is not None:
+            right, headline, sentence = _registered(analysis, analysis.registered)
+            return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
         elsewhere, far = _elsewhere(analysis), _far(analysis, workspace)
-        place = elsewhere or _beside_tag(analysis, "this tile") or "Its true place is not known here"
+        place = elsewhere or _beside_tag(analysis, workspace, "this tile") or "Its true place is not known here"
         headline = "best match" if words.plain() else "nearest tile"
         if elsewhere or (far is not None and far[0]):
             headline = "not one of these" if elsewhere else "probably none of these"
+        elif _off_tag(analysis, workspace):
+            headline = "elsewhere by its GPS tag"
         return (
             None,
             f"Your picture: {headline}",
@@ -97,9 +109,15 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     if analysis.ranking.relevant is None:
         if elsewhere := _elsewhere(analysis):
             return None, ELSEWHERE[0], f"{elsewhere}. This is the most similar of {pictures}, all the same."
-        far = _far(analysis, workspace)
-        place = _beside_tag(analysis, "this one") or "The true place is not known here, so it is not graded"
+        if analysis.registered is not None:
+            return _registered(analysis, analysis.registered)
+        far = None if _compared(analysis) else _far(analysis, workspace)
+        place = _beside_tag(analysis, workspace, "this one") or "The true place is not known here, so it is not graded"
         text = f"This is the most similar of {pictures}. {place}."
+        if _off_tag(analysis, workspace):
+            return None, "Elsewhere by its GPS tag", text
+        if _compared(analysis):
+            return None, "Best match", text
         if far is None:
             unknown = f" {_ANY}" if analysis.state.upload else ""
             return None, "Best match", f"{text}{unknown}"
@@ -114,6 +132,62 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
+
+
+def _compared(analysis: StateAnalysis) -> bool:
+    """Return True if the own picture's details are being compared with the map, which says more than its look."""
+    return analysis.own_photo is not None and analysis.own_photo.error is None
+
+
+def _registered(analysis: StateAnalysis, own: OwnPhoto) -> tuple[bool | None, str, str]:
+    """Return the verdict on an own picture whose details were compared with the map: a sign, a headline, and sentences."""
+    answer, pictures = own.answer, f"{analysis.task.tiles:,} {_pictures(analysis.task)}"
+    details = "" if words.plain() else f" {answer.sentence}"
+    if not answer.accepted:
+        where = "nowhere on this map" if own.whole_map else "none of the places that look most like it"
+        headline = f"Its details fit {where}, so nothing says that your picture is of this place"
+        large = "" if own.whole_map else " The map is too large to be searched as a whole."
+        return None, headline, f"What is beside it is merely the most similar of {pictures}.{large}{details}"
+    sign = belief(own.located, disagreements([own.located])).sign
+    fits = f"By its details, your picture fits the map where the frame is, to ± {answer.radius or 0:.1f} m"
+    if (error := own.located.error("registration")) is not None:
+        fits += f"; that is {distance(error)} from its GPS tag"
+    against = "" if sign else ", more than the errors of both allow"
+    headline = "On this map" if sign else "On this map by its details, elsewhere by its GPS tag"
+    off = answer_off(analysis, own.located)
+    look = "" if off is None else f" Its look alone {'agrees' if off <= 0 else f'would be wrong by {distance(off)}'}."
+    return sign, headline, f"{fits}{against}.{look}{details}"
+
+
+def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
+    """Return the metres from the compared piece of the map to a photo's registered place, below 0 inside of the piece.
+
+    None without an accepted registration, or a piece of a map.
+    """
+    answer, cut = located.stages.get("registration"), analysis.task.gallery[analysis.chosen.index].cut
+    if answer is None or not answer.accepted or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
+        return None
+    return max(abs(answer.x - cut.window.x), abs(answer.y - cut.window.y)) - cut.window.size / 2
+
+
+def comparing(job: BackgroundJob[OwnPhoto]) -> str:
+    """Say how far the comparison of an own picture's details with the map is; why there is none; "" when it has ended well."""
+    if job.error is not None:
+        return "" if job.cancelled else f"Its details could not be compared with the map: {job.error}"
+    if job.value is not None:
+        return ""
+    return f"Its details are compared with the map …{f' {job.done} of {job.total} tries' if job.total else ''}"
+
+
+def own_windows(analysis: StateAnalysis) -> list[Window]:
+    """Return the most similar pieces of the map, about which an own picture is searched on a large one."""
+    cuts = [analysis.task.gallery[index].cut for index in analysis.ranking.order[:TOP].tolist()]
+    return [cut.window for cut in cuts if isinstance(cut, WindowCut)]
+
+
+def may_be_here(analysis: StateAnalysis) -> bool:
+    """Return False for an own picture whose GPS tag lies in another region."""
+    return not _elsewhere(analysis)
 
 
 def _far(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool, str] | None:
@@ -167,11 +241,27 @@ def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
     return f"Your picture is {width} × {height} pixels; the model sees it pressed into {shape}."
 
 
-def _beside_tag(analysis: StateAnalysis, tile: str) -> str:
+def _beside_tag(analysis: StateAnalysis, workspace: Workspace, tile: str) -> str:
     """Say how far the answer, called `tile`, lies from the picture's GPS tag; "" without a tag."""
-    if analysis.errors_m is None or not math.isfinite(error := float(analysis.errors_m[analysis.matches[0].index])):
+    if (error := _error_m(analysis)) is None:
         return ""
-    return f"Its GPS tag lies {distance(error)} from the middle of {tile}"
+    sentence = f"Its GPS tag lies {distance(error)} from the middle of {tile}"
+    if (reach := _off_tag(analysis, workspace)) is None:
+        return sentence
+    return f"{sentence}, and no picture of it is taken from more than {distance(reach)} away"
+
+
+def _off_tag(analysis: StateAnalysis, workspace: Workspace) -> float | None:
+    """Return the metres within which a GPS tag may lie from the middle of the answer, if the own picture's lies beyond.
+
+    That is half of the piece's diagonal, three times the error of a tag, and the most that tags of this flight were off.
+    """
+    error, cut = _error_m(analysis), analysis.task.gallery[analysis.matches[0].index].cut
+    if analysis.state.upload is None or error is None or not isinstance(cut, WindowCut):
+        return None
+    audit = None if workspace.flight is None else workspace.flight.late_tags
+    reach = cut.window.size / math.sqrt(2) + max(SIGMAS * TAG_RADIUS, 0.0 if audit is None else audit.largest)
+    return reach if error > reach else None
 
 
 def _elsewhere(analysis: StateAnalysis) -> str:

@@ -36,9 +36,9 @@ from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.belief import belief, disagreements
 from lpn.locate.coverage import outline
+from lpn.locate.located import LocatedFrame
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
-from lpn.maps.named_window import WindowCut
 from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
@@ -151,7 +151,9 @@ def page(
     colours = lead_colours(lead is not None and lead.sure)
     alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
-    laid = None if state.why else _laid(analysis, workspace)
+    own = analysis.registered
+    located = _located(analysis, workspace)
+    laid = None if state.why else _laid(located, workspace, own is not None)
     if third is None and laid is None and right is False and positive is not None and not positive.beyond:
         third = positive.index
     place = place_text.place(workspace)
@@ -185,7 +187,8 @@ def page(
         fixed_share=any(_itself(pictures) in sentence for sentence in because),
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
-        trust=answer_text.trust(analysis, workspace),
+        comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
+        trust="" if own is not None else answer_text.trust(analysis, workspace),
         gap=analysis.matches[0].gap,
         bars=_bar_colours(lead),
         places=None if cells is None else float(cells.sum()),
@@ -393,22 +396,28 @@ def _third_tile(
     return overlays.data_uri(drawn, 85), caption, right if known else None
 
 
-def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool | None, str] | None:
-    """Return where the photo of a flight fits the map.
+def _located(analysis: StateAnalysis, workspace: Workspace) -> LocatedFrame | None:
+    """Return the photo that is shown with its registration: of a flight, or an own one; None without."""
+    if analysis.state.upload:
+        return None if analysis.registered is None else analysis.registered.located
+    return None if workspace.flight is None else workspace.flight.frames[analysis.state.query]
+
+
+def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> tuple[str, str, bool | None, str] | None:
+    """Return where a photo fits the map.
 
     Four values: the map's picture as a data URI, a caption, True (or None where the tag disagrees), and a sentence.
 
-    None without an accepted registration.
+    None without an accepted registration. The sentence on an own photo is in its verdict.
     """
-    flight, state = workspace.flight, analysis.state
-    if flight is None or state.upload:
+    if located is None or workspace.own_photos is None:
         return None
-    located = flight.frames[state.query]
     answer, ground = located.stages.get("registration"), outline(located)
     if answer is None or not answer.accepted or ground is None or answer.x is None or answer.y is None:
         return None
-    west, south, east, north = flight.basemap.bounds
-    picture, valid = _map_picture(flight.basemap)
+    basemap = workspace.own_photos.basemap
+    west, south, east, north = basemap.bounds
+    picture, valid = _map_picture(basemap)
     # The map lies in the middle of a square, as large as the pictures beside it.
     height, width = valid.shape
     top, left = (_SIZE[0] - height) // 2, (_SIZE[0] - width) // 2
@@ -431,7 +440,7 @@ def _laid(analysis: StateAnalysis, workspace: Workspace) -> tuple[str, str, bool
         sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
         if sign is None:
             sentence += ", more than the errors of both allow"
-    return overlays.data_uri(drawn, 85), "laid by its details", sign, f"{sentence}."
+    return overlays.data_uri(drawn, 85), "laid by its details", sign, "" if own else f"{sentence}."
 
 
 @lru_cache(maxsize=4)
@@ -448,20 +457,20 @@ def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool | Non
     flight, state = workspace.flight, analysis.state
     if flight is None or state.upload:
         return None
-    answer, cut = (
-        flight.frames[state.query].stages.get("registration"),
-        analysis.task.gallery[analysis.chosen.index].cut,
-    )
-    if answer is None or not answer.accepted or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
+    located = flight.frames[state.query]
+    off = answer_text.answer_off(analysis, located)
+    if off is None:
         return None
-    off = max(abs(answer.x - cut.window.x), abs(answer.y - cut.window.y)) - cut.window.size / 2
-    return None if abs(off) < (answer.radius or 0.0) else off <= 0
+    radius = located.stages["registration"].radius
+    return None if abs(off) < (radius or 0.0) else off <= 0
 
 
 def _turn(analysis: StateAnalysis, workspace: Workspace, least: float = _LEVEL) -> MatchingTurn | None:
     """Return how far the answers are turned to lie like the query; None where that is less than `least` degrees, or not known."""
     state, query = analysis.state, None if analysis.state.upload else analysis.state.query
     registered = None
+    if analysis.registered is not None and analysis.registered.answer.accepted:
+        registered = analysis.registered.answer.heading
     if workspace.flight is not None and query is not None:
         located, cut = workspace.flight.frames[query], analysis.task.queries[query].cut
         answer = located.stages.get("registration")

@@ -20,6 +20,7 @@ from lpn.datasets import Picture as Picture
 from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Correspondences, Evidence
+from lpn.flights import Frame
 from lpn.models.base import Model
 from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
 from lpn.tasks.task import RankUnderWeights, Task
@@ -34,11 +35,13 @@ class OwnPicture:
     Attributes:
         picture: (H, W, 3) uint8.
         place: latitude and longitude of the camera in degrees; None if the file has none.
+        frame: what the file tells of the camera; None if that was not read.
     """
 
     name: str
     picture: UInt8Array
     place: tuple[float, float] | None = None
+    frame: Frame | None = None
 
 
 @dataclass(frozen=True, eq=False)

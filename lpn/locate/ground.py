@@ -68,8 +68,8 @@ class MapFeatures:
         """
         resolution = self.resolution(width)
         side = _SIDE * resolution
-        west, south, east, north = self._map.bounds
-        columns, rows = max(math.ceil((east - west) / side), 1), max(math.ceil((north - south) / side), 1)
+        west, north = self._map.bounds[0], self._map.bounds[3]
+        columns, rows = self._grid(side)
         if centres is None:
             if columns * rows > MAX_BLOCKS:
                 return None
@@ -96,6 +96,16 @@ class MapFeatures:
         for centre in centres:
             near |= (np.abs(points - centre) <= reach).all(axis=1)
         return Ground(points[near], values[near], resolution)
+
+    def holds_map(self, width: float) -> bool:
+        """Return whether photos of a ground width in metres may be compared with the whole map, see `MAX_BLOCKS`."""
+        columns, rows = self._grid(_SIDE * self.resolution(width))
+        return columns * rows <= MAX_BLOCKS
+
+    def _grid(self, side: float) -> tuple[int, int]:
+        """Return the columns and rows of blocks of a side in metres."""
+        west, south, east, north = self._map.bounds
+        return max(math.ceil((east - west) / side), 1), max(math.ceil((north - south) / side), 1)
 
     def _block(self, level: int, row: int, column: int, resolution: float) -> Ground:
         key = (level, row, column)

@@ -18,7 +18,7 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import cache_folder
-from lpn.core.progress import Progress
+from lpn.core.progress import CountProgress, Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
 from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
@@ -40,6 +40,7 @@ from lpn.locate.registration import (
     Similarity,
     contested,
     pose,
+    proven,
     register,
     turn_between,
 )
@@ -267,6 +268,8 @@ def register_photo(
     side: float | None,
     heading: float | None = None,
     quick: bool = False,
+    on_progress: CountProgress | None = None,
+    anywhere: bool = False,
 ) -> StageRecord:
     """Register the picture of a frame, RGB (H, W, 3), and describe the answer in a sentence.
 
@@ -279,6 +282,9 @@ def register_photo(
         side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
         heading: of the accepted frame before, in degrees.
         quick: try the width by height and field of view alone, where it is known, and no tilt that the photo does not tell.
+        on_progress: called before each try of a matcher and a width; an exception that it raises ends the search.
+        anywhere: the photo may be of another place than the map's; all matchers together must have more support then, and no
+            tilt is tried that the photo does not tell.
     """
     frame = located.frame
     if frame.lens is not None:
@@ -287,12 +293,26 @@ def register_photo(
         return StageRecord(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."
         )
-    search = partial(_searched, basemap, features, located, photo, options, widths, ratios, side, heading)
+    search = partial(
+        _searched,
+        basemap,
+        features,
+        located,
+        photo,
+        options,
+        widths,
+        ratios,
+        side,
+        heading,
+        on_progress=on_progress,
+        anywhere=anywhere,
+    )
     found = search(frame, quick)
     best, solved = _posed(basemap, frame, photo, found)
     # On flat ground most photos from straight above have no pose either, and are placed well enough without one.
     unsolved = not best.accepted or (basemap.elevation is not None and isinstance(solved, str))
-    if unsolved and not quick and found.has_ground and frame.pitch is None:
+    # More tries are more chances for a false answer, of which a photo of another place must have none.
+    if unsolved and not quick and not anywhere and found.has_ground and frame.pitch is None:
         near = best if best.accepted else None
         tilts = (replace(frame, pitch=pitch, roll=0.0, fov=frame.fov or DEFAULT_FOV) for pitch in _TRIED_PITCHES)
         clearest = _clearest(found, [search(tilted, True, near) for tilted in tilts])
@@ -362,6 +382,8 @@ def _searched(
     frame: Frame,
     quick: bool,
     near: Registration | None = None,
+    on_progress: CountProgress | None = None,
+    anywhere: bool = False,
 ) -> _Search:
     """Search the map for a photo as `frame` tells its tilt; the other arguments are those of `register_photo`.
 
@@ -385,7 +407,10 @@ def _searched(
         searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
         rivals: list[Similarity] = []
         tried = list(tried_widths(basemap, known_width, widths))
-        for kind, (width, known) in product(features, tried[:1] if quick and known_width is not None else tried):
+        tries = list(product(features, tried[:1] if quick and known_width is not None else tried))
+        for done, (kind, (width, known)) in enumerate(tries):
+            if on_progress is not None:
+                on_progress(done, len(tries))
             width *= wider
             reach = AROUND * width + (options.prior or 0.0 if side is None else 0.5 * side)
             ground = kind.around(centres, reach, width)
@@ -410,6 +435,9 @@ def _searched(
             if answer.accepted and rivals:
                 answer = contested(answer, shown, list(alike.values()), rivals, valid)
             rivals += answer.places
+            if answer.accepted and anywhere:
+                others = [(one.matcher, one.around(centres, reach, width)) for one in features if one is not kind]
+                answer = proven(answer, shown, [(one, seen) for one, seen in others if seen is not None], valid)
             if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
                 best, searched = answer, reach
             if answer.accepted:

@@ -332,6 +332,31 @@ def contested(
     return replace(answer, accepted=False, reason=reason, support=support)
 
 
+def proven(
+    answer: Registration,
+    photo: UInt8Array,
+    others: Sequence[tuple[Matcher, Ground]],
+    valid: BoolArray | None = None,
+) -> Registration:
+    """Refuse an accepted answer for a photo that may be of another place, unless its support by all matchers suffices for that.
+
+    Two pictures of meadows can agree by chance as two of one place do, by one matcher; another one then sees nothing there. So
+    the supports of a place are added, at least 0 each, and must be 15 for each matcher and another 15.
+
+    Args:
+        photo: (H, W, 3) uint8.
+        others: the matchers beside the answer's own, and features of the map where the photo may be.
+        valid: as for `register`.
+    """
+    place, *_ = answer.places
+    support = answer.support + sum(_support_at(place, matcher, photo, valid, ground) for matcher, ground in others)
+    least = MIN_SUPPORT * (2 + len(others))
+    if support >= least:
+        return answer
+    reason = f"Its best place has a support of {support:.0f}, and a photo of anywhere needs {least:.0f}."
+    return replace(answer, accepted=False, reason=reason)
+
+
 def _support_at(
     place: Similarity, matcher: Matcher, photo: UInt8Array, valid: BoolArray | None, ground: Ground
 ) -> float:

@@ -17,24 +17,28 @@ import lpn
 from explorer import opening, session_state
 from explorer.browse.query_list import entries
 from explorer.cli import ExploreFlight, ExploreNamed
+from explorer.compute import own_photos
+from explorer.compute.own_photos import OwnPhotoJobs, OwnPhotoProgress
 from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.opening import open_flight_over
-from explorer.panels import answer_text, pages
+from explorer.panels import answer_text, first_screen, pages
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, PictureError
-from lpn.flights import write_flight
+from lpn.flights import Frame, write_flight
 from lpn.locate.located import LocatedFlight, StageRecord
+from lpn.locate.matchers import SiftMatcher
 from lpn.locate.task import TASK
 from lpn.maps import Map, Window
 from lpn.sources import Flown, Indexed, ModelOptions
-from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
+from tests.lpn.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
 UNKNOWN = [0, 2]
@@ -239,3 +243,86 @@ def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
         with pytest.raises(InputError, match="It is not opened"):
             command.run()
     assert kinds == ["dac", "dac"]
+
+
+def test_an_own_picture_is_compared_with_the_map_by_its_details(
+    workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+    monkeypatch.setattr(own_photos, "open_matcher", SiftMatcher)
+    jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
+    changed = threading.Event()
+    progress = OwnPhotoProgress(jobs, changed.set)
+    width, size = 70.0, (240, 240)
+    frame = Frame("mine.jpg", Path("mine.jpg"), *size, height_above_ground=width / 2, fov=90.0)
+
+    def shown(picture: OwnPicture) -> tuple[StateAnalysis, str]:
+        state = replace(_state(workspace, 5), upload=picture, first_screen=True)
+        analysis = StateAnalyser(workspace).analyse(state, 3)
+        job = progress.follow(picture, answer_text.own_windows(analysis))
+        assert job is not None
+        waiting = replace(analysis, own_photo=job)
+        said = answer_text.plain_verdict(waiting, workspace)
+        assert job.value is not None or (said[0], said[1]) == (None, "Best match")
+        assert job.wait(60)
+        assert changed.wait(60)
+        return waiting, first_screen.page(waiting, workspace)
+
+    def taken(of: int) -> OwnPicture:
+        photo = photo_of(land(of), ground_to_photo((10.0, -20.0), 200.0, width, size), size)
+        return OwnPicture("mine.jpg", photo, None, frame)
+
+    mine, other = taken(0), taken(1)
+    analysis, html = shown(mine)
+    assert answer_text.plain_verdict(analysis, workspace)[:2] == (True, "On this map")
+    assert "By its details, your picture fits the map where the frame is, to ± " in html
+    assert "On the map" in html
+    assert html.count("data:image/jpeg") == 3
+    assert "How far to trust it" not in html
+    again = OwnPicture(mine.name, mine.picture.copy(), None, frame)
+    job = progress.follow(again)
+    assert job is not None
+    assert job.wait(5), "its answer is in the cache"
+    _, html = shown(other)
+    assert "Its details fit nowhere on this map, so nothing says that your picture is of this place." in html
+    assert "right answers" not in html
+    assert html.count("data:image/jpeg") == 2
+    progress.close()
+    assert progress.follow(mine) is None
+
+
+def test_another_picture_or_a_browser_that_leaves_cancels_the_comparison(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, ended = threading.Event(), threading.Event()
+
+    def register(*arguments: Any) -> None:
+        begun.set()
+        try:
+            while True:
+                arguments[-1](1, 10)
+                ended.wait(0.01)
+        finally:
+            ended.set()
+
+    monkeypatch.setattr(own_photos, "register_own_photo", register)
+    progress = OwnPhotoProgress(OwnPhotoJobs(workspace.own_photos.basemap), lambda: None)  # type: ignore[union-attr]
+    job = progress.follow(OwnPicture("mine.jpg", land()))
+    assert job is not None
+    assert begun.wait(60)
+    assert progress.follow(None) is None
+    assert ended.wait(60)
+    assert job.wait(60)
+    assert answer_text.comparing(job) == ""
+
+
+def test_an_error_of_the_comparison_is_a_sentence(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> None:
+        raise DataError("The sheet is damaged.")
+
+    monkeypatch.setattr(own_photos, "register_own_photo", fail)
+    progress = OwnPhotoProgress(OwnPhotoJobs(workspace.own_photos.basemap), lambda: None)  # type: ignore[union-attr]
+    job = progress.follow(OwnPicture("mine.jpg", land()))
+    assert job is not None
+    assert job.wait(60)
+    assert answer_text.comparing(job) == "Its details could not be compared with the map: The sheet is damaged."

@@ -127,6 +127,7 @@ interface Lpn {
   opening(): void;
   unopened(reason: string, goesOn?: boolean): void;
   firstAgain(): unknown;
+  comparing(text: string): void;
   northUp(link: HTMLElement): void;
   preview(html: string): void;
   first(html: string, free: boolean, unasked: boolean): void;

@@ -60,6 +60,12 @@
   };
   window.addEventListener("keydown", escaped, true);
 
+  // How far the details of an own picture are compared with the map.
+  lpn.comparing = (text) => {
+    const line = document.querySelector("#lpn-first .comparing");
+    if (line && text) line.textContent = text;
+  };
+
   // Show the answers north up, or turned to lie like the query.
   lpn.northUp = (link) => {
     const north = link.closest(".pair").classList.toggle("north-up");
