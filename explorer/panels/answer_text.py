@@ -134,6 +134,34 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
 
 
+def flight_verdict(
+    analysis: StateAnalysis, workspace: Workspace, look: tuple[bool | None, str, str]
+) -> tuple[bool | None, str, str]:
+    """Return the verdict on a photo of a flight by all stages, as the flight window has it, from that on its look alone.
+
+    A photo of no flight, of unknown truth, or not yet registered keeps the verdict on its look.
+    """
+    right, _, sentence = look
+    if workspace.flight is None or analysis.state.upload is not None or right is None:
+        return look
+    located = workspace.flight.frames[analysis.state.query]
+    if "registration" not in located.stages:
+        return look
+    verdict = belief(located, disagreements([located]))
+    if right and verdict.sign:
+        return look
+    by_look = f"{sentence[:1].lower()}{sentence[1:]}"
+    if verdict.stage == "registration":
+        doubt = "its neighbours disagree" if located.tag is None else "its GPS tag disagrees"
+        headline = "Placed by its details" if verdict.sign else f"Placed by its details, but {doubt}"
+        return verdict.sign, headline, f"Its look alone {'is right' if right else 'errs'}: {by_look}"
+    headline = "Placed by its neighbours only" if verdict.stage == "sequence" else "Not placed"
+    guess = (
+        f"Its details fit nowhere for sure, so its look is a guess, which is {'right' if right else 'wrong'}: {by_look}"
+    )
+    return verdict.sign, headline, guess
+
+
 def _compared(analysis: StateAnalysis) -> bool:
     """Return True if the own picture's details are being compared with the map, which says more than its look."""
     return analysis.own_photo is not None and analysis.own_photo.error is None
@@ -147,7 +175,7 @@ def _registered(analysis: StateAnalysis, own: OwnPhoto) -> tuple[bool | None, st
         where = "nowhere on this map" if own.whole_map else "none of the places that look most like it"
         headline = f"Its details fit {where}, so nothing says that your picture is of this place"
         large = "" if own.whole_map else " The map is too large to be searched as a whole."
-        return None, headline, f"What is beside it is merely the most similar of {pictures}.{large}{details}"
+        return None, headline, f"The one beside it is merely the most similar of {pictures}.{large}{details}"
     sign = belief(own.located, disagreements([own.located])).sign
     fits = f"By its details, your picture fits the map where the frame is, to ± {answer.radius or 0:.1f} m"
     if (error := own.located.error("registration")) is not None:
@@ -307,7 +335,7 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     besides = None if own else state.query
     alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, task.known, besides)
     if alike is None:
-        return ""
+        return _too_few(workspace, result)
     which = "" if own else "other "
     unaltered = ", taken as they are," if state.change else ""
     text = (
@@ -317,6 +345,22 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     if not own:
         return text
     return f"{text} That holds for pictures like those of {workspace.data_name}, and only if one of these tiles shows the place."
+
+
+def _too_few(workspace: Workspace, result: TaskRanking) -> str:
+    """Say of a flight that it has too few photos to tell how often answers with a similar lead are right; "" if it has enough."""
+    graded = int(result.results["queries"])
+    if workspace.flight is None or not 0 < graded < answer_context.FEWEST_GRADED:
+        return ""
+    right = round(result.results["recall@1"] / 100 * graded)
+    frames = workspace.flight.frames
+    answers = [frame.stages["registration"] for frame in frames if "registration" in frame.stages]
+    placed = sum(answer.accepted for answer in answers)
+    details = f"; by their details, {placed} of {len(frames)} were placed" if answers else ""
+    return (
+        f"{graded} photos of this flight are too few to tell, as {answer_context.FEWEST_GRADED} are needed. By its look alone, "
+        f"{right} of {graded} were right{details}."
+    )
 
 
 def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:

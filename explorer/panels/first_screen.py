@@ -144,6 +144,9 @@ def page(
     disputed = right is not None and _lies_on_answer(analysis, workspace) is (not right)
     if disputed:
         headline, sentence, right = "Its GPS tag and the map disagree", _DISPUTED[bool(right)], None
+    look_errs = right is False
+    if not disputed:
+        right, headline, sentence = answer_text.flight_verdict(analysis, workspace, (right, headline, sentence))
     lead = answer_text.lead(analysis) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
@@ -154,7 +157,7 @@ def page(
     own = analysis.registered
     located = _located(analysis, workspace)
     laid = None if state.why else _laid(located, workspace, own is not None)
-    if third is None and laid is None and right is False and positive is not None and not positive.beyond:
+    if third is None and laid is None and look_errs and positive is not None and not positive.beyond:
         third = positive.index
     place = place_text.place(workspace)
     because = _because(analysis, workspace, lead, cells_of_parts)

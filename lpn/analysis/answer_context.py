@@ -14,10 +14,10 @@ from lpn.core.tables import Column, Table
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks.query_outcomes import Outcomes, picture_columns
 
-# So many answers of the nearest gaps, or this share of all where that is more, are alike; fewer than `_FEWEST_GRADED` have no
+# So many answers of the nearest gaps, or this share of all where that is more, are alike; fewer than `FEWEST_GRADED` have no
 # neighbourhood.
 _ALIKE, _ALIKE_SHARE = 50, 0.1
-_FEWEST_GRADED = 2 * _ALIKE
+FEWEST_GRADED = 2 * _ALIKE
 # A share of fewer answers says little.
 _FEWEST = 20
 # An answer farther than this share of right answers is probably none.
@@ -96,7 +96,7 @@ def answers_alike(
     if besides is not None:
         graded[besides] = False
     rows = np.flatnonzero(graded)
-    if gap is None or not np.isfinite(gap) or len(rows) < _FEWEST_GRADED:
+    if gap is None or not np.isfinite(gap) or len(rows) < FEWEST_GRADED:
         return None
     gaps = ranking.gap[rows]
     if gap > gaps.max():

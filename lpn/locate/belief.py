@@ -136,7 +136,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
         )
     if retrieval is not None and retrieval.x is not None:
         refused = _first_refusal(registration, sequence)
-        return Belief(None, "A best guess only, not verified", refused or retrieval.sentence, "retrieval")
+        return Belief(None, "Not placed, a best guess only", refused or retrieval.sentence, "retrieval")
     return Belief(False, "Not located", _first_refusal(registration, sequence, retrieval) or "No stage has an answer.")
 
 

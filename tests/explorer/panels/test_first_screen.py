@@ -16,6 +16,7 @@ import pytest
 
 from explorer import session_state
 from explorer.cli import Explore
+from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.opening import open_model, open_source
 from explorer.panels import answer_text, first_screen, pages
@@ -31,6 +32,7 @@ from lpn.datasets import rendered
 from lpn.datasets.geo import Position
 from lpn.drawing import theme, verdicts
 from lpn.drawing.words import speaking
+from lpn.locate.located import StageRecord
 from lpn.maps.named_window import WindowCut
 from lpn.sources import Published
 from lpn.tasks.gallery_geometry import GalleryGeometry
@@ -239,7 +241,7 @@ def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch
     wrong, right = (query(workspace, found) for found in (False, True))
     assert not any(answer_text.trust(analysis, workspace) for analysis in (own, wrong, right)), "14 are too few"
     monkeypatch.setattr("lpn.analysis.answer_context._ALIKE", 5)
-    monkeypatch.setattr("lpn.analysis.answer_context._FEWEST_GRADED", 10)
+    monkeypatch.setattr("lpn.analysis.answer_context.FEWEST_GRADED", 10)
     result = workspace.rankings[TASK].result
     assert result is not None
     told = 0
@@ -274,7 +276,7 @@ def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch
 def test_figures_of_the_unaltered_model_are_said_to_be_that(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lpn.analysis.answer_context._FEWEST_GRADED", 10)
+    monkeypatch.setattr("lpn.analysis.answer_context.FEWEST_GRADED", 10)
     weighted = analyse(workspace, replace(query(workspace, True).state, weights=(1.0, 0.0, 0.0, 0.0)))
     shown = text(first_screen.page(weighted, workspace))
     assert "Unaltered, over all 14 pictures its first answer is right" in shown
@@ -581,9 +583,36 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ranking = workspace.rankings[TASK].result
     assert ranking is not None
     right = [bool(first == 0) for first in ranking.ranking.first]
+    assert (
+        "How far to trust it : 30 photos of this flight are too few to tell, as 100 are needed. By its look alone, 25 of 30 were "
+        "right; by their details, 30 of 30 were placed." in said
+    )
+    # The first screen, its reasons, and the flight window say the same of each photo.
+    beliefs = FlightView.of(flight, {}, "").beliefs
+    errs = [i for i, was_right in enumerate(right) if not was_right]
+    placed = next(i for i in errs if beliefs[i].sign)
+    doubted = next(i for i in errs if beliefs[i].sign is None)
+    for index, sign, headline in (
+        (placed, "✓", "Placed by its details."),
+        (doubted, "?", "Placed by its details, but its GPS tag disagrees."),
+    ):
+        for why in (False, True):
+            said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))
+            assert (
+                f"{sign} {headline} Its look alone errs: the model compared 224 pieces of the map and chose a place "
+                in said
+            )
+            assert "Wrong" not in said
+    before = flight.frames[placed].stages["registration"]
+    flight.frames[placed].stages["registration"] = StageRecord("refused", "Few agree.")
+    flight.frames[placed].stages.pop("sequence", None)
+    said = text(first_screen.page(analyse(workspace, replace(state, query=placed)), workspace))
+    assert "? Not placed. Its details fit nowhere for sure, so its look is a guess, which is wrong: the model" in said
+    assert "The right one" in said
+    flight.frames[placed].stages["registration"] = before
     for query, sentence in ((right.index(True), "it lies elsewhere"), (right.index(False), "it lies on this piece")):
         shown = analyse(workspace, replace(state, query=query))
-        assert "disagree" not in text(first_screen.page(shown, workspace))
+        assert "the map disagree" not in text(first_screen.page(shown, workspace))
         cut = shown.task.gallery[shown.matches[0].index].cut
         assert isinstance(cut, WindowCut)
         record = flight.frames[query].stages["registration"]
