@@ -181,7 +181,7 @@ def _registered(analysis: StateAnalysis, own: OwnPhoto) -> tuple[bool | None, st
     if (error := own.located.error("registration")) is not None:
         fits += f"; that is {distance(error)} from its GPS tag"
     against = "" if sign else ", more than the errors of both allow"
-    headline = "On this map" if sign else "On this map by its details, elsewhere by its GPS tag"
+    headline = "On this map" if sign else "Placed by its details, but its GPS tag disagrees"
     off = answer_off(analysis, own.located)
     look = "" if off is None else f" Its look alone {'agrees' if off <= 0 else f'would be wrong by {distance(off)}'}."
     return sign, headline, f"{fits}{against}.{look}{details}"
@@ -276,7 +276,7 @@ def _beside_tag(analysis: StateAnalysis, workspace: Workspace, tile: str) -> str
     sentence = f"Its GPS tag lies {distance(error)} from the middle of {tile}"
     if (reach := _off_tag(analysis, workspace)) is None:
         return sentence
-    return f"{sentence}, and no picture of it is taken from more than {distance(reach)} away"
+    return f"{sentence}; the size of the piece and the errors of tags allow {distance(reach)}"
 
 
 def _off_tag(analysis: StateAnalysis, workspace: Workspace) -> float | None:

@@ -37,6 +37,7 @@ from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher
 from lpn.locate.task import TASK
 from lpn.maps import Map, Window
+from lpn.maps.named_window import WindowCut
 from lpn.sources import Flown, Indexed, ModelOptions
 from tests.lpn.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 
@@ -289,6 +290,25 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert html.count("data:image/jpeg") == 2
     progress.close()
     assert progress.follow(mine) is None
+
+
+def test_an_own_picture_whose_tag_lies_beyond_the_answer_is_elsewhere(workspace: Workspace) -> None:
+    assert workspace.flight is not None
+    untagged = replace(_state(workspace, 5), upload=OwnPicture("mine.jpg", land()[:240, :240]))
+    analysis = StateAnalyser(workspace).analyse(untagged, 3)
+    cut = analysis.task.gallery[analysis.matches[0].index].cut
+    assert isinstance(cut, WindowCut)
+    for north, elsewhere in ((1.0, False), (400.0, True)):
+        place = (cut.window.x, cut.window.y + north)
+        latitude, longitude = workspace.flight.basemap.frame.degrees([place])[0].tolist()
+        picture = OwnPicture("mine.jpg", land()[:240, :240], (latitude, longitude))
+        analysis = StateAnalyser(workspace).analyse(replace(_state(workspace, 5), upload=picture), 3)
+        _, headline, sentence = answer_text.plain_verdict(analysis, workspace)
+        off = float(analysis.errors_m[analysis.matches[0].index])  # type: ignore[index]
+        assert f"Its GPS tag lies {off:.0f} m from the middle of this one" in sentence
+        assert (headline == "Elsewhere by its GPS tag") == elsewhere
+        assert ("the size of the piece and the errors of tags allow " in sentence) == elsewhere
+        assert ("elsewhere by its GPS tag" in answer_text.verdict(analysis, workspace)[1]) == elsewhere
 
 
 def test_another_picture_or_a_browser_that_leaves_cancels_the_comparison(
