@@ -169,7 +169,7 @@ def _compared(analysis: StateAnalysis) -> bool:
 
 def _registered(analysis: StateAnalysis, own: OwnPhoto) -> tuple[bool | None, str, str]:
     """Return the verdict on an own picture whose details were compared with the map: a sign, a headline, and sentences."""
-    answer, pictures = own.answer, f"{analysis.task.tiles:,} {_pictures(analysis.task)}"
+    answer, pictures = own.answer, f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     details = "" if words.plain() else f" {answer.sentence}"
     if not answer.accepted:
         where = "nowhere on this map" if own.whole_map else "none of the places that look most like it"

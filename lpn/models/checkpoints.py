@@ -83,8 +83,7 @@ class TorchModel(Model):
 
     def _forward(self, images: Float32Array, view: View) -> tuple[Tensor, Tensor, Tensor | None]:
         """Return the network's outputs on its device."""
-        # Only full batches recur often enough to repay the benchmark of their shape.
-        with exact_inference(benchmark=len(images) == self.batch):
+        with exact_inference():
             return self.network.embed(torch.tensor(images, device=self._device), view)
 
     def map_size(self, view: View) -> tuple[int, int]:
@@ -103,16 +102,14 @@ class TorchModel(Model):
 
 
 @contextmanager
-def exact_inference(benchmark: bool = False) -> Iterator[None]:
+def exact_inference() -> Iterator[None]:
     """Compute without gradients, on a GPU by cuDNN in full float32.
 
     By default cuDNN convolves in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4. cuDNN's settings belong
-    to the whole process, so another thread that uses cuDNN meanwhile has them as well.
-
-    Args:
-        benchmark: let cuDNN time its algorithms for each new shape of a batch and take the fastest.
+    to the whole process, so another thread that uses cuDNN meanwhile has them as well. Its algorithms are not timed: torch keeps
+    the fastest for each thread alone, and batches come from many threads.
     """
-    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, benchmark=benchmark, allow_tf32=False):
+    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, benchmark=False, allow_tf32=False):
         yield
 
 

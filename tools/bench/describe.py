@@ -202,7 +202,7 @@ def bare_on_device(model: TorchModel, pictures: int) -> None:
     """Run the forward passes alone, two for each picture, and wait for the last."""
     device = next(model.network.parameters()).device
     batch = torch.randn(min(model.batch, pictures), 3, *model.input_size, device=device)
-    with exact_inference(benchmark=True):
+    with exact_inference():
         for _ in range(2 * -(-pictures // len(batch))):
             parts = model.network.embed(batch, "drone")[0]
         parts.cpu()

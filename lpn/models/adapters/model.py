@@ -62,7 +62,7 @@ class PublishedModel(Model):
     def _forward(self, images: Float32Array, view: View, account: bool) -> Tensor | Account:
         network = self.network(view)
         network.check_size(tuple(images.shape[2:]), self.input_size)
-        with exact_inference(benchmark=len(images) == self.batch):
+        with exact_inference():
             batch = torch.tensor(images, device=self._device)
             return network.account(batch) if account else cast(Tensor, network(batch))
 
