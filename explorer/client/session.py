@@ -277,7 +277,8 @@ class ClientSession:
         shown = self._shown
         if shown is not None and shown.state == self._state and self.views.outgrown(shown):
             self.views.refit(shown)
-            return None
+            if not self._own_photo_changed.is_set():
+                return None
         if self._own_photo_changed.is_set():
             self._own_photo_changed.clear()
             if shown is not None and shown.state == self._state:

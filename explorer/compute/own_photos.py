@@ -91,9 +91,11 @@ class OwnPhotoProgress:
 
     def close(self) -> None:
         """Leave for good: the browser has disconnected."""
-        self.follow(None)
         with self._lock:
             self._closed = True
+            if self._job is not None:
+                self._job.leave(self)
+            self._picture = self._job = None
 
     def _wait(self, job: BackgroundJob[OwnPhoto]) -> None:
         done = -1

@@ -82,7 +82,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         if analysis.state.upload is None:
             return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
         if analysis.registered is not None:
-            right, headline, sentence = _registered(analysis, analysis.registered)
+            right, headline, sentence = _registered(analysis, workspace, analysis.registered)
             return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
         elsewhere, far = _elsewhere(analysis), _far(analysis, workspace)
         place = elsewhere or _beside_tag(analysis, workspace, "this tile") or "Its true place is not known here"
@@ -110,7 +110,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         if elsewhere := _elsewhere(analysis):
             return None, ELSEWHERE[0], f"{elsewhere}. This is the most similar of {pictures}, all the same."
         if analysis.registered is not None:
-            return _registered(analysis, analysis.registered)
+            return _registered(analysis, workspace, analysis.registered)
         far = None if _compared(analysis) else _far(analysis, workspace)
         place = _beside_tag(analysis, workspace, "this one") or "The true place is not known here, so it is not graded"
         text = f"This is the most similar of {pictures}. {place}."
@@ -167,17 +167,25 @@ def _compared(analysis: StateAnalysis) -> bool:
     return analysis.own_photo is not None and analysis.own_photo.error is None
 
 
-def _registered(analysis: StateAnalysis, own: OwnPhoto) -> tuple[bool | None, str, str]:
+def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) -> tuple[bool | None, str, str]:
     """Return the verdict on an own picture whose details were compared with the map: a sign, a headline, and sentences."""
     answer, pictures = own.answer, f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     details = "" if words.plain() else f" {answer.sentence}"
     if not answer.accepted:
         where = "nowhere on this map" if own.whole_map else "none of the places that look most like it"
-        headline = f"Its details fit {where}, so nothing says that your picture is of this place"
         large = "" if own.whole_map else " The map is too large to be searched as a whole."
-        return None, headline, f"The one beside it is merely the most similar of {pictures}.{large}{details}"
+        merely = f"The one beside it is merely the most similar of {pictures}.{large}{details}"
+        if tag := _beside_tag(analysis, workspace, "it"):
+            if _off_tag(analysis, workspace):
+                return None, "Elsewhere by its GPS tag", f"Its details fit {where}. {merely} {tag}."
+            return (
+                None,
+                f"Its details fit {where}",
+                f"{merely} {tag}, which alone says that your picture is of this place.",
+            )
+        return None, f"Its details fit {where}, so nothing says that your picture is of this place", merely
     sign = belief(own.located, disagreements([own.located])).sign
-    fits = f"By its details, your picture fits the map where the frame is, to ± {answer.radius or 0:.1f} m"
+    fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m"
     if (error := own.located.error("registration")) is not None:
         fits += f"; that is {distance(error)} from its GPS tag"
     against = "" if sign else ", more than the errors of both allow"
@@ -188,11 +196,11 @@ def _registered(analysis: StateAnalysis, own: OwnPhoto) -> tuple[bool | None, st
 
 
 def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
-    """Return the metres from the compared piece of the map to a photo's registered place, below 0 inside of the piece.
+    """Return the metres from the answer, a piece of the map, to a photo's registered place, below 0 inside of the piece.
 
     None without an accepted registration, or a piece of a map.
     """
-    answer, cut = located.stages.get("registration"), analysis.task.gallery[analysis.chosen.index].cut
+    answer, cut = located.stages.get("registration"), analysis.task.gallery[analysis.matches[0].index].cut
     if answer is None or not answer.accepted or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
         return None
     return max(abs(answer.x - cut.window.x), abs(answer.y - cut.window.y)) - cut.window.size / 2
@@ -356,7 +364,7 @@ def _too_few(workspace: Workspace, result: TaskRanking) -> str:
     frames = workspace.flight.frames
     answers = [frame.stages["registration"] for frame in frames if "registration" in frame.stages]
     placed = sum(answer.accepted for answer in answers)
-    details = f"; by their details, {placed} of {len(frames)} were placed" if answers else ""
+    details = f"; by their details, {placed} of {len(answers)} were placed" if answers else ""
     return (
         f"{graded} photos of this flight are too few to tell, as {answer_context.FEWEST_GRADED} are needed. By its look alone, "
         f"{right} of {graded} were right{details}."

@@ -181,6 +181,7 @@ def page(
         if third is not None and analysis.chosen.rank == 1
         else None,
         right=right,
+        look_errs=look_errs,
         headline=headline,
         sentence=sentence,
         lead=lead,
@@ -201,7 +202,8 @@ def page(
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         own_position=own_position,
-        elsewhere=state.upload is not None and headline in answer_text.ELSEWHERE,
+        elsewhere=state.upload is not None
+        and (headline in answer_text.ELSEWHERE or (own is not None and not own.answer.accepted)),
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
         overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
