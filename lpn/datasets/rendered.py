@@ -70,7 +70,10 @@ def true_poses(photos: Path) -> dict[str, TruePose]:
     names = ("latitude", "longitude", "z", "true_heading", "true_pitch", "true_roll") if rendered else POSE_COLUMNS[1:]
     try:
         with file.open(newline="", encoding="utf-8") as text:
-            return {row["file"]: TruePose(*(float(row[name]) for name in names)) for row in csv.DictReader(text)}
+            rows = csv.DictReader(text)
+            if not rendered and tuple(rows.fieldnames or ()) != POSE_COLUMNS:
+                return {}  # somebody's own file of this name
+            return {row["file"]: TruePose(*(float(row[name]) for name in names)) for row in rows}
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
         command = "lpn world --flight" if rendered else "lpn flight"
         raise DataError(

@@ -156,7 +156,7 @@ def read_camera(file: Path) -> tuple[Lens, float]:
         ) from error
     try:
         return _camera(content)
-    except (KeyError, TypeError, IndexError, ZeroDivisionError) as error:
+    except (KeyError, TypeError, IndexError, ZeroDivisionError, OverflowError) as error:
         raise DataError(
             f"{name} lacks what a camera needs ({printable(str(error))[:80]}); expected the size of its pictures with "
             "camera_matrix and distortion_coefficients, or intrinsics and distortion_coeffs, or focal_x and k1."
@@ -187,7 +187,7 @@ def _yaml(text: str) -> Any:
 
 
 def _camera(content: Any) -> tuple[Lens, float]:
-    if not isinstance(content, dict):
+    if not isinstance(content, dict) or not content:
         raise TypeError("no names and values")
     if "camera_matrix" in content:
         width, height = float(content["image_width"]), float(content["image_height"])

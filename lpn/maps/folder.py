@@ -161,6 +161,7 @@ def write_own_map(
         DataError: if the file cannot be read, or has no valid pixel, or the heights cover less than half of what it shows.
         OutputError: if the folder cannot be written.
     """
+    place = None if place is None else checked_place(place)
     return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes, heights, place)
 
 
