@@ -31,7 +31,7 @@ COLOURS = {name: theme.COLOURS[name] for name in ("tag", "retrieval", "sequence"
 }
 # Length of the lists of refused and of contradicting frames.
 _MAX_LISTED = 200
-# What is measured by itself, and what is not.
+# Some parts are measured by themselves, and others are not.
 _EVIDENCE = (
     "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
     "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "

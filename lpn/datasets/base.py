@@ -73,7 +73,7 @@ class Picture:
 
     @property
     def title(self) -> str:
-        """What people read: the caption, else the name."""
+        """The name that people read: the caption, else the name in files."""
         return self.caption or self.name
 
     def load(self) -> UInt8Array:

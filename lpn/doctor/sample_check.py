@@ -19,7 +19,7 @@ from lpn.flights.posed_samples import read_photo
 
 @dataclass(frozen=True)
 class SampleReport:
-    """What folders of samples hold.
+    """The samples and scenes in folders.
 
     Attributes:
         layout: of the samples.

@@ -203,7 +203,7 @@ class LocatedFlight:
 
     @cached_property
     def rendered(self) -> bool:
-        """Whether its photos are those of a rendered world, whose coordinates are of no real place."""
+        """True if its photos are those of a rendered world, whose coordinates are of no real place."""
         return bool(self.frames) and is_rendered_flight(self.frames[0].frame.file.parent)
 
     @cached_property

@@ -24,7 +24,7 @@ _FEWEST = 5
 def refuse_unproven(frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float]) -> list[str]:
     """Refuse the accepted registrations of a flight unless something shows that the map is of its place; return a sentence.
 
-    That is shown by tags of half of the frames on the map, by a correction, by an accepted answer of the sequence, by the number
+    It is shown by tags of half of the frames, by a correction, by an accepted answer of the sequence, by the number
     of registrations, or by neighbours that overlap. Flights of fewer than five frames are left as they are.
 
     Args:
