@@ -320,12 +320,24 @@ def random_query(state: SessionState, queries: int, rng: Random) -> SessionState
     return choose_query(state, (state.query + rng.randrange(1, queries)) % queries, queries)
 
 
-def next_failure(state: SessionState, failed: BoolArray) -> SessionState | None:
-    """Choose the failure that follows in the list of queries, the first one after the last, given which failed, (Q,)."""
+def next_failure(state: SessionState, failed: BoolArray, last: BoolArray | None = None) -> SessionState | None:
+    """Choose the failure that follows in the list of queries, the first one after the last, given which failed, (Q,).
+
+    Args:
+        last: failures that come after all others, (Q,); the list is then begun from its start.
+    """
     failures = np.flatnonzero(failed)
     if not len(failures):
         return None
-    at = np.searchsorted(failures, state.query, "left" if state.upload is not None else "right")
+    if last is not None:
+        failures = failures[np.argsort(last[failures], kind="stable")]
+    before = np.flatnonzero(failures == state.query)
+    if state.upload is None and len(before):
+        at = int(before[0]) + 1
+    elif last is not None:
+        at = 0
+    else:
+        at = int(np.searchsorted(failures, state.query))
     return choose_query(state, int(failures[at % len(failures)]), len(failed))
 
 

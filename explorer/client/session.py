@@ -312,10 +312,8 @@ class ClientSession:
         return None
 
     def _with_own_photo(self, analysis: StateAnalysis) -> StateAnalysis:
-        """Begin to register the own picture of an analysis, if it may be of the map; leave the one before it."""
+        """Begin to register the own picture of an analysis, wherever its tag lies, and leave the one before it."""
         picture = analysis.state.upload
-        if picture is not None and not answer_text.may_be_here(analysis):
-            picture = None
         windows = [] if picture is None else answer_text.own_windows(analysis)
         return replace(analysis, own_photo=self._own_photo.follow(picture, windows))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from explorer.stage.pictures import draw_parts, lead_cells, lead_colours
+from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
@@ -55,6 +55,7 @@ def page(
         painted="" if cells is None else _painted(analysis, workspace, cells, colours),
         places=0.0 if cells is None else float(cells.sum()),
         total=float(margin.sum()),
+        no_place=no_place(analysis),
         swatches=[theme.css(colour) for colour in colours],
         ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],

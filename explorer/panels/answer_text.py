@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
 from explorer.workspace import StateAnalysis, Workspace
@@ -85,7 +87,10 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
             right, headline, sentence = _registered(analysis, workspace, analysis.registered)
             return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
         elsewhere, far = _elsewhere(analysis), _far(analysis, workspace)
-        place = elsewhere or _beside_tag(analysis, workspace, "this tile") or "Its true place is not known here"
+        place = (
+            f"{elsewhere}, so no answer can be right" if elsewhere else _beside_tag(analysis, workspace, "this tile")
+        )
+        place = place or "Its true place is not known here"
         headline = "best match" if words.plain() else "nearest tile"
         if elsewhere or (far is not None and far[0]):
             headline = "not one of these" if elsewhere else "probably none of these"
@@ -107,17 +112,23 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if analysis.ranking.relevant is None:
-        if elsewhere := _elsewhere(analysis):
-            return None, ELSEWHERE[0], f"{elsewhere}. This is the most similar of {pictures}, all the same."
         if analysis.registered is not None:
             return _registered(analysis, workspace, analysis.registered)
-        far = None if _compared(analysis) else _far(analysis, workspace)
+        elsewhere, text = _elsewhere(analysis), f"This is the most similar of {pictures}."
+        if _compared(analysis):
+            beside = elsewhere or _beside_tag(analysis, workspace, "this one")
+            return None, "Not known yet", f"{text} {beside}." if beside else text
+        if elsewhere:
+            return (
+                None,
+                ELSEWHERE[0],
+                f"{elsewhere}, so no answer can be right. The one beside it is merely the most similar.",
+            )
+        far = _far(analysis, workspace)
         place = _beside_tag(analysis, workspace, "this one") or "The true place is not known here, so it is not graded"
-        text = f"This is the most similar of {pictures}. {place}."
+        text = f"{text} {place}."
         if _off_tag(analysis, workspace):
             return None, "Elsewhere by its GPS tag", text
-        if _compared(analysis):
-            return None, "Best match", text
         if far is None:
             unknown = f" {_ANY}" if analysis.state.upload else ""
             return None, "Best match", f"{text}{unknown}"
@@ -175,24 +186,38 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         where = "nowhere on this map" if own.whole_map else "none of the places that look most like it"
         large = "" if own.whole_map else " The map is too large to be searched as a whole."
         merely = f"The one beside it is merely the most similar of {pictures}.{large}{details}"
-        if tag := _beside_tag(analysis, workspace, "it"):
-            if _off_tag(analysis, workspace):
-                return None, "Elsewhere by its GPS tag", f"Its details fit {where}. {merely} {tag}."
-            return (
-                None,
-                f"Its details fit {where}",
-                f"{merely} {tag}, which alone says that your picture is of this place.",
-            )
-        return None, f"Its details fit {where}, so nothing says that your picture is of this place", merely
+        if analysis.errors_m is None:
+            return None, f"Its details fit {where}, so nothing says that your picture is of this place", merely
+        if not _tag_on_map(own, workspace):
+            nearest = distance(float(np.nanmin(analysis.errors_m)))
+            off = f"Its details fit {where}, and its GPS tag lies {nearest} from the nearest piece"
+            return None, "Not on this map", f"{off}. {merely}"
+        return (
+            None,
+            f"Its details fit {where}, so only its GPS tag says that your picture is of this place",
+            f"{merely} {_beside_tag(analysis, workspace, 'it')}.",
+        )
     sign = belief(own.located, disagreements([own.located])).sign
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m"
     if (error := own.located.error("registration")) is not None:
-        fits += f"; that is {distance(error)} from its GPS tag"
-    against = "" if sign else ", more than the errors of both allow"
-    headline = "On this map" if sign else "Placed by its details, but its GPS tag disagrees"
-    off = answer_off(analysis, own.located)
-    look = "" if off is None else f" Its look alone {'agrees' if off <= 0 else f'would be wrong by {distance(off)}'}."
+        fits += f"; its GPS tag lies {distance(error)} from there"
+    against = "" if sign else ", more than the errors of both allow, so one of the two is wrong"
+    headline = "On this map" if sign else "On this map by its details, elsewhere by its GPS tag"
+    off_answer = answer_off(analysis, own.located)
+    look = ""
+    if off_answer is not None:
+        look = f" Its look alone {'agrees' if off_answer <= 0 else f'would be wrong by {distance(off_answer)}'}."
     return sign, headline, f"{fits}{against}.{look}{details}"
+
+
+def _tag_on_map(own: OwnPhoto, workspace: Workspace) -> bool:
+    """Return whether an own picture's GPS tag lies on the map, or beyond its border by no more than the errors of tags."""
+    if own.located.tag is None or workspace.own_photos is None:
+        return False
+    west, south, east, north = workspace.own_photos.basemap.bounds
+    x, y = own.located.tag
+    reach = _tag_error(workspace)
+    return bool(west - reach <= x <= east + reach and south - reach <= y <= north + reach)
 
 
 def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
@@ -219,11 +244,6 @@ def own_windows(analysis: StateAnalysis) -> list[Window]:
     """Return the most similar pieces of the map, about which an own picture is searched on a large one."""
     cuts = [analysis.task.gallery[index].cut for index in analysis.ranking.order[:TOP].tolist()]
     return [cut.window for cut in cuts if isinstance(cut, WindowCut)]
-
-
-def may_be_here(analysis: StateAnalysis) -> bool:
-    """Return False for an own picture whose GPS tag lies in another region."""
-    return not _elsewhere(analysis)
 
 
 def _far(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool, str] | None:
@@ -260,7 +280,7 @@ def own_hint(workspace: Workspace, rendered: bool) -> str:
         city = " They show a rendered city: a photo of a real place has no right answer among them."
     return (
         f"Choose pictures on this device (JPEG, PNG, or WebP){above}. The model finds the most similar of the {task.tiles:,} "
-        f"{pictures_of(task)} here.{city}"
+        f"{pictures_of(task)} here.{city} {OWN_KEPT}"
     )
 
 
@@ -290,14 +310,19 @@ def _beside_tag(analysis: StateAnalysis, workspace: Workspace, tile: str) -> str
 def _off_tag(analysis: StateAnalysis, workspace: Workspace) -> float | None:
     """Return the metres within which a GPS tag may lie from the middle of the answer, if the own picture's lies beyond.
 
-    That is half of the piece's diagonal, three times the error of a tag, and the most that tags of this flight were off.
+    That is half of the piece's diagonal and the error of a tag, see `_tag_error`.
     """
     error, cut = _error_m(analysis), analysis.task.gallery[analysis.matches[0].index].cut
     if analysis.state.upload is None or error is None or not isinstance(cut, WindowCut):
         return None
-    audit = None if workspace.flight is None else workspace.flight.late_tags
-    reach = cut.window.size / math.sqrt(2) + max(SIGMAS * TAG_RADIUS, 0.0 if audit is None else audit.largest)
+    reach = cut.window.size / math.sqrt(2) + _tag_error(workspace)
     return reach if error > reach else None
+
+
+def _tag_error(workspace: Workspace) -> float:
+    """Return the metres by which a GPS tag may be off: three times the error of a tag, or the most of this flight's."""
+    audit = None if workspace.flight is None else workspace.flight.late_tags
+    return max(SIGMAS * TAG_RADIUS, 0.0 if audit is None else audit.largest)
 
 
 def _elsewhere(analysis: StateAnalysis) -> str:
@@ -307,7 +332,7 @@ def _elsewhere(analysis: StateAnalysis) -> str:
     nearest = float(analysis.errors_m.min())  # NaN if a tile has no position, which may then show the place
     if not nearest >= _ELSEWHERE_M:
         return ""
-    return f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them, so no answer can be right"
+    return f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them"
 
 
 def lead(analysis: StateAnalysis) -> Lead | None:
@@ -332,10 +357,14 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say how often answers with a similar lead over the second tile are right; empty where that is not known.
 
     It is not known under other part weights or for a region, as no other query was ranked so. For an uploaded picture it is not
-    known either if the truth names junk, as its junk is unknown, nor among the tiles of a rendered city.
+    known either if the truth names junk, as its junk is unknown, nor among the tiles of a rendered city. Where the details of an
+    uploaded picture are compared with a map, the trials of that map tell.
     """
     state, task, result = analysis.state, analysis.task, workspace.rankings[analysis.task.key].result
     own = state.upload is not None
+    if own and workspace.own_photos is not None and (_compared(analysis) or analysis.registered is not None):
+        elsewhere, here = trials(workspace)
+        return f"{elsewhere}; {here}." if here else ""
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
         return ""
     if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):
@@ -343,7 +372,7 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     besides = None if own else state.query
     alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, task.known, besides)
     if alike is None:
-        return _too_few(workspace, result)
+        return _of_flight(workspace, result)
     which = "" if own else "other "
     unaltered = ", taken as they are," if state.change else ""
     text = (
@@ -355,19 +384,44 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     return f"{text} That holds for pictures like those of {workspace.data_name}, and only if one of these tiles shows the place."
 
 
-def _too_few(workspace: Workspace, result: TaskRanking) -> str:
-    """Say of a flight that it has too few photos to tell how often answers with a similar lead are right; "" if it has enough."""
-    graded = int(result.results["queries"])
-    if workspace.flight is None or not 0 < graded < answer_context.FEWEST_GRADED:
+def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
+    """Say of a flight with too few photos for `answer_context.answers_alike` how often each method is right; else ""."""
+    if workspace.flight is None or not few_photos(workspace, result):
         return ""
+    graded = int(result.results["queries"])
     right = round(result.results["recall@1"] / 100 * graded)
-    frames = workspace.flight.frames
-    answers = [frame.stages["registration"] for frame in frames if "registration" in frame.stages]
-    placed = sum(answer.accepted for answer in answers)
-    details = f"; by their details, {placed} of {len(answers)} were placed" if answers else ""
+    look = f"by their look alone, {right} of {graded} photos were right ({100 * right / graded:.1f} %)"
+    tried = [located for located in workspace.flight.frames if "registration" in located.stages]
+    placed = [located for located in tried if located.stages["registration"].accepted]
+    if not tried:
+        return f"{look}."
+    look += f"; by their details, {len(placed)} of {len(tried)} were placed"
+    errors = [error for located in placed if (error := located.error("registration")) is not None]
+    if workspace.flight.late_tags is None and errors:
+        judge = "their true places" if workspace.flight.rendered else "their GPS tags"
+        return f"{look}, at most {distance(max(errors))} from {judge}."
+    elsewhere, _ = trials(workspace)
+    return f"{look}, though nobody measured if rightly.{f' {elsewhere}.' if elsewhere else ''}"
+
+
+def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:
+    """Return whether a flight has too few photos of known place to tell how often answers with a similar lead are right."""
     return (
-        f"{graded} photos of this flight are too few to tell, as {answer_context.FEWEST_GRADED} are needed. By its look alone, "
-        f"{right} of {graded} were right{details}."
+        workspace.flight is not None
+        and result is not None
+        and 0 < int(result.results["queries"]) < answer_context.FEWEST_GRADED
+    )
+
+
+def trials(workspace: Workspace) -> tuple[str, str]:
+    """Say how many single photos of other places and of this place were placed on the map; "" where that was not measured."""
+    counts = None if workspace.own_photos is None else workspace.own_photos.basemap.trials
+    if counts is None:
+        return "", ""
+    none = "none was" if counts.misplaced == 0 else f"{counts.misplaced} were"
+    return (
+        f"Of {counts.elsewhere} photos of other places, {none} placed on this map",
+        f"of {counts.here} of this place, {counts.placed} were",
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import cv2
@@ -17,7 +17,8 @@ from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange
-from explorer.stage.pictures import draw_parts, lead_cells, lead_colours
+from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
+from explorer.web.coordinates import MapCoordinate
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
@@ -39,6 +40,7 @@ from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
+from lpn.maps.named_window import describe_offset
 from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
@@ -49,6 +51,10 @@ _DISPUTED = {
     False: "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece.",
     True: "By its GPS tag the photo lies on this piece. Laid over the map by its details, it lies elsewhere.",
 }
+# The commands for a place of one's own.
+_BRING = """\
+lpn map --from-flight photos-of-the-place/ --out maps/here
+lpn explore flight --map maps/here --flight photos-to-place/ --model city-lpn"""
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.
@@ -60,6 +66,27 @@ _TURNED_BY = {
     "registration": "The answer is turned to lie like the photo, by where the photo fits the map.",
     "model": "The answer is turned to where its places fit those of the query best, as the model sees both; no heading is known.",
 }
+
+
+@dataclass(frozen=True)
+class LaidPhoto:
+    """A photo laid over its map by its details.
+
+    Attributes:
+        picture: the map with the ground that the photo shows, as a data URI.
+        sign: True, or None where its GPS tag disagrees.
+        offset: where the place lies on the map, in words.
+        coordinate: the place; None on a rendered map.
+        camera: whether the place is the camera's, and not that of the picture's middle.
+        sentence: how well it fits; "" for an own photo, whose verdict says it.
+    """
+
+    picture: str
+    sign: bool | None
+    offset: str
+    coordinate: MapCoordinate | None
+    camera: bool
+    sentence: str
 
 
 class FirstScreen:
@@ -161,8 +188,6 @@ def page(
         third = positive.index
     place = place_text.place(workspace)
     because = _because(analysis, workspace, lead, cells_of_parts)
-    pictures = answer_text.pictures_of(task)
-    leaning = "" if lead is None or cells is None or not words.plain() else _leaning(lead, float(cells.sum()))
     return render(
         "first_screen",
         workspace=workspace,
@@ -186,16 +211,15 @@ def page(
         sentence=sentence,
         lead=lead,
         because=because,
-        leaning=leaning,
-        pictures_compared=pictures,
-        fixed_share=any(_itself(pictures) in sentence for sentence in because),
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
-        trust="" if own is not None else answer_text.trust(analysis, workspace),
+        trust=answer_text.trust(analysis, workspace),
+        bring=_BRING,
         gap=analysis.matches[0].gap,
         bars=_bar_colours(lead),
         places=None if cells is None else float(cells.sum()),
+        no_place=no_place(analysis),
         full=0.0 if lead is None else max(float(abs(lead.terms).max()), 1e-9),
         own_hint=answer_text.own_hint(workspace, rendered),
         part_names=workspace.part_names,
@@ -223,9 +247,10 @@ def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
 def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, altered: bool) -> str:
     """Say how often the model is right, and if it is calibrated; of the user's own picture, what becomes of it."""
     if not analysis.state.upload:
-        text = answer_text.overall(workspace.rankings[analysis.task.key].result, altered)
+        result = workspace.rankings[analysis.task.key].result
+        text = answer_text.overall(result, altered)
         if text and workspace.has_flight:
-            text = f"{text[:-1]}, {_ALONE}."
+            text = "" if answer_text.few_photos(workspace, result) else f"{text[:-1]}, {_ALONE}."
         if not text or not analysis.task.calibration:
             return text
         if words.plain():
@@ -255,8 +280,7 @@ def _because(
 ) -> list[str]:
     """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does.
 
-    Parts are ranked by their terms of the lead, as the table of the numbers and the workbench rank them. What comes from no cell
-    gets a sentence of its own where it decides.
+    Parts are ranked by their terms of the lead, as the table of the numbers and the workbench rank them.
 
     Args:
         cells: each cell's share of the lead, part by part.
@@ -287,60 +311,11 @@ def _because(
             (grounds[0], grounds[1]),
             None if turn is None else turn.degrees,
         )
-        against = float(side * cells[list(parts)].sum()) < 0
-        if against:  # the picture shows it so, and no place of it is a reason
-            place = replace(place, cells=np.zeros_like(place.cells), uses=((), ()))
-        names = workspace.part_names
-        said = verdicts.describe_lead_place(place, names, task.query_view, (ahead[0], behind[0]), whose)
-        besides = ""
-        if against and words.plain():
-            besides = f", though what the picture shows there speaks for {behind[0]}"
-        elif against:
-            its = "their places speak" if len(parts) > 1 else "its places speak"
-            besides = f", by {_itself(answer_text.pictures_of(task))}; {its} for {behind[0]}"
-        sentences.append(f"{said.removesuffix('.')}{besides}.")
-    return [*sentences, *_besides_places(lead, float(cells.sum()), answer_text.pictures_of(task))]
-
-
-def _itself(pictures: str) -> str:
-    """Return what comes from no place of the query, in words; `pictures` are those that were searched."""
-    return f"what the model gives the two {pictures} themselves, wherever it looks"
-
-
-def _leaning(lead: answer_text.Lead, places: float) -> str:
-    """Say in plain words that most of a lead comes from no place of the picture; "" where most of it comes from places.
-
-    Args:
-        places: what all places of the picture make of the lead.
-    """
-    winner = lead.leader if lead.total > 0 else lead.follower
-    if places * lead.total < 0:
-        shown = lead.leader if places > 0 else lead.follower
-        return f"What the picture shows speaks for {shown}, but the model leans to {winner} whatever a picture shows."
-    if abs(lead.total - places) > abs(places):
-        share = f"{100 * places / lead.total:.0f} %"
-        return (
-            f"Only {share} of what puts {winner} ahead comes from what the picture shows; for the rest, the model leans to "
-            f"{winner} whatever a picture shows."
-        )
-    return ""
-
-
-def _besides_places(lead: answer_text.Lead, places: float, pictures: str) -> list[str]:
-    """Say what comes from no place of the picture, where the places alone would tell another story than the answer."""
-    itself = _itself(pictures)
-    if places * lead.total < 0:
-        ahead = lead.leader if places > 0 else lead.follower
-        return [f"All places together speak for {ahead}; what decides is {itself}."]
-    if abs(lead.total - places) > abs(places):
-        return [f"The places make less of the difference than {itself}."]
-    if (places - lead.total) * lead.total > lead.total**2:  # the rest takes back more than is left
-        other = lead.follower if lead.total > 0 else lead.leader
-        back = f"takes back {100 * (1 - lead.total / places):.0f} % of what all places make"
-        if words.plain():
-            return [f"The model leans to {other} whatever a picture shows, which {back}."]
-        return [f"{words.capitalised(itself)}, speaks for {other} and {back}."]
-    return []
+        names = ahead[0], behind[0]
+        sentences.append(verdicts.describe_lead_place(place, workspace.part_names, task.query_view, names, whose))
+    if (black := place_text.share_off_map(task.gallery[analysis.chosen.index])) > 0:
+        sentences.append(f"{100 * black:.0f} % of this answer is off the map, and black to the model.")
+    return sentences
 
 
 def _picture(
@@ -408,13 +383,8 @@ def _located(analysis: StateAnalysis, workspace: Workspace) -> LocatedFrame | No
     return None if workspace.flight is None else workspace.flight.frames[analysis.state.query]
 
 
-def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> tuple[str, str, bool | None, str] | None:
-    """Return where a photo fits the map.
-
-    Four values: the map's picture as a data URI, a caption, True (or None where the tag disagrees), and a sentence.
-
-    None without an accepted registration. The sentence on an own photo is in its verdict.
-    """
+def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> LaidPhoto | None:
+    """Return where a photo fits the map; None without an accepted registration."""
     if located is None or workspace.own_photos is None:
         return None
     answer, ground = located.stages.get("registration"), outline(located)
@@ -437,15 +407,23 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> tupl
     for colour, thickness in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
         cv2.polylines(drawn, [pixels(ground.corners)], True, colour, thickness, cv2.LINE_AA)
     sign = belief(located, disagreements([located])).sign
-    sentence = f"By its details, the photo fits the map where the frame is, to ± {answer.radius or 0:.1f} m"
+    at = answer.x, answer.y
+    sentence = f"By its details, the photo fits the map where the frame is, to ± {answer.radius or 0:.1f} m on it"
     if located.tag is not None:
-        at, tag = pixels(np.array([(answer.x, answer.y), located.tag]))
-        cv2.line(drawn, at.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
+        place, tag = pixels(np.array([at, located.tag]))
+        cv2.line(drawn, place.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
-        sentence += f"; that is {distance(located.error('registration') or 0.0)} from its GPS tag, the white ring"
+        sentence += f"; its GPS tag, the white circle, lies {distance(located.error('registration') or 0.0)} from there"
         if sign is None:
             sentence += ", more than the errors of both allow"
-    return overlays.data_uri(drawn, 85), "laid by its details", sign, "" if own else f"{sentence}."
+    return LaidPhoto(
+        overlays.data_uri(drawn, 85),
+        sign,
+        describe_offset(*at),
+        None if shows_rendered(workspace.root) else MapCoordinate.on(basemap, at),
+        answer.camera,
+        "" if own else f"{sentence}.",
+    )
 
 
 @lru_cache(maxsize=4)

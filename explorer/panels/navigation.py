@@ -6,10 +6,13 @@ from collections.abc import Callable
 from functools import partial
 from random import Random
 
+import numpy as np
+
 from explorer import session_state
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
+from lpn.locate.belief import beliefs, disagreements
 
 
 class Navigation:
@@ -46,8 +49,13 @@ class Navigation:
         return self._failure(state, partial(session_state.random_failure, rng=self._rng))
 
     def next_failure(self, state: SessionState) -> SessionState | None:
-        """Choose the next failure of the list."""
-        return self._failure(state, session_state.next_failure)
+        """Choose the next failure of the list; of a flight, first those that its other methods do not mend."""
+        flight = self._workspace.flight
+        mended = None
+        if flight is not None:
+            verdicts = beliefs(flight.frames, disagreements(flight.frames))
+            mended = np.array([verdict.sign is True for verdict in verdicts])
+        return self._failure(state, lambda state, failed: session_state.next_failure(state, failed, mended))
 
     def _failure(
         self, state: SessionState, choose: Callable[[SessionState, BoolArray], SessionState | None]

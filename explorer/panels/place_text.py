@@ -46,10 +46,18 @@ def piece(tile: Picture) -> str:
     """Return what a tile is called: a piece of a map by where its middle lies, its width, and how much of it is off the map."""
     if not isinstance(tile.cut, WindowCut):
         return tile.title
+    window, share = tile.cut.window, share_off_map(tile)
+    off = f", {100 * share:.0f} % of it off the map" if share else ""
+    return f"{describe_offset(window.x, window.y)}, {window.size:.0f} m wide{off}"
+
+
+def share_off_map(tile: Picture) -> float:
+    """Return the share of a piece of a map that the map does not show, 0 .. 1; 0 if it is too small to be seen."""
+    if not isinstance(tile.cut, WindowCut):
+        return 0.0
     window = tile.cut.window
     shown = float(tile.cut.basemap.valid_shares(np.array([(window.x, window.y)]), window.size)[0])
-    off = f", {100 * (1 - shown):.0f} % of it off the map" if shown < _WHOLE else ""
-    return f"{describe_offset(window.x, window.y)}, {window.size:.0f} m wide{off}"
+    return 1 - shown if shown < _WHOLE else 0.0
 
 
 def criterion(workspace: Workspace, task: Task) -> str:
@@ -64,13 +72,14 @@ def criterion(workspace: Workspace, task: Task) -> str:
     if (audit := flight.late_tags) is None or audit.lag is None:
         return f"{right}; its GPS tag is the judge. {_season(workspace, flight)}".rstrip()
     return (
-        f"{right}. GPS tags here lag by {abs(audit.lag):.1f} s, so the judge is the program's second method, which lays the "
-        f"photo's details over the map; nobody measured the places. {_season(workspace, flight)}"
+        f"{right}. GPS tags here lie {distance(audit.median)} off in the median, some of which a lag of {abs(audit.lag):.1f} s "
+        "explains, so the judge is the program's second method, which lays the photo's details over the map; nobody measured "
+        f"the places. {_season(workspace, flight)}"
     ).rstrip()
 
 
 def _season(workspace: Workspace, flight: LocatedFlight) -> str:
-    """Say if map and photos of a flight are of the same day or of two seasons, and name a flight of two seasons beside it."""
+    """Say if map and photos of a flight are of two seasons; of one whose are of the same day, name a flight of two beside it."""
     if _seasons_differ(flight):
         return "Map and photos are of different seasons."
     if flight.flight.day is None or flight.flight.day != flight.basemap.place.day:
@@ -82,10 +91,10 @@ def _season(workspace: Workspace, flight: LocatedFlight) -> str:
         graded = int(ranking.results["queries"])
         right = round(ranking.results["recall@1"] / 100 * graded)
         return (
-            f"Map and photos are of the same day; where they are of different seasons ({workspace.choices[key]}), the first "
-            f"answer is right {right} of {graded} times."
+            f"Where map and photos are of different seasons ({workspace.choices[key]}), the first answer is right {right} of "
+            f"{graded} times."
         )
-    return "Map and photos are of the same day."
+    return ""
 
 
 def _seasons_differ(flight: LocatedFlight) -> bool:

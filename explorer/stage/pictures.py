@@ -52,19 +52,31 @@ def draw_parts(
 def lead_cells(analysis: StateAnalysis, leader: int, follower: int) -> Float64Array | None:
     """Return each cell's share, on the query's side, of the lead of one tile over another in d², part by part: (n, h, w).
 
-    With the constants of both tiles the cells add up to the lead. None without a network, and while only some cells of the query
-    are searched by.
+    The constants of both tiles are spread over the cells of their parts, see `explain.spread_constants`, so that the cells of a
+    part add up to its term of the lead. Parts without cells, and what CSLS subtracts for both tiles, have no place. None without
+    a network, and while only some cells of the query are searched by.
 
     Args:
         leader, follower: positions in the gallery; positive cells speak for the leader.
     """
     if analysis.state.region or analysis.query.trace is None:
         return None
+    trace = analysis.query.trace
     ahead, behind = (
-        explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index)).cells
+        explain.spread_constants(explain.side_evidence(trace, analysis.task.stored_descriptor(index)), trace)
         for index in (leader, follower)
     )
     return 2 * analysis.ranking.weights.astype(np.float64)[:, None, None] * (ahead - behind)
+
+
+def no_place(analysis: StateAnalysis) -> str:
+    """Return what of a lead comes from no cell, in words, see `lead_cells`."""
+    trace, reasons = analysis.query.trace, []
+    if trace is not None and not trace.cells.any(axis=(0, 2, 3)).all():
+        reasons.append("what belongs to the picture as a whole")
+    if analysis.task.neighbours or not reasons:
+        reasons.append("what re-ranking takes from pictures that look like many others")
+    return " and ".join(reasons)
 
 
 def lead_colours(sure: bool) -> tuple[Colour, Colour]:

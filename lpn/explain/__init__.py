@@ -11,6 +11,7 @@ from lpn.explain.attribution import (
     correspondences,
     evidence,
     side_evidence,
+    spread_constants,
 )
 
 __all__ = [
@@ -21,4 +22,5 @@ __all__ = [
     "correspondences",
     "evidence",
     "side_evidence",
+    "spread_constants",
 ]

@@ -149,6 +149,22 @@ def side_evidence(trace: Trace, other: FloatingArray) -> SideEvidence:
     return SideEvidence(cells / norms[:, None, None], constants / norms)
 
 
+def spread_constants(side: SideEvidence, trace: Trace) -> Float64Array:
+    """Return the cells of a side with each part's constant spread over them, (n, h, w).
+
+    It lies on the cells by their pooling weights. Where these add up to one, a cell then adds
+    a_i(x) <A_i F_i(x) + c_i, u_i> / |e_i|: the share of a part that shows nothing but this cell. The cells of a part add up to
+    its cosine. The constant of a part without cells stays without a place.
+
+    Args:
+        trace: of the picture whose side it is.
+    """
+    weights = trace.cells.sum(axis=0, dtype=np.float64)
+    totals = weights.sum(axis=(1, 2), keepdims=True)
+    shares = np.divide(weights, totals, out=np.zeros_like(weights), where=totals > 0)
+    return cast(Float64Array, side.cells + side.constants[:, None, None] * shares)
+
+
 def evidence(
     query: Trace,
     tile: Trace,

@@ -37,6 +37,7 @@ from lpn.maps.sheet import Sheet
 from lpn.maps.sources import MapOptions, files_of, georeference, open_sheet, parse_crs, raster_sheet
 from lpn.maps.tile_sets import is_tile_set
 from lpn.maps.tiles import TileRaster
+from lpn.maps.trials import SinglePhotoTrials
 
 NAME = "map.json"
 FORMAT = "lpn-map/1"
@@ -92,6 +93,7 @@ class MapRecord(msgspec.Struct, frozen=True):
         written: names of files in `sheets/` that `lpn map` wrote, or may have written; it replaces and deletes no others.
         elevation: of `sheets/elevation.tif`; None without one.
         place: what is known about the place beyond its georeference.
+        trials: of single photos on the map; None without.
     """
 
     format: str
@@ -102,6 +104,7 @@ class MapRecord(msgspec.Struct, frozen=True):
     written: list[str]
     elevation: ElevationRecord | None = None
     place: MapPlace | None = None
+    trials: SinglePhotoTrials | None = None
 
 
 def build_map(
@@ -229,6 +232,32 @@ def open_folder(folder: Path) -> Map:
     Raises:
         DataError: if map.json is damaged, or a sheet is missing or has changed.
     """
+    record, file_name = _read(folder), printable(str(folder / NAME))
+    sheets = [_opened(folder, sheet) for sheet in record.sheets]
+    if not sheets:
+        raise DataError(f"{file_name} names no sheet; write it again with lpn map.")
+    coverage = cv2.imdecode(np.fromfile(folder / _COVERAGE, np.uint8), cv2.IMREAD_GRAYSCALE) if _has(folder) else None
+    frame = LocalFrame(record.latitude, record.longitude)
+    shares = None if coverage is None else (coverage / 255).astype(np.float32)
+    try:
+        place = checked_place(record.place or MapPlace())
+    except InputError as error:
+        raise DataError(f"{file_name} is damaged: {error}") from error
+    if record.trials is not None and not record.trials.possible:
+        raise DataError(f"{file_name} is damaged: its trials accepted more photos than were tried.")
+    return Map(record.name, sheets, frame, shares, _opened_elevation(folder, record.elevation), place, record.trials)
+
+
+def add_trials(folder: Path, trials: SinglePhotoTrials) -> None:
+    """Write the counts of trials into map.json, in place of those of earlier ones.
+
+    Raises:
+        DataError: if map.json is damaged.
+    """
+    _write(folder, msgspec.structs.replace(_read(folder), trials=trials))
+
+
+def _read(folder: Path) -> MapRecord:
     path = folder / NAME
     file_name = printable(str(path))
     try:
@@ -241,17 +270,7 @@ def open_folder(folder: Path) -> Map:
         ) from error
     if not (abs(record.latitude) <= 90 and abs(record.longitude) <= 180):
         raise DataError(f"{file_name} is damaged; write the map again with lpn map, in a new folder.")
-    sheets = [_opened(folder, sheet) for sheet in record.sheets]
-    if not sheets:
-        raise DataError(f"{file_name} names no sheet; write it again with lpn map.")
-    coverage = cv2.imdecode(np.fromfile(folder / _COVERAGE, np.uint8), cv2.IMREAD_GRAYSCALE) if _has(folder) else None
-    frame = LocalFrame(record.latitude, record.longitude)
-    shares = None if coverage is None else (coverage / 255).astype(np.float32)
-    try:
-        place = checked_place(record.place or MapPlace())
-    except InputError as error:
-        raise DataError(f"{file_name} is damaged: {error}") from error
-    return Map(record.name, sheets, frame, shares, _opened_elevation(folder, record.elevation), place)
+    return record
 
 
 def _opened_elevation(folder: Path, record: ElevationRecord | None) -> Elevation | None:

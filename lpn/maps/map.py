@@ -20,6 +20,7 @@ from lpn.maps.elevation import Elevation
 from lpn.maps.frame import LocalFrame
 from lpn.maps.place import MapPlace
 from lpn.maps.sheet import Bounds, Sheet
+from lpn.maps.trials import SinglePhotoTrials
 from lpn.maps.window import Window
 
 # Side of the blocks in which a picture is cut, which bounds the memory.
@@ -51,6 +52,7 @@ class Map:
         coverage: a recorded coverage; None computes it at first use.
         elevation: heights of its ground; None if nothing is known of them.
         place: what is known about its place; None if nothing is.
+        trials: of single photos on it; None without.
 
     Attributes:
         name: of the map.
@@ -60,6 +62,7 @@ class Map:
         resolution: metres per pixel of the finest sheet.
         elevation: as given.
         place: as given; empty for None.
+        trials: as given.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -73,8 +76,9 @@ class Map:
         coverage: Float32Array | None = None,
         elevation: Elevation | None = None,
         place: MapPlace | None = None,
+        trials: SinglePhotoTrials | None = None,
     ) -> None:
-        self.name, self.elevation, self.place = name, elevation, place or MapPlace()
+        self.name, self.elevation, self.place, self.trials = name, elevation, place or MapPlace(), trials
         self.frame = frame or _frame_of(sheets)
         for sheet in sheets:
             sheet.locate(self.frame)

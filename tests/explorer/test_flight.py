@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -264,7 +265,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert job is not None
         waiting = replace(analysis, own_photo=job)
         said = answer_text.plain_verdict(waiting, workspace)
-        assert job.value is not None or (said[0], said[1]) == (None, "Best match")
+        assert job.value is not None or (said[0], said[1]) == (None, "Not known yet")
         assert job.wait(60)
         assert changed.wait(60)
         return waiting, first_screen.page(waiting, workspace)
@@ -280,11 +281,36 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert "On the map" in html
     assert html.count("data:image/jpeg") == 3
     assert "How far to trust it" not in html
+    refused = shown(other)[0]
+    for shown_before, north, sign, headline, reason in (
+        (analysis, 0.0, True, "On this map", "its GPS tag lies "),
+        (
+            analysis,
+            2e6,
+            None,
+            "On this map by its details, elsewhere by its GPS tag",
+            "km from there, more than the errors of both",
+        ),
+        (refused, 0.0, None, "only its GPS tag says that your picture is of this place", "Its GPS tag lies "),
+        (refused, 2e6, None, "Not on this map", "and its GPS tag lies 2,000 km from the nearest piece"),
+    ):
+        assert shown_before.registered is not None
+        tag = np.array([10.0, -20.0 + north])
+        located = replace(shown_before.registered.located, tag=tag)
+        tagged = replace(
+            shown_before,
+            errors_m=np.full(shown_before.task.tiles, max(north, 5.0)),
+            own_photo=SimpleNamespace(value=replace(shown_before.registered, located=located), error=None),  # type: ignore[arg-type]
+        )
+        said = answer_text.plain_verdict(tagged, workspace)
+        assert said[0] is sign
+        assert said[1].endswith(headline)
+        assert reason in said[2]
     again = OwnPicture(mine.name, mine.picture.copy(), None, frame)
     job = progress.follow(again)
     assert job is not None
     assert job.wait(5), "its answer is in the cache"
-    _, html = shown(other)
+    html = first_screen.page(refused, workspace)
     assert "Its details fit nowhere on this map, so nothing says that your picture is of this place." in html
     assert "right answers" not in html
     assert html.count("data:image/jpeg") == 2

@@ -178,6 +178,7 @@ interface Lpn {
   greet(): void;
   address(query: string, keys: string[]): void;
   copy(): Promise<void>;
+  copyText(id: string): Promise<void>;
 }
 
 interface Fault { title: string; texts: string[]; lines: Record<string, string[]> }

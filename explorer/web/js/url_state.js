@@ -123,17 +123,25 @@
     return done;
   };
 
+  const copied = async (text) => {
+    try {
+      await navigator.clipboard.writeText(text);
+      return true;
+    } catch {
+      return copyFromField(text);
+    }
+  };
+
   lpn.copy = async () => {
     const own = new URLSearchParams(search).get("query") === "own";
-    const link = location.origin + location.pathname + search + location.hash;
-    let done = true;
-    try {
-      await navigator.clipboard.writeText(link);
-    } catch {
-      done = copyFromField(link);
-    }
-    if (!done) lpn.say("This browser does not let pages copy: take the link from the address bar.");
+    if (!(await copied(location.origin + location.pathname + search + location.hash)))
+      lpn.say("This browser does not let pages copy: take the link from the address bar.");
     else if (own) lpn.say("Link copied. Your own picture is not in it.");
     else lpn.say("Link copied: it opens what you see.");
+  };
+
+  lpn.copyText = async (id) => {
+    const done = await copied(document.getElementById(id)?.textContent ?? "");
+    lpn.say(done ? "Copied." : "This browser does not let pages copy: select the lines, and copy them.");
   };
 })();

@@ -98,6 +98,10 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
     np.testing.assert_allclose(found.cosines, cosines, atol=1e-5)
     for side in (found.query, found.tile):
         np.testing.assert_allclose(side.cells.sum(axis=(1, 2)) + side.constants, cosines, atol=1e-5)
+    assert query.trace is not None
+    spread = explain.spread_constants(found.query, query.trace)
+    np.testing.assert_allclose(spread.sum(axis=(1, 2)), cosines, atol=1e-5)
+    assert not spread[(query.trace.cells == 0).all(axis=0)].any(), "a cell outside a part has no share of it"
     assert found.score == pytest.approx(float(cosines @ weights), abs=1e-5)
     assert found.query.score_map(weights).sum() + found.query.constants @ weights == pytest.approx(
         found.score, abs=1e-5

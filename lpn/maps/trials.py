@@ -1,0 +1,24 @@
+"""Trials of single photos on a map: how many of its place were placed by their details alone, and how many of other places."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class SinglePhotoTrials(msgspec.Struct, frozen=True):
+    """The counts of trials on a map, as map.json keeps them; `python -m tools.bench.single_photos` writes them.
+
+    Attributes:
+        here, placed: photos of the place, and those that were accepted.
+        elsewhere, misplaced: photos of other places, and those that were accepted all the same.
+    """
+
+    here: int
+    placed: int
+    elsewhere: int
+    misplaced: int
+
+    @property
+    def possible(self) -> bool:
+        """Whether no more photos were accepted than were tried."""
+        return 0 <= self.placed <= self.here and 0 <= self.misplaced <= self.elsewhere
