@@ -90,7 +90,6 @@ class ClientSession:
             self._worker = Worker(self._work, self.views.fail)
             self.views.viewport.watch(self._refit)
             self._own_photo = OwnPhotoProgress(workspace.own_photos, self._follow_own_photo)
-            self._own_photo_changed = threading.Event()
             self._ranking_progress = RankingProgress(self.views.panels.answer.show_results, self._worker.wake)
             self._address = PageAddress(
                 workspace,
@@ -135,12 +134,11 @@ class ClientSession:
     def _refit(self) -> None:
         """Draw the stage for its new size; the worker does it, as it does all drawing."""
         if self._shown is not None and self.views.outgrown(self._shown):
-            self._worker.wake()
+            self._worker.wake("size")
 
     def _follow_own_photo(self) -> None:
         """Have the worker show what has become of the own picture's registration."""
-        self._own_photo_changed.set()
-        self._worker.wake()
+        self._worker.wake("own photo")
 
     def leave(self) -> None:
         """Stop all threads and computations of this browser; it has disconnected."""
@@ -274,16 +272,13 @@ class ClientSession:
             with contextlib.suppress(LPNError):  # it is said when this state is to be drawn
                 self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
             return None
-        shown = self._shown
-        if shown is not None and shown.state == self._state and self.views.outgrown(shown):
-            self.views.refit(shown)
-            if not self._own_photo_changed.is_set():
-                return None
-        if self._own_photo_changed.is_set():
-            self._own_photo_changed.clear()
-            if shown is not None and shown.state == self._state:
+        shown, reasons = self._shown, self._worker.reasons
+        if shown is not None and shown.state == self._state and reasons <= {"size", "own photo"}:
+            if "size" in reasons and self.views.outgrown(shown):
+                self.views.refit(shown)
+            if "own photo" in reasons:
                 self.views.show_own_photo(shown)
-                return None
+            return None
         slow = DelayedCall(_SLOW, self.views.panels.answer.show_busy)
         try:
             ready, self._ready = self._ready, None

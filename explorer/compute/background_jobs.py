@@ -34,6 +34,9 @@ class WorkCancelledError(Exception):
 class BackgroundJob(Generic[T]):
     """Work that starts at once on its own thread.
 
+    Args:
+        on_abandoned: called with the job when its last client has left.
+
     Attributes:
         done, total: progress as last reported.
         value: the result, None until the work succeeds.
@@ -41,15 +44,20 @@ class BackgroundJob(Generic[T]):
         cancelled: all clients left before the work ended.
     """
 
-    def __init__(self, work: Callable[[ReportProgress], T], client: object) -> None:
-        self._work, self._lock = work, threading.Lock()
+    def __init__(
+        self,
+        work: Callable[[ReportProgress], T],
+        client: object,
+        on_abandoned: Callable[[BackgroundJob[T]], None] = lambda _: None,
+    ) -> None:
+        self._on_abandoned, self._lock = on_abandoned, threading.Lock()
         self._clients = {id(client)}  # ids, so that a finished job keeps no client alive
         self._finished, self._started = threading.Event(), time.monotonic()
         self.done, self.total = 0, 0
         self.value: T | None = None
         self.error: str | None = None
         self.cancelled = False
-        threading.Thread(target=self._run, name="explorer-job", daemon=True).start()
+        threading.Thread(target=self._run, args=(work,), name="explorer-job", daemon=True).start()
 
     @property
     def elapsed(self) -> float:
@@ -71,16 +79,19 @@ class BackgroundJob(Generic[T]):
         """Remove a client; the last one to leave cancels the work, for good."""
         with self._lock:
             self._clients.discard(id(client))
-            self.cancelled = self.cancelled or (not self._clients and not self._finished.is_set())
+            abandoned = not self._clients
+            self.cancelled = self.cancelled or (abandoned and not self._finished.is_set())
+        if abandoned:
+            self._on_abandoned(self)
 
     def _report(self, done: int, total: int) -> None:
         self.done, self.total = done, total
         if self.cancelled:
             raise WorkCancelledError
 
-    def _run(self) -> None:
+    def _run(self, work: Callable[[ReportProgress], T]) -> None:
         try:
-            self.value = self._work(self._report)
+            self.value = work(self._report)
         except WorkCancelledError:
             self.error = "The computation was cancelled."
         except LPNError as error:
@@ -110,9 +121,7 @@ class BackgroundJobs:
 
     def __init__(self) -> None:
         self._jobs: dict[Hashable, BackgroundJob[Any]] = {}
-        # The work of the newest job of each key.
-        self._passing: dict[Hashable, object] = {}
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
 
     def join(
         self, key: Hashable, client: object, work: Callable[[ReportProgress], T], keep: bool = True
@@ -120,22 +129,19 @@ class BackgroundJobs:
         """Return the job of a key; start it if there is none.
 
         Args:
-            keep: False if the job is to be forgotten when it ends, because its value is kept elsewhere.
+            keep: False if the job is to be forgotten when its last client has left it; a failed one starts again.
         """
         with self._lock:
             job = self._jobs.get(key)
-            if job is None or not job.join(client):
-                self._passing[key] = work
-                job = self._jobs[key] = BackgroundJob(work if keep else partial(self._pass, key, work), client)
+            if job is None or (job.error is not None and not keep) or not job.join(client):
+                abandoned = (lambda _: None) if keep else partial(self._forget, key)
+                job = self._jobs[key] = BackgroundJob(work, client, abandoned)
             return job
 
-    def _pass(self, key: Hashable, work: Callable[[ReportProgress], T], report: ReportProgress) -> T:
-        try:
-            return work(report)
-        finally:
-            with self._lock:
-                if self._passing.get(key) is work:  # a job that was cancelled leaves alone the one that took its place
-                    del self._jobs[key], self._passing[key]
+    def _forget(self, key: Hashable, job: BackgroundJob[Any]) -> None:
+        with self._lock:
+            if self._jobs.get(key) is job:  # a job that was cancelled leaves alone the one that took its place
+                del self._jobs[key]
 
     def forget_failed(self, key: Hashable) -> None:
         """Forget the job of a key if it failed, so that it can start again."""
@@ -147,7 +153,7 @@ class BackgroundJobs:
     def leave(self, client: object, key: Hashable | None = None) -> None:
         """Remove a client from the job of a key, or from all jobs."""
         with self._lock:
-            for name, job in self._jobs.items():
+            for name, job in list(self._jobs.items()):
                 if key is None or name == key:
                     job.leave(client)
 

@@ -1,4 +1,4 @@
-"""Registration of visitors' own pictures on a workspace's map: one at a time, in the background, and once for all browsers."""
+"""Registration of visitors' own pictures on a workspace's map: one at a time, and in the background."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable, Sequence
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_turn
-from explorer.compute.cache import SingleFlightCache
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.resources import yield_cores
 from lpn.locate.ground import MapFeatures
@@ -16,8 +15,6 @@ from lpn.locate.own_photo import OwnPhoto, register_own_photo
 from lpn.locate.pipeline import default_map_error
 from lpn.maps import Map, Window
 
-# Answers in the cache, some kilobytes each.
-_ANSWERS = 256
 # Seconds between looks at the progress of a registration.
 _INTERVAL = 0.5
 
@@ -25,7 +22,8 @@ _INTERVAL = 0.5
 class OwnPhotoJobs:
     """Registers own pictures on a map; thread-safe.
 
-    The answer of a picture is in the cache by its pixels and by what its file tells, so that it is computed once.
+    A picture's job is known by its pixels and by what its file tells. It is computed once for all clients, and forgotten
+    with its answer when the last of them has left it.
     """
 
     def __init__(self, basemap: Map) -> None:
@@ -33,21 +31,21 @@ class OwnPhotoJobs:
         self._features: list[MapFeatures] = []
         self._turn = threading.Lock()
         self._jobs = BackgroundJobs()
-        self._answers: SingleFlightCache[str, OwnPhoto] = SingleFlightCache(_ANSWERS)
 
     def join(self, picture: OwnPicture, windows: Sequence[Window], client: object) -> BackgroundJob[OwnPhoto]:
-        """Return the job that registers a picture; its answer is there at once if it is in the cache.
+        """Return the job that registers a picture; its answer is there at once if a client still holds it.
 
         Args:
             windows: the most similar ones, see `register_own_photo`.
             client: leaves the job when it needs it no longer; the last one to leave cancels it.
         """
-        key = _key(picture)
+        return self._jobs.join(
+            _key(picture), client, lambda report: self._register(picture, windows, report), keep=False
+        )
 
-        def work(report: ReportProgress) -> OwnPhoto:
-            return self._answers.get(key, lambda: self._register(picture, windows, report))
-
-        return self._jobs.join(key, client, work, keep=False)
+    def leave(self, client: object) -> None:
+        """Remove a client from all its jobs."""
+        self._jobs.leave(client)
 
     def _register(self, picture: OwnPicture, windows: Sequence[Window], report: ReportProgress) -> OwnPhoto:
         yield_cores()  # it takes seconds, and answers must not wait for it
@@ -64,7 +62,7 @@ class OwnPhotoJobs:
 
 
 class OwnPhotoProgress:
-    """Follows the registration of the own picture that one browser shows.
+    """Follows the registration of the own picture that one browser shows, and holds the answers of those before.
 
     Args:
         jobs: of the workspace; None where it has no map.
@@ -78,10 +76,13 @@ class OwnPhotoProgress:
         self._closed = False
 
     def follow(self, picture: OwnPicture | None, windows: Sequence[Window] = ()) -> BackgroundJob[OwnPhoto] | None:
-        """Return the job of a picture, which begins; that of another picture is left. None without a picture or a map."""
+        """Return the job of a picture, which begins; an unfinished one of another picture is left.
+
+        None without a picture or a map.
+        """
         with self._lock:
             if picture is not self._picture and not self._closed:
-                if self._job is not None:
+                if self._job is not None and self._job.value is None:
                     self._job.leave(self)
                 self._picture, self._job = picture, None
                 if picture is not None and self._jobs is not None:
@@ -90,11 +91,11 @@ class OwnPhotoProgress:
             return self._job
 
     def close(self) -> None:
-        """Leave for good: the browser has disconnected."""
+        """Leave all jobs for good: the browser has disconnected."""
         with self._lock:
             self._closed = True
-            if self._job is not None:
-                self._job.leave(self)
+            if self._jobs is not None:
+                self._jobs.leave(self)
             self._picture = self._job = None
 
     def _wait(self, job: BackgroundJob[OwnPhoto]) -> None:

@@ -38,6 +38,9 @@ class Worker:
     Args:
         work: function that reads the newest state; it returns the seconds until its next run, or None to wait for `wake`.
         on_error: called with an exception of `work`; the worker continues.
+
+    Attributes:
+        reasons: of the wakes that led to the run; a run that is tried again keeps them.
     """
 
     def __init__(self, work: Callable[[], float | None], on_error: Callable[[Exception], None]) -> None:
@@ -45,9 +48,13 @@ class Worker:
         self._requested, self._lock = threading.Event(), threading.Lock()
         self._stopped = False
         self._thread: threading.Thread | None = None
+        self.reasons: set[str] = set()
+        self._new_reasons: set[str] = set()
 
-    def wake(self) -> None:
+    def wake(self, reason: str = "") -> None:
         """Request a run; the first call starts the thread."""
+        with self._lock:
+            self._new_reasons.add(reason)
         self._requested.set()
         with self._lock:
             if self._thread is None and not self._stopped:
@@ -69,6 +76,9 @@ class Worker:
             self._requested.clear()
             if self._stopped:
                 return
+            with self._lock:
+                kept = set() if delay is None else self.reasons
+                self.reasons, self._new_reasons = kept | self._new_reasons, set()
             delay = None
             try:
                 delay = self._work()

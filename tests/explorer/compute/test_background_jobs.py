@@ -140,7 +140,7 @@ def test_another_process_returns_its_result_or_error_or_is_killed() -> None:
 
 
 def test_a_cancelled_job_that_ends_late_leaves_alone_the_one_that_took_its_place() -> None:
-    jobs, stop, client = BackgroundJobs(), [threading.Event(), threading.Event()], object()
+    jobs, stop, client, other = BackgroundJobs(), [threading.Event(), threading.Event()], object(), object()
 
     def work(number: int) -> Callable[[ReportProgress], int]:
         def run(report: ReportProgress) -> int:
@@ -157,8 +157,23 @@ def test_a_cancelled_job_that_ends_late_leaves_alone_the_one_that_took_its_place
     assert second is not first
     stop[0].set()
     assert first.wait(TIMEOUT)
-    assert jobs.join("a", object(), work(1), keep=False) is second
+    assert jobs.join("a", other, work(1), keep=False) is second
     stop[1].set()
     assert second.wait(TIMEOUT)
+    second.leave(client)
+    assert jobs.join("a", other, work(1), keep=False) is second
     assert second.value == 1
-    until(lambda: "a" not in jobs._jobs)
+    jobs.leave(other)
+    assert not jobs._jobs
+
+
+def test_a_failed_job_that_is_not_kept_starts_again() -> None:
+    jobs, client = BackgroundJobs(), object()
+
+    def fail(_: ReportProgress) -> int:
+        raise InputError("The file is damaged.")
+
+    assert jobs.join("a", client, fail, keep=False).wait(TIMEOUT)
+    again = jobs.join("a", client, lambda _: 3, keep=False)
+    assert again.wait(TIMEOUT)
+    assert again.value == 3

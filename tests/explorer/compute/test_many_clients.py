@@ -317,6 +317,26 @@ def test_a_value_that_arrives_while_controls_are_read_is_not_lost(app: App) -> N
         assert slider.value == 12
 
 
+def test_a_ranking_that_ends_while_an_own_picture_is_registered_is_shown(app: App) -> None:
+    drawing, may_draw = threading.Event(), threading.Event()
+
+    def draw(_: StateAnalysis) -> None:
+        drawing.set()
+        assert may_draw.wait(TIMEOUT)
+
+    with Browser(url(app)) as browser:
+        browser.greet()
+        session = session_of(app, browser)
+        before = session.views.sequence
+        session.views.show_own_photo = draw  # type: ignore[method-assign]
+        session._follow_own_photo()
+        assert drawing.wait(TIMEOUT)
+        session._ranking_progress._on_done()
+        session._follow_own_photo()
+        may_draw.set()
+        until(lambda: session.views.sequence > before)
+
+
 def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     reading = threading.BoundedSemaphore(1)
     monkeypatch.setattr(uploads, "_READING", reading)
