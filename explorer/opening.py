@@ -428,9 +428,9 @@ def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
         _city(first) if with_city else _relief(source),
         first.root,
     )
-    workspace.flight, workspace.basemap = source.located, source.map
-    basemap = source.map if source.located is None else source.located.basemap
-    workspace.own_photos = None if basemap is None else OwnPhotoJobs(basemap)
+    workspace.flight = source.located
+    workspace.basemap = source.map if source.located is None else source.located.basemap
+    workspace.own_photos = None if workspace.basemap is None else OwnPhotoJobs(workspace.basemap)
     return workspace
 
 

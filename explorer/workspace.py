@@ -42,8 +42,7 @@ from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary
 from lpn.explain.lead_places import TileGround
-from lpn.locate.camera_pose import CameraPose
-from lpn.locate.located import LocatedFlight
+from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -257,10 +256,11 @@ class Workspace:
         quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
 
-    def pose(self, query: int) -> CameraPose | None:
-        """Return the pose of the camera of a flight's frame by its accepted registration; None without one."""
-        answer = None if self.flight is None else self.flight.frames[query].stages.get("registration")
-        return answer.pose if answer is not None and answer.accepted else None
+    def located(self, analysis: StateAnalysis) -> LocatedFrame | None:
+        """Return the photo that is shown with its registration: of a flight, or an own one; None without."""
+        if analysis.state.upload:
+            return None if analysis.registered is None else analysis.registered.located
+        return None if self.flight is None else self.flight.frames[analysis.state.query]
 
     @property
     def has_flight(self) -> bool:
@@ -362,9 +362,8 @@ class Workspace:
         assert task.geometry is not None
         with self._mosaic_lock:
             if task.name not in self._mosaics:
-                basemap = self.basemap if self.flight is None else self.flight.basemap
-                if basemap is not None:
-                    drawn = mosaic.draw_map(task.geometry, basemap)
+                if self.basemap is not None:
+                    drawn = mosaic.draw_map(task.geometry, self.basemap)
                 elif task.depth is not None:
                     drawn = mosaic.empty(task.geometry)
                 else:

@@ -240,6 +240,8 @@ class ClientViews:
                 return
             if covered:
                 self.first_screen.show(analysis, self.stories.names)
+            else:
+                self.stage.show(analysis)
             self.panels.show(analysis, self.sequence, covered)
 
     def refit(self, analysis: StateAnalysis) -> None:

@@ -212,9 +212,9 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
 
 def _tag_on_map(own: OwnPhoto, workspace: Workspace) -> bool:
     """Return whether an own picture's GPS tag lies on the map, or beyond its border by no more than the errors of tags."""
-    if own.located.tag is None or workspace.own_photos is None:
+    if own.located.tag is None or workspace.basemap is None:
         return False
-    west, south, east, north = workspace.own_photos.basemap.bounds
+    west, south, east, north = workspace.basemap.bounds
     x, y = own.located.tag
     reach = _tag_error(workspace)
     return bool(west - reach <= x <= east + reach and south - reach <= y <= north + reach)
@@ -415,7 +415,7 @@ def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:
 
 def trials(workspace: Workspace) -> tuple[str, str]:
     """Say how many single photos of other places and of this place were placed on the map; "" where that was not measured."""
-    counts = None if workspace.own_photos is None else workspace.own_photos.basemap.trials
+    counts = None if workspace.basemap is None else workspace.basemap.trials
     if counts is None:
         return "", ""
     none = "none was" if counts.misplaced == 0 else f"{counts.misplaced} were"

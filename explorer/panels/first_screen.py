@@ -182,7 +182,7 @@ def page(
     alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
     own = analysis.registered
-    located = _located(analysis, workspace)
+    located = workspace.located(analysis)
     laid = None if state.why else _laid(located, workspace, own is not None)
     if third is None and laid is None and look_errs and positive is not None and not positive.beyond:
         third = positive.index
@@ -376,21 +376,14 @@ def _third_tile(
     return overlays.data_uri(drawn, 85), caption, right if known else None
 
 
-def _located(analysis: StateAnalysis, workspace: Workspace) -> LocatedFrame | None:
-    """Return the photo that is shown with its registration: of a flight, or an own one; None without."""
-    if analysis.state.upload:
-        return None if analysis.registered is None else analysis.registered.located
-    return None if workspace.flight is None else workspace.flight.frames[analysis.state.query]
-
-
 def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> LaidPhoto | None:
     """Return where a photo fits the map; None without an accepted registration."""
-    if located is None or workspace.own_photos is None:
+    basemap = workspace.basemap
+    if located is None or basemap is None:
         return None
     answer, ground = located.stages.get("registration"), outline(located)
     if answer is None or not answer.accepted or ground is None or answer.x is None or answer.y is None:
         return None
-    basemap = workspace.own_photos.basemap
     west, south, east, north = basemap.bounds
     picture, valid = _map_picture(basemap)
     # The map lies in the middle of a square, as large as the pictures beside it.

@@ -29,7 +29,7 @@ def place(workspace: Workspace) -> str:
 
     A rendered map has no coordinate, as it shows no real place.
     """
-    basemap = workspace.basemap if workspace.flight is None else workspace.flight.basemap
+    basemap = workspace.basemap
     if basemap is None:
         return ""
     return render(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,15 +15,18 @@ from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_CAPTION, SIGN_PICTURE, 
 from explorer.stage.image_planes import Plane, Rotation, query_title, rank_title
 from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
-from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
+from lpn.core.arrays import AnyArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.numbers import distance
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme
+from lpn.flights import Frame
 from lpn.flights.cameras import rotation
 from lpn.locate.camera_pose import CameraPose
+from lpn.locate.coverage import crossing, outline
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Height of lines over the mosaic, in stage units.
@@ -38,6 +41,8 @@ _MAX_CAMERA_DISTANCE = 5000.0
 _NEAR = 0.1
 # Longer side of the photo in the query's camera, in pixels.
 _PHOTO = 512
+# Two ends in stage units, (3,) each, and a colour.
+_Segment = tuple[AnyArray, AnyArray, theme.Colour]
 # Rotation from glTF (y is up) to the stage (z is up).
 _Z_UP: Rotation = (math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0)
 
@@ -78,7 +83,7 @@ class GalleryMap:
     ) -> None:
         self._workspace = workspace
         self.eye: Eye | None = None
-        self._photo: tuple[Path, UInt8Array] | None = None
+        self._photo: tuple[Path | OwnPicture, UInt8Array] | None = None
         self._camera_scale = 0.5
         self._analysis: StateAnalysis | None = None
         self._task = ""
@@ -136,8 +141,11 @@ class GalleryMap:
         return viewpoint
 
     def draw_near(self) -> None:
-        """Bring the photo so near to the query's camera that nothing of the map stands between them."""
-        self._camera.visible, self._camera.scale = True, _NEAR
+        """Bring the photo so near to the query's camera that nothing of the map stands between them.
+
+        Lines are hidden: one begins at the camera, and would lie across the whole view.
+        """
+        self._camera.visible, self._camera.scale, self._lines.visible = True, _NEAR, False
 
     def flip_photo(self) -> None:
         """Hide the photo of the query's camera, so that the map lies bare, or show it again."""
@@ -146,7 +154,7 @@ class GalleryMap:
     def show_photo(self) -> None:
         """Show the query's camera again in its usual size, if its pose is known."""
         if self.eye is not None:
-            self._camera.visible, self._camera.scale = True, self._camera_scale
+            self._camera.visible, self._camera.scale, self._lines.visible = True, self._camera_scale, True
 
     def ground(self, places: GalleryGeometry) -> dict[str, object]:
         """Return what the page needs to measure on the ground, as JSON takes it.
@@ -263,11 +271,12 @@ class GalleryMap:
     def _show_camera(self, analysis: StateAnalysis, places: GalleryGeometry) -> Float64Array | None:
         """Show the frustum at the query's pose and return its position; None when the pose is not known.
 
-        A registered frame of a flight stands where its pose has it, with its whole photo.
+        A registered photo stands where its pose has it, with its whole picture.
         """
-        pose = None if analysis.state.upload else self._workspace.pose(analysis.state.query)
-        if pose is not None:
-            return self._show_pose(pose, analysis.state.query, places)
+        located = self._workspace.located(analysis)
+        answer = None if located is None else located.stages.get("registration")
+        if located is not None and answer is not None and answer.accepted and answer.pose is not None:
+            return self._show_pose(answer.pose, located.frame, analysis, places)
         self.eye = None
         place = None if analysis.state.upload else places.queries[analysis.state.query]
         stands = None if place is None else geo.camera(place, places.origin)
@@ -287,14 +296,19 @@ class GalleryMap:
         self._camera.image = overlays.square(analysis.query.picture, 128)
         return at
 
-    def _show_pose(self, pose: CameraPose, query: int, places: GalleryGeometry) -> Float64Array:
-        """Show the frustum of a frame's pose, and return its position."""
-        flight, model = self._workspace.flight, self._workspace.city
-        assert flight is not None
-        frame = flight.frames[query].frame
-        degrees = flight.basemap.frame.degrees([(pose.east, pose.north)])[0].tolist()
+    def _from_map(self, points: FloatingArray, places: GalleryGeometry) -> Float64Array:
+        """Convert metres in the map's frame, (K, 2), to those that the stage counts, (K, 2)."""
+        basemap = self._workspace.basemap
+        assert basemap is not None
+        return geo.on_plane([Position(*degrees) for degrees in basemap.frame.degrees(points).tolist()], places.origin)
+
+    def _show_pose(
+        self, pose: CameraPose, frame: Frame, analysis: StateAnalysis, places: GalleryGeometry
+    ) -> Float64Array:
+        """Show the frustum of a photo's pose, and return its position."""
+        model, own = self._workspace.city, analysis.state.upload
         base = model.base if model is not None and not pose.flat else 0.0
-        at = self._to_stage(geo.on_plane([Position(*degrees)], places.origin)[0], pose.altitude - base)
+        at = self._to_stage(self._from_map(np.array([(pose.east, pose.north)]), places)[0], pose.altitude - base)
         # Columns of the camera's body, (north, east, down), become (east, north, up).
         top, right, forward = (rotation(pose.heading, pose.pitch, pose.roll)[[1, 0, 2]] * [[1], [1], [-1]]).T
         turn = _quaternion(np.stack([right, -top, forward], axis=1))
@@ -303,8 +317,10 @@ class GalleryMap:
         self._camera.visible, self._camera.aspect = True, aspect
         self._camera.fov = 2 * math.atan(across / aspect)
         self._camera.position, self._camera.wxyz = at, turn
-        if self._photo is None or self._photo[0] != frame.file:
-            self._photo = frame.file, images.shrink(images.load_picture(frame.file), _PHOTO)
+        photo = own or frame.file
+        if self._photo is None or self._photo[0] != photo:
+            picture = images.load_picture(frame.file) if own is None else own.picture
+            self._photo = photo, images.shrink(picture, _PHOTO)
         self._camera.image = self._photo[1]
         self.eye = Eye(at, np.asarray(forward), np.asarray(top), across, aspect)
         return at
@@ -312,27 +328,33 @@ class GalleryMap:
     def _show_lines(
         self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
     ) -> None:
-        """Draw a line to the compared tile, and frame the positive.
+        """Draw a line to the compared tile, and frame the positive, and the ground of an own picture that is registered.
 
-        The line begins at the query's camera, at the marked GPS tag of the user's own picture, or without either at the positive.
+        The line begins at the query's camera, at the middle of that ground, at the marked GPS tag of the user's own picture,
+        or without any of them at the positive.
         """
-        segments: list[tuple[AnyArray, AnyArray, theme.Colour]] = []
+        segments: list[_Segment] = []
         chosen = self._to_stage(places.ground[analysis.chosen.index], 0.0, lift)
         truth = None
         if analysis.positive is not None:
             truth = self._to_stage(places.ground[analysis.positive.index], 0.0, lift)
             half = self._tile_side(places, analysis.positive.index) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-            corners = [np.add(truth, (x * half, y * half, 0.0)) for x, y in signs]
-            segments += [(corners[i], corners[(i + 1) % 4], theme.TRUE_COLOUR) for i in range(4)]
-        start = camera if camera is not None else truth
-        own = analysis.state.upload
+            segments += _outline([np.add(truth, (x * half, y * half, 0.0)) for x, y in signs], theme.TRUE_COLOUR)
+        start, own = camera if camera is not None else truth, analysis.state.upload
+        located = None if own is None else self._workspace.located(analysis)
+        ground = None if located is None else outline(located)
+        if ground is not None and ground.registered:
+            points = self._from_map(np.vstack([ground.corners, crossing(ground.corners)]), places)
+            *corners, middle = [self._to_stage(point, 0.0, lift) for point in points]
+            segments += _outline(corners, theme.TRUE_COLOUR)
+            start = middle if camera is None else camera
         if own is not None and own.place is not None:
             tag = self._to_stage(geo.on_plane([Position(*own.place)], places.origin)[0], 0.0, lift)
             if float(np.abs(tag - chosen).max()) < _MAX_CAMERA_DISTANCE * self._scale:
-                start = tag
+                start = tag if start is None else start
                 tips = [np.add(tag, (x, y, 0.0)) for x, y in ((-_TAG, 0), (0, -_TAG), (_TAG, 0), (0, _TAG))]
-                segments += [(tips[i], tips[(i + 1) % 4], analysis.state.palette.text) for i in range(4)]
+                segments += _outline(tips, analysis.state.palette.text)
         if start is not None:
             segments.append((start, chosen, theme.verdict_colour(analysis.chosen.true)))
         if camera is not None and truth is not None and not analysis.chosen.true:
@@ -368,9 +390,10 @@ class GalleryMap:
         draw.text((412, 222), tile, palette.dim, captions.font(size), anchor="rm")
         if analysis.errors_m is not None and np.isfinite(analysis.errors_m[chosen.index]):
             colour = palette.ink(theme.verdict_colour(chosen.true))
+            off = "off" if analysis.state.upload is None else "from its tag"
             draw.text(
                 (228, 126),
-                f"{distance(float(analysis.errors_m[chosen.index]))} off",
+                f"{distance(float(analysis.errors_m[chosen.index]))} {off}",
                 colour,
                 captions.font(max(40, size)),
                 anchor="mm",
@@ -384,6 +407,11 @@ class GalleryMap:
                 on_select(analysis.state, analysis.matches[slot].index)
 
         return clicked
+
+
+def _outline(corners: Sequence[AnyArray], colour: theme.Colour) -> list[_Segment]:
+    """Return the sides of a quadrangle."""
+    return [(corners[i], corners[(i + 1) % 4], colour) for i in range(4)]
 
 
 def _point(x: float, y: float, z: float) -> tuple[float, float, float]:

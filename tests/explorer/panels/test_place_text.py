@@ -21,7 +21,9 @@ from lpn.maps.named_window import WindowCut
 
 def workspace_of(place: tuple[Any, Any]) -> Any:
     basemap, flight = open_map(place[0]), open_flight(place[1])
-    return SimpleNamespace(root=place[1], about="", flight=SimpleNamespace(basemap=basemap, flight=flight))
+    return SimpleNamespace(
+        root=place[1], about="", basemap=basemap, flight=SimpleNamespace(basemap=basemap, flight=flight)
+    )
 
 
 def text(html: str) -> str:

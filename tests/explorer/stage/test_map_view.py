@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.stage.camera import MAP_CENTRE
@@ -19,6 +21,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.flights import Frame
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import LocalFrame
 from tools.fixtures import small_worlds
 
@@ -82,7 +85,8 @@ def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(work
     other = LocatedFrame(frame, None, {"registration": StageRecord("refused", "", pose=pose)})
     origin = task.geometry.origin
     basemap = SimpleNamespace(frame=LocalFrame(origin.latitude, origin.longitude))
-    workspace.flight = SimpleNamespace(basemap=basemap, frames=[other] * 4 + [located])  # type: ignore[assignment]
+    workspace.flight = SimpleNamespace(frames=[other] * 4 + [located])  # type: ignore[assignment]
+    workspace.basemap = basemap  # type: ignore[assignment]
     looked: list[Eye] = []
     scene = Scene()
     try:
@@ -95,14 +99,15 @@ def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(work
         usual = scene.camera.scale
         shown.draw_near()
         assert scene.camera.scale < usual
+        assert not scene.lines.visible
         shown.flip_photo()
         assert not scene.camera.visible
         shown.show_photo()
-        assert (scene.camera.visible, scene.camera.scale) == (True, usual)
+        assert (scene.camera.visible, scene.camera.scale, scene.lines.visible) == (True, usual, True)
         shown.show(analyse(SessionState(TASK, 4, map=True), 6), Lettering(24, 100.0))
         assert shown.eye is None
     finally:
-        workspace.flight = None
+        workspace.flight = workspace.basemap = None
     (eye,) = looked
     metres = (eye.position - [*ground["middle"], MAP_CENTRE[2]]) * ground["metres"]  # type: ignore[misc, operator]
     np.testing.assert_allclose(metres, [30.0, 40.0, 150.0], rtol=0.01)
@@ -111,3 +116,37 @@ def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(work
     np.testing.assert_allclose(eye.up, [np.sqrt(0.75), 0, 0.5], atol=1e-9)
     assert (eye.across, eye.aspect) == pytest.approx((np.tan(np.radians(35)), 4 / 3))
     assert upright == pytest.approx(2 * np.arctan(eye.across * 3 / 4))
+
+
+@pytest.mark.parametrize("posed", [True, False])
+def test_the_ground_of_an_own_picture_that_is_registered_is_framed_and_its_camera_stands_there(
+    workspace: Workspace, posed: bool
+) -> None:
+    task = workspace.tasks[TASK]
+    assert task.geometry is not None
+    pose = CameraPose(30.0, 40.0, 150.0, 100.0, 90.0, -60.0, 0.0, 70.0, "told", True, 50, np.eye(6).ravel().tolist())
+    # A pixel is half a metre of ground, and the photo's middle lies 30 m east and 40 m north.
+    homography = [0.5, 0, 30.0 - 0.25 * 399, 0, -0.5, 40.0 + 0.25 * 299, 0, 0, 1]
+    answer = StageRecord("accepted", "", 30.0, 40.0, homography=homography, pose=pose if posed else None)
+    located = LocatedFrame(Frame("own.jpg", Path("own.jpg"), 400, 300), None, {"registration": answer})
+    job: BackgroundJob[OwnPhoto] = BackgroundJob(lambda _: OwnPhoto(located, True), None)
+    assert job.wait(60)
+    own = OwnPicture("own.jpg", np.full((300, 400, 3), 90, np.uint8))
+    origin, scene = task.geometry.origin, Scene()
+    workspace.basemap = SimpleNamespace(frame=LocalFrame(origin.latitude, origin.longitude))  # type: ignore[assignment]
+    try:
+        shown = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
+        analysis = StateAnalyser(workspace).analyse(SessionState(TASK, 4, upload=own, map=True), 6)
+        shown.show(replace(analysis, own_photo=job), Lettering(24, 100.0))
+        ground = shown.ground(task.geometry)
+    finally:
+        workspace.basemap = None
+    metres = (scene.lines.points - [*ground["middle"], MAP_CENTRE[2]]) * ground["metres"]  # type: ignore[misc, operator]
+    frame = [(-70, 115), (130, 115), (130, -35), (-70, -35)]
+    np.testing.assert_allclose(metres[:4, 0, :2], frame, rtol=0.01, atol=0.5)
+    assert len(metres) == 5
+    np.testing.assert_allclose(metres[4, 0, :2], (30, 40), rtol=0.01, atol=0.5)
+    assert scene.camera.visible is posed
+    if posed:
+        assert scene.camera.image.shape == (300, 400, 3)
+        assert metres[4, 0, 2] == pytest.approx(150.0, rel=0.01)
