@@ -21,13 +21,37 @@
     document.querySelector(SELECTORS.app)?.removeAttribute("inert");
   };
 
+  const STOPS = "a[href], button, summary, [tabindex]"; // of the keyboard
+  const named = (/** @type {HTMLElement} */ one) => one.dataset.act || one.textContent.trim();
+
+  // Return a function that focuses the stop that had the focus, after the page has got new content.
+  const keptFocus = (page) => {
+    const focused = document.activeElement;
+    if (!(focused instanceof HTMLElement) || !page.contains(focused) || !focused.matches(STOPS)) return () => {};
+    const alike = () => [...page.querySelectorAll(STOPS)].filter((one) => named(one) === name);
+    const name = named(focused), position = alike().indexOf(focused);
+    return () => alike()[position]?.focus({ preventScroll: true });
+  };
+
+  // Return a function that opens and closes again what a person has opened and closed, in new content for the same picture.
+  const keptDetails = (page) => {
+    const all = () => [...page.querySelectorAll("details")], summary = (one) => named(one.querySelector("summary"));
+    const changed = new Map(all().filter((one) => String(one.open) !== one.dataset.opened).map((one) => [summary(one), one.open]));
+    return (same) => {
+      for (const one of all()) {
+        one.dataset.opened = String(one.open);
+        if (same && changed.has(summary(one))) one.open = changed.get(summary(one));
+      }
+    };
+  };
+
   const open = (html) => {
     const before = document.getElementById("lpn-first");
     const page = before || document.body.appendChild(document.createElement("main"));
     page.id = "lpn-first";
     page.className = "lpn";
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
-    const focused = page.contains(document.activeElement) ? document.activeElement.getAttribute("data-act") : null;
+    const restoreFocus = keptFocus(page), restoreDetails = keptDetails(page);
     page.innerHTML = html;
     page.onclick = (event) => {
       const pressed = event.target.closest("[data-act]");
@@ -38,8 +62,9 @@
     };
     const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
     const another = query && pair && pair.dataset.query !== query;
-    const act = reason && !explained && query ? "why" : focused; // a page that opens with a reason has its first stop at the top
-    if (act) page.querySelector('[data-act="' + act + '"]')?.focus({ preventScroll: true });
+    restoreDetails(!another);
+    if (reason && !explained && query) page.querySelector("[data-act=why]")?.focus({ preventScroll: true });
+    else restoreFocus(); // a page that opens with a reason has its first stop at the top
     // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room.
     if (another) page.scrollTop = 0;
     if (reason && (another || !explained)) {
