@@ -135,8 +135,8 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         if far[0]:
             return None, ELSEWHERE[1], f"{text} {far[1]}"
         return None, "Best match", f"{text} {_UNPROVEN} {far[1]}"
-    if positive is None and analysis.ranking.depth is None:
-        return False, "Wrong", f"None of the {pictures} shows this place, so no answer can be right."
+    if none := _no_right_answer(analysis, workspace):
+        return False, "Wrong", none
     if first.true:
         off = "" if error_m is None else f" Its middle lies {distance(error_m)} from the place photographed."
         return True, "Right", f"The model compared {pictures} and found the right one.{off}"
@@ -162,15 +162,32 @@ def flight_verdict(
     if right and verdict.sign:
         return look
     by_look = f"{sentence[:1].lower()}{sentence[1:]}"
+    ungraded = bool(_no_right_answer(analysis, workspace))
     if verdict.stage == "registration":
         doubt = "its neighbours disagree" if located.tag is None else "its GPS tag disagrees"
         headline = "Placed by its details" if verdict.sign else f"Placed by its details, but {doubt}"
-        return verdict.sign, headline, f"Its look alone {'is right' if right else 'errs'}: {by_look}"
+        return (
+            verdict.sign,
+            headline,
+            sentence if ungraded else f"Its look alone {'is right' if right else 'errs'}: {by_look}",
+        )
     headline = "Placed by its neighbours only" if verdict.stage == "sequence" else "Not placed"
-    guess = (
-        f"Its details fit nowhere for sure, so its look is a guess, which is {'right' if right else 'wrong'}: {by_look}"
-    )
-    return verdict.sign, headline, guess
+    graded = "" if ungraded else f", which is {'right' if right else 'wrong'}"
+    return verdict.sign, headline, f"Its details fit nowhere for sure, so its look is a guess{graded}: {by_look}"
+
+
+def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say why no tile can be the right answer; "" if one is, or if the search returned only some of all tiles.
+
+    A photo of a flight is graded by a place, which its registration may contradict.
+    """
+    if analysis.positive is not None or analysis.ranking.depth is not None:
+        return ""
+    pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
+    if workspace.flight is None:
+        return f"None of the {pictures} shows this place, so no answer can be right."
+    judge = "Its GPS tag" if workspace.flight.late_tags is None else "The place that the photo is graded by"
+    return f"{judge} lies on none of the {pictures}, so no answer counts as right."
 
 
 def _compared(analysis: StateAnalysis) -> bool:

@@ -553,7 +553,16 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     said = text(first_screen.page(analyse(workspace, replace(state, query=placed)), workspace))
     assert "? Not placed. Its details fit nowhere for sure, so its look is a guess, which is wrong: the model" in said
     assert "The right one" in said
+    # A photo that is graded by a place off all pieces.
+    off = replace(analyse(workspace, replace(state, query=placed)), positive=None)
+    nowhere = (
+        "the place that the photo is graded by lies on none of the 224 pieces of the map, so no answer counts as right."
+    )
+    said = text(first_screen.page(off, workspace))
+    assert f"? Not placed. Its details fit nowhere for sure, so its look is a guess: {nowhere}" in said
     flight.frames[placed].stages["registration"] = before
+    said = text(first_screen.page(off, workspace))
+    assert f"✓ Placed by its details. T{nowhere[1:]}" in said
     for query, sentence in ((right.index(True), "it lies elsewhere"), (right.index(False), "it lies on this piece")):
         shown = analyse(workspace, replace(state, query=query))
         assert "the map disagree" not in text(first_screen.page(shown, workspace))
