@@ -7,8 +7,10 @@ import io
 import json
 import logging
 import math
+import threading
 import zipfile
 from collections import OrderedDict
+from collections.abc import Hashable
 from pathlib import Path
 
 import numpy as np
@@ -30,14 +32,59 @@ _LIMIT = 7500
 # A photo is resized to at most this width, and a map is enlarged at most twice.
 _PHOTO = 900
 _ENLARGED = 2.0
-# Blocks in memory; each holds at most 4 MB.
-_BLOCKS = 64
 # Blocks that one photo may be compared with.
 MAX_BLOCKS = 48
+# Bytes of features in memory: as many blocks as one photo needs of two matchers, 2 MB each of XFeat and 4 MB of SIFT.
+_MEMORY = 300_000_000
+
+
+class GroundCache:
+    """Features of blocks of all maps of a process, of which those that were used last stay (LRU); thread-safe.
+
+    Args:
+        limit: the most bytes that all features together take; the newest are kept even if they take more.
+
+    Attributes:
+        size: the bytes that they take.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit, self._lock = limit, threading.Lock()
+        self._grounds: OrderedDict[Hashable, Ground] = OrderedDict()
+        self.size = 0
+
+    def get(self, key: Hashable) -> Ground | None:
+        """Return the features of a block; None if they are not held."""
+        with self._lock:
+            if key in self._grounds:
+                self._grounds.move_to_end(key)
+            return self._grounds.get(key)
+
+    def put(self, key: Hashable, ground: Ground) -> None:
+        """Hold the features of a block."""
+        with self._lock:
+            self._drop(self._grounds.pop(key, None))
+            self._grounds[key] = ground
+            self.size += _bytes(ground)
+            while self.size > self._limit and len(self._grounds) > 1:
+                self._drop(self._grounds.popitem(last=False)[1])
+
+    def clear(self) -> None:
+        """Hold nothing."""
+        with self._lock:
+            self._grounds.clear()
+            self.size = 0
+
+    def _drop(self, ground: Ground | None) -> None:
+        self.size -= 0 if ground is None else _bytes(ground)
+
+
+# Shared by all maps, so that a process that shows several needs no more memory.
+in_memory = GroundCache(_MEMORY)
 
 
 class MapFeatures:
-    """Features of the blocks of a map: in memory for the frames to come (LRU), and on disk for the runs to come.
+    """Features of the blocks of a map: in memory for the frames to come, and on disk for the runs to come.
 
     A block's file is addressed by the digest of the map, the matcher with its version, and the block, so a change of one of them
     describes the block again. A file that cannot be read is made anew; a cache that cannot be written costs time only.
@@ -50,10 +97,9 @@ class MapFeatures:
 
     def __init__(self, basemap: Map, matcher: Matcher, on_disk: bool = True) -> None:
         self._map, self.matcher = basemap, matcher
-        self._blocks: OrderedDict[tuple[int, int, int], Ground] = OrderedDict()
         identity = [FORMAT, basemap.digest(), matcher.name, matcher.version, _SIDE, _MARGIN, _LIMIT]
-        digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
-        self._folder: Path | None = cache_folder() / "locate" / "ground" / digest if on_disk else None
+        self._digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
+        self._folder: Path | None = cache_folder() / "locate" / "ground" / self._digest if on_disk else None
 
     def resolution(self, width: float) -> float:
         """Return the metres per pixel at which photos of a ground width are compared: a power of two of the map's half pixel."""
@@ -109,16 +155,14 @@ class MapFeatures:
 
     def _block(self, level: int, row: int, column: int, resolution: float) -> Ground:
         key = (level, row, column)
-        if key not in self._blocks:
+        ground = in_memory.get((self._digest, key))
+        if ground is None:
             ground = self._read(key, resolution)
             if ground is None:
                 ground = self._described(row, column, resolution)
                 self._write(key, ground)
-            self._blocks[key] = ground
-            while len(self._blocks) > _BLOCKS:
-                self._blocks.popitem(last=False)
-        self._blocks.move_to_end(key)
-        return self._blocks[key]
+            in_memory.put((self._digest, key), ground)
+        return ground
 
     def _described(self, row: int, column: int, resolution: float) -> Ground:
         west, north = self._map.bounds[0], self._map.bounds[3]
@@ -159,3 +203,7 @@ class MapFeatures:
                 file.parent,
                 getattr(error, "strerror", None) or error,
             )
+
+
+def _bytes(ground: Ground) -> int:
+    return ground.points.nbytes + ground.descriptors.nbytes

@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn.locate.ground import MapFeatures
+from lpn.locate import ground
+from lpn.locate.ground import GroundCache, MapFeatures
 from lpn.locate.matchers import SiftMatcher
+from lpn.locate.registration import Ground
 from lpn.maps import Map
 from tests.lpn.locate.scenery import land, write_map
 
@@ -29,11 +31,13 @@ class _CountingMatcher(SiftMatcher):
 def town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Map:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(_CountingMatcher, "described", 0)
+    ground.in_memory.clear()
     return write_map(tmp_path / "town.tif", cv2.resize(land(), (200, 200), interpolation=cv2.INTER_AREA))
 
 
 def test_blocks_are_described_once_for_all_runs_and_a_damaged_file_is_made_anew(town: Map, tmp_path: Path) -> None:
     first = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
+    ground.in_memory.clear()
     again = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
     assert first is not None
     assert again is not None
@@ -43,9 +47,11 @@ def test_blocks_are_described_once_for_all_runs_and_a_damaged_file_is_made_anew(
     np.testing.assert_array_equal(again.descriptors, first.descriptors)
     (file,) = (tmp_path / "cache").rglob("*.npz")
     file.write_bytes(file.read_bytes()[:1000])
+    ground.in_memory.clear()
     mended = MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
     assert mended is not None
     np.testing.assert_array_equal(mended.points, first.points)
+    ground.in_memory.clear()
     MapFeatures(town, _CountingMatcher()).around(None, 0.0, 60.0)
     assert _CountingMatcher.described == 2
 
@@ -72,3 +78,21 @@ def test_a_cache_that_cannot_be_written_is_said_once(
         for width in (60.0, 400.0):
             assert features.around(None, 0.0, width) is not None
     assert [record.getMessage().partition(" are ")[0] for record in caplog.records] == ["Features of the map"]
+
+
+def test_features_of_all_maps_together_take_a_limited_number_of_bytes() -> None:
+    def block(features: int) -> Ground:
+        return Ground(np.zeros((features, 2)), np.zeros((features, 16), np.float32), 1.0)  # 80 bytes each
+
+    cache = GroundCache(8000)
+    for key in "abc":
+        cache.put(key, block(40))
+        assert cache.get("a") is not None, "it was used last"
+    assert cache.size == 6400
+    assert cache.get("b") is None
+    assert cache.get("c") is not None
+    cache.put("c", block(60))
+    assert cache.size == 8000
+    cache.put("d", block(200))
+    assert cache.size == 16000, "the newest are kept"
+    assert [cache.get(key) is not None for key in "acd"] == [False, False, True]
