@@ -2,7 +2,8 @@
 
 A photo of another place fits a map by chance now and then, most often where trees stand on both. On such maps up to two of nine
 photos did. So registrations that are not more than that prove nothing by their number. They prove something by their places if
-neighbours overlap on the ground: each does so by chance with the share of the map that lies so near.
+neighbours overlap on the ground: each does so by chance with the share of the map that lies so near. Photos of one view, such as
+those of a drone that hovers, fit by one and the same chance, so they count once.
 """
 
 from __future__ import annotations
@@ -12,41 +13,47 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import msgspec
+import numpy as np
 
-from lpn.locate.located import LocatedFrame
+from lpn.core.arrays import Float64Array
+from lpn.flights import ground_width
+from lpn.locate.located import LocatedFrame, StageRecord
 
-# Share of the photos that fit a map of another place by chance, and the log odds that exceed it.
+# Share of the views that fit a map of another place by chance, and the log odds that exceed it.
 _CHANCE, _EVIDENCE = 0.2, 4.0
 # Flights of fewer frames tell nothing either way.
 _FEWEST = 5
+# Photos whose middles are nearer than this share of their ground width, or than their radii, are of one view.
+_APART = 0.25
 
 
 def refuse_unproven(frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float]) -> list[str]:
     """Refuse the accepted registrations of a flight unless something shows that the map is of its place; return a sentence.
 
-    It is shown by tags of half of the frames, by a correction, by an accepted answer of the sequence, by the number
-    of registrations, or by neighbours that overlap. Flights of fewer than five frames are left as they are.
+    It is shown by tags of half of the frames on the map, by a correction, by an accepted answer of the sequence, by the number
+    of registered views, or by neighbours that overlap. Flights of fewer than five frames are left as they are.
 
     Args:
         frames: their registrations are replaced.
         bounds: x0, y0, x1, y1 of the map in metres.
     """
     registered = [located for located in frames if _registered(located)]
-    known = 2 * sum(located.tag is not None for located in frames) >= len(frames) or any(
-        located.by_hand is not None or ("sequence" in located.stages and located.stages["sequence"].accepted)
-        for located in frames
-    )
-    if len(frames) < _FEWEST or not registered or known:
+    if len(frames) < _FEWEST or not registered or _known(frames, bounds):
         return []
-    if -_log_chance(len(registered), len(frames)) >= _EVIDENCE:
+    views = _views(frames)
+    # Further photos of a view are no further chances.
+    chances = len(frames) - len(registered) + len(views)
+    if -_log_chance(len(views), chances) >= _EVIDENCE:
         return []
-    if _overlaps(frames, bounds) >= _EVIDENCE + math.log(len(frames)):
+    if _overlaps(frames, views, bounds) >= _EVIDENCE + math.log(len(frames)):
         return []
-    count = len(registered)
-    sentence = (
-        f"Only {count} of {len(frames)} photos fit{'s' if count == 1 else ''} this map, as by chance on a map of another place, "
-        "and few or no tags lie on it"
-    )
+    count, total = len(registered), len(frames)
+    if len(views) == count:
+        few = f"Only {count} of {total} photos fit{'s' if count == 1 else ''} this map, as by chance"
+    else:
+        shown = "one view" if len(views) == 1 else f"{len(views)} views"
+        few = f"The {count} of {total} photos that fit this map show {shown}, as by chance"
+    sentence = f"{few} on a map of another place, and few or no tags lie on it"
     for located in registered:
         answer = located.stages["registration"]
         located.stages["registration"] = msgspec.structs.replace(
@@ -55,33 +62,81 @@ def refuse_unproven(frames: Sequence[LocatedFrame], bounds: tuple[float, float, 
     return [f"{sentence}, so none was accepted; check that the map is of the flight's place."]
 
 
+def _known(frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float]) -> bool:
+    """Return whether tags, a correction, or the sequence show that the map is of the flight's place."""
+    if any(
+        located.by_hand is not None or ("sequence" in located.stages and located.stages["sequence"].accepted)
+        for located in frames
+    ):
+        return True
+    widths = [width for located in frames if (width := _width(located)) is not None]
+    usual = float(np.median(widths)) if widths else 0.0
+    return 2 * sum(_tag_on_map(located, usual, bounds) for located in frames) >= len(frames)
+
+
+def _tag_on_map(located: LocatedFrame, usual: float, bounds: tuple[float, float, float, float]) -> bool:
+    """Return whether a frame's tag lies on the map, or no farther off it than its picture is wide, else than `usual` metres."""
+    if located.tag is None:
+        return False
+    width = _width(located) or usual
+    off = np.maximum(np.array(bounds[:2]) - located.tag, located.tag - np.array(bounds[2:]))
+    return bool((off <= width).all())
+
+
+def _width(located: LocatedFrame) -> float | None:
+    """Return the metres of ground across a picture, by its height and field of view, else by its registration."""
+    answer = located.stages.get("registration")
+    return ground_width(located.frame) or (answer.width if answer is not None and answer.accepted else None)
+
+
 def _registered(located: LocatedFrame) -> bool:
     answer = located.stages.get("registration")
-    return answer is not None and answer.accepted
+    return answer is not None and answer.accepted and answer.x is not None and answer.y is not None
 
 
-def _log_chance(count: int, frames: int) -> float:
-    """Return the logarithm of the probability that so many of the frames fit by chance, or more (binomial)."""
+def _middle(located: LocatedFrame) -> Float64Array:
+    """Return the ground at the middle of a registered picture in metres, (2,)."""
+    answer = located.stages["registration"]
+    return np.array([answer.x, answer.y]) if answer.homography is None else located.middle(answer)
+
+
+def _views(frames: Sequence[LocatedFrame]) -> list[int]:
+    """Return the numbers of registered frames that show a view which no earlier one of them does."""
+    views: list[tuple[int, Float64Array, StageRecord]] = []
+    for i, located in enumerate(frames):
+        if not _registered(located):
+            continue
+        middle, answer = _middle(located), located.stages["registration"]
+        if all(np.linalg.norm(middle - other) > _least_apart(answer, seen) for _, other, seen in views):
+            views.append((i, middle, answer))
+    return [i for i, *_ in views]
+
+
+def _least_apart(one: StageRecord, other: StageRecord) -> float:
+    """Return the metres between middles up to which two pictures are of one view."""
+    return max(_APART * max(one.width or 0.0, other.width or 0.0), (one.radius or 0.0) + (other.radius or 0.0))
+
+
+def _log_chance(count: int, chances: int) -> float:
+    """Return the logarithm of the probability that so many of the views fit by chance, or more (binomial)."""
     logs = [
-        math.lgamma(frames + 1) - math.lgamma(k + 1) - math.lgamma(frames - k + 1)
-        + k * math.log(_CHANCE) + (frames - k) * math.log(1 - _CHANCE)
-        for k in range(count, frames + 1)
+        math.lgamma(chances + 1) - math.lgamma(k + 1) - math.lgamma(chances - k + 1)
+        + k * math.log(_CHANCE) + (chances - k) * math.log(1 - _CHANCE)
+        for k in range(count, chances + 1)
     ]  # fmt: skip
     most = max(logs)
     return most + math.log(sum(math.exp(log - most) for log in logs))
 
 
-def _overlaps(frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float]) -> float:
-    """Return the log odds of neighbours in the flight whose registered pictures overlap."""
+def _overlaps(frames: Sequence[LocatedFrame], views: Sequence[int], bounds: tuple[float, float, float, float]) -> float:
+    """Return the log odds of neighbours in the flight whose registered pictures overlap, where the later one is a new view."""
     area = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
+    new = set(views)
     odds = 0.0
-    for one, other in pairwise(frames):
-        if not (_registered(one) and _registered(other)):
+    for (_, one), (i, other) in pairwise(enumerate(frames)):
+        if i not in new or not _registered(one):
             continue
-        a, b = one.stages["registration"], other.stages["registration"]
-        reach = ((a.width or 0.0) + (b.width or 0.0)) / 2
-        if a.x is None or a.y is None or b.x is None or b.y is None or reach <= 0:
-            continue
-        if math.hypot(a.x - b.x, a.y - b.y) <= reach:
+        reach = ((one.stages["registration"].width or 0.0) + (other.stages["registration"].width or 0.0)) / 2
+        if reach > 0 and np.linalg.norm(_middle(one) - _middle(other)) <= reach:
             odds -= min(0.0, math.log(math.pi * reach**2 / area))
     return odds

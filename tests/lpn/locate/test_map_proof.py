@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,11 +15,13 @@ from lpn.locate.map_proof import refuse_unproven
 BOUNDS = (-500.0, -500.0, 500.0, 500.0)
 
 
-def flight(places: dict[int, tuple[float, float]], frames: int = 20, tagged: int = 0) -> list[LocatedFrame]:
-    """Frames of which some are registered at places, as pictures of 60 m, and the first ones have a tag on the map."""
+def flight(
+    places: dict[int, tuple[float, float]], frames: int = 20, tagged: int = 0, tag: tuple[float, float] = (0.0, 0.0)
+) -> list[LocatedFrame]:
+    """Frames of which some are registered at places, as pictures of 60 m, and the first ones have a tag."""
     made = []
     for i in range(frames):
-        located = LocatedFrame(Frame(f"{i}", Path("a"), 40, 30), np.zeros(2) if i < tagged else None)
+        located = LocatedFrame(Frame(f"{i}", Path("a"), 40, 30), np.array(tag) if i < tagged else None)
         answer = StageRecord("refused", "Too few.")
         if i in places:
             answer = StageRecord("accepted", "It fits.", *places[i], radius=1.0, width=60.0)
@@ -41,7 +44,7 @@ TRACK = {i: (40.0 * i, 0.0) for i in range(5)}
         (SCATTERED, 0, 0),  # 5 of 20 are as many as by chance
         (SCATTERED, 10, 5),  # tags on the map show that it is the flight's
         (TRACK, 0, 5),  # neighbours overlap
-        ({i: SCATTERED[i - i % 4] for i in range(10)}, 0, 10),  # half of all are more than by chance
+        ({i: (90.0 * i - 400, 400.0 * (i % 2)) for i in range(10)}, 0, 10),  # half of all are more than by chance
         ({}, 0, 0),
     ],
 )
@@ -57,6 +60,31 @@ def test_few_registrations_without_a_tag_on_the_map_are_no_proof(
         refused = frames[0].stages["registration"]
         assert refused.unverified
         assert refused.x == places[0][0]
+
+
+@pytest.mark.parametrize(("apart", "views"), [(14.0, "one view"), (16.0, "2 views")])
+def test_photos_of_one_view_count_once(apart: float, views: str) -> None:
+    """A drone hovers over what fits by chance. Its pictures are 60 m wide, so those within 15 m are of one view."""
+    frames = flight({i: (apart * (i % 2), 0.0) for i in range(20)})
+    notes = refuse_unproven(frames, BOUNDS)
+    assert notes[0].startswith(f"The 20 of 20 photos that fit this map show {views}, as by chance on a map of another")
+    assert accepted(frames) == 0
+
+
+def test_a_view_is_known_by_its_middle_and_not_by_the_camera() -> None:
+    frames = flight(dict.fromkeys(range(20), (0.0, 0.0)))
+    for i, located in enumerate(frames):  # the camera turns about its place
+        answer = located.stages["registration"]
+        laid = [1.5, 0.0, 40.0 * i, 0.0, -1.5, 0.0, 0.0, 0.0, 1.0]
+        located.stages["registration"] = msgspec.structs.replace(answer, camera=True, homography=laid)
+    assert refuse_unproven(frames, BOUNDS) == []
+
+
+@pytest.mark.parametrize(("east", "kept"), [(555.0, 5), (565.0, 0)])
+def test_tags_count_up_to_a_picture_beyond_the_map(east: float, kept: int) -> None:
+    frames = flight(SCATTERED, tagged=20, tag=(east, 0.0))
+    refuse_unproven(frames, BOUNDS)
+    assert accepted(frames) == kept
 
 
 def test_few_photos_an_accepted_sequence_and_a_correction_are_left() -> None:
