@@ -168,11 +168,12 @@ def pair(basemap: Map, located: LocatedFrame) -> tuple[EncodedPicture, EncodedPi
 
 
 def _photo(located: LocatedFrame) -> EncodedPicture:
-    return encoded(images.shrink(images.load_picture(located.frame.file), _PHOTO))
+    frame = located.frame
+    return encoded(frame.undistorted(images.shrink(images.load_picture(frame.file), _PHOTO)))
 
 
 def _square_photo(located: LocatedFrame) -> EncodedPicture:
-    picture = images.load_picture(located.frame.file)
+    picture = located.frame.undistorted(images.load_picture(located.frame.file))
     height, width = picture.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2

@@ -320,7 +320,7 @@ class GalleryMap:
         photo = own or frame.file
         if self._photo is None or self._photo[0] != photo:
             picture = images.load_picture(frame.file) if own is None else own.picture
-            self._photo = photo, images.shrink(picture, _PHOTO)
+            self._photo = photo, frame.undistorted(images.shrink(picture, _PHOTO))
         self._camera.image = self._photo[1]
         self.eye = Eye(at, np.asarray(forward), np.asarray(top), across, aspect)
         return at

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets import geo
 from lpn.flights.lenses import Lens
@@ -64,6 +64,13 @@ class Frame:
     def flying_height(self) -> float | None:
         """The height above ground in metres, else that above take-off; None if both are unknown."""
         return self.height_above_takeoff if self.height_above_ground is None else self.height_above_ground
+
+    def undistorted(self, photo: UInt8Array) -> UInt8Array:
+        """Return the frame's photo, (H, W, 3) of any size, without the distortion of its lens; as it is if that is unknown.
+
+        The pixels of registrations, poses, and corrections are those of this picture.
+        """
+        return photo if self.lens is None else self.lens.undistorted(photo)
 
 
 @dataclass(frozen=True)

@@ -425,7 +425,7 @@ class LiveLocator:
             self.basemap,
             self._features,
             located,
-            photo,
+            located.frame.undistorted(photo),
             options,
             track.widths,
             track.ratios,

@@ -32,7 +32,7 @@ class OwnPhoto:
 
     @property
     def answer(self) -> StageRecord:
-        """The answer; its homography is from pixels of the picture that was given."""
+        """The answer; its homography is from pixels of the photo without the distortion of its lens, see `Frame.undistorted`."""
         return self.located.stages["registration"]
 
 
@@ -53,7 +53,7 @@ def register_own_photo(
 
     Args:
         features: of the map by each matcher, which are tried in this order.
-        photo: RGB, (H, W, 3).
+        photo: RGB, (H, W, 3), as it was taken.
         frame: what the photo's file tells; None if it tells nothing.
         windows: the most similar ones, about which a large map is searched.
         map_error: 1-sigma error of the map's places in metres, along each axis.
@@ -75,7 +75,7 @@ def register_own_photo(
         basemap,
         features,
         located,
-        photo,
+        frame.undistorted(photo),
         LocateOptions(),
         (),
         (),

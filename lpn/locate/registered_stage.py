@@ -250,7 +250,7 @@ def register_frame(
         heading: of the accepted frame before, in degrees.
     """
     try:
-        photo = images.load_picture(located.frame.file)
+        photo = located.frame.undistorted(images.load_picture(located.frame.file))
     except PictureError as error:
         return StageRecord("refused", str(error))
     side = None if retrieval is None else float(np.median(retrieval.sizes))
@@ -271,11 +271,10 @@ def register_photo(
     on_progress: CountProgress | None = None,
     anywhere: bool = False,
 ) -> StageRecord:
-    """Register the picture of a frame, RGB (H, W, 3), and describe the answer in a sentence.
-
-    The distortion of a known lens is taken out first; the answer's homography is that of the picture without it.
+    """Register the picture of a frame, and describe the answer in a sentence.
 
     Args:
+        photo: RGB (H, W, 3), without the distortion of its lens, see `Frame.undistorted`.
         features: of the map by each matcher, which are tried in this order.
         widths: metres of ground across the pictures that were registered before.
         ratios: of these widths to those that heights and fields of view tell.
@@ -287,8 +286,6 @@ def register_photo(
             tilt is tried that the photo does not tell.
     """
     frame = located.frame
-    if frame.lens is not None:
-        photo = frame.lens.undistorted(photo)
     if options.prior is not None and located.tag is None and side is None:
         return StageRecord(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."

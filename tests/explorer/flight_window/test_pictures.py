@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from explorer.flight_window.pictures import TILE, FlightPictures, Pyramid, groun
 from explorer.server.picture_route import PREFIX
 from lpn.core.arrays import AnyArray
 from lpn.core.errors import DataError
+from lpn.flights.lenses import Lens
 from lpn.locate.located import LocatedFlight
 from lpn.maps import Window, open_map
 from tests.lpn.maps.small_maps import smooth, write_geotiff
@@ -105,6 +107,22 @@ def test_a_photo_and_the_ground_there_are_the_same_scene(flight: LocatedFlight, 
     assert ground_window(flight.frames[2], "sequence") == Window(20.0, 5.0, 60.0, 0.0)
     assert ground_window(flight.frames[2], "registration") is None
     assert ground_window(flight.frames[2], None) is None
+
+
+def test_a_photo_is_laid_over_the_map_without_the_distortion_of_its_lens(flight: LocatedFlight, tmp_path: Path) -> None:
+    """A vertical edge near the border is bent by the lens. Photo, photo beside the map, and homography are those of a pinhole."""
+    lens = Lens(0.6, 0.6, 0.0, 0.0, k1=-0.1)
+    straight = np.zeros((600, 800, 3), np.uint8)
+    straight[:, 160:] = 255
+    cv2.imwrite(str(tmp_path / "a.png"), straight)
+    located = replace(flight.frames[0], frame=replace(flight.frames[0].frame, file=tmp_path / "a.png", lens=lens))
+    pictures = FlightPictures(SimpleNamespace(flight=replace(flight, frames=[located])))  # type: ignore[arg-type]
+    for path, rows in (("photo/0", (300, 20)), ("pair/0", (110, 5))):
+        picture = loaded(pictures, path)[..., 0]
+        middle, top = (int(np.argmax(picture[row] > 127)) for row in rows)
+        assert top < middle - 1
+    bent = lens.undistorted(straight)
+    assert np.abs(loaded(pictures, "photo/0").astype(int) - bent).mean() < 2
 
 
 @pytest.mark.parametrize(
