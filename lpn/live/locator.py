@@ -35,7 +35,7 @@ from lpn.locate.matchers import MatcherName, open_matcher
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import default_map_error
 from lpn.locate.ranked_stages import AGREEING, CONFIDENCE, EVIDENCE, OVERLAP, chance_to_agree
-from lpn.locate.registered_stage import register_photo, with_map_error
+from lpn.locate.registered_stage import PhotoSearch, register_photo, with_map_error
 from lpn.locate.retrieval import (
     ALIKE,
     MIN_DISTINCT,
@@ -421,7 +421,7 @@ class LiveLocator:
         track = self._track
         options = LocateOptions(matcher=self.options.matcher)
         side = 2 * self.options.speed if self._sure and self._fresh else ground.side
-        answer = register_photo(
+        search = PhotoSearch(
             self.basemap,
             self._features,
             located,
@@ -433,7 +433,7 @@ class LiveLocator:
             track.heading,
             quick=len(track.ratios) >= _TURNS,
         )
-        answer = with_map_error(answer, self._map_error)
+        answer = with_map_error(register_photo(search), self._map_error)
         if answer.accepted:
             answer = self._continuous(answer, frame)
         self._fresh = answer.accepted

@@ -14,7 +14,7 @@ from lpn.flights import Frame, ground_width
 from lpn.locate.ground import MapFeatures
 from lpn.locate.located import LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.options import LocateOptions
-from lpn.locate.registered_stage import register_photo, tried_widths, with_map_error
+from lpn.locate.registered_stage import PhotoSearch, register_photo, tried_widths, with_map_error
 from lpn.maps import Map, Window
 
 
@@ -71,17 +71,9 @@ def register_own_photo(
     if not whole_map and windows:
         located.windows = [WindowRecord(one.x, one.y, one.size, 0.0, 0.0, [], []) for one in windows]
         side = float(np.median([one.size for one in windows]))
-    answer = register_photo(
-        basemap,
-        features,
-        located,
-        frame.undistorted(photo),
-        LocateOptions(),
-        (),
-        (),
-        side,
-        on_progress=on_progress,
-        anywhere=True,
+    plain = frame.undistorted(photo)
+    search = PhotoSearch(
+        basemap, features, located, plain, LocateOptions(), side=side, on_progress=on_progress, anywhere=True
     )
-    located.stages["registration"] = with_map_error(answer, map_error)
+    located.stages["registration"] = with_map_error(register_photo(search), map_error)
     return OwnPhoto(located, whole_map)

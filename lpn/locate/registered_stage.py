@@ -7,7 +7,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from itertools import product
 from typing import Any
 
@@ -254,28 +253,17 @@ def register_frame(
     except PictureError as error:
         return StageRecord("refused", str(error))
     side = None if retrieval is None else float(np.median(retrieval.sizes))
-    return register_photo(basemap, features, located, photo, options, widths, ratios, side, heading)
+    return register_photo(PhotoSearch(basemap, features, located, photo, options, widths, ratios, side, heading))
 
 
-def register_photo(
-    basemap: Map,
-    features: Sequence[MapFeatures],
-    located: LocatedFrame,
-    photo: UInt8Array,
-    options: LocateOptions,
-    widths: Sequence[float],
-    ratios: Sequence[float],
-    side: float | None,
-    heading: float | None = None,
-    quick: bool = False,
-    on_progress: CountProgress | None = None,
-    anywhere: bool = False,
-) -> StageRecord:
-    """Register the picture of a frame, and describe the answer in a sentence.
+@dataclass(frozen=True, eq=False)
+class PhotoSearch:
+    """A search of the map for one photo.
 
-    Args:
-        photo: RGB (H, W, 3), without the distortion of its lens, see `Frame.undistorted`.
+    Attributes:
         features: of the map by each matcher, which are tried in this order.
+        located: the frame, with the answers of earlier stages.
+        photo: RGB (H, W, 3), without the distortion of its lens, see `Frame.undistorted`.
         widths: metres of ground across the pictures that were registered before.
         ratios: of these widths to those that heights and fields of view tell.
         side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
@@ -285,46 +273,53 @@ def register_photo(
         anywhere: the photo may be of another place than the map's; all matchers together must have more support then, and no
             tilt is tried that the photo does not tell.
     """
-    frame = located.frame
-    if options.prior is not None and located.tag is None and side is None:
+
+    basemap: Map
+    features: Sequence[MapFeatures]
+    located: LocatedFrame
+    photo: UInt8Array
+    options: LocateOptions
+    widths: Sequence[float] = ()
+    ratios: Sequence[float] = ()
+    side: float | None = None
+    heading: float | None = None
+    quick: bool = False
+    on_progress: CountProgress | None = None
+    anywhere: bool = False
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the photo in pixels."""
+        return self.photo.shape[1], self.photo.shape[0]
+
+
+def register_photo(search: PhotoSearch) -> StageRecord:
+    """Register the photo of a search, and describe the answer in a sentence."""
+    basemap, frame, options = search.basemap, search.located.frame, search.options
+    if options.prior is not None and search.located.tag is None and search.side is None:
         return StageRecord(
             "refused", "The frame has no position to search around; leave --prior out to search the whole map."
         )
-    search = partial(
-        _searched,
-        basemap,
-        features,
-        located,
-        photo,
-        options,
-        widths,
-        ratios,
-        side,
-        heading,
-        on_progress=on_progress,
-        anywhere=anywhere,
-    )
-    found = search(frame, quick)
-    best, solved = _posed(basemap, frame, photo, found)
+    answer = _searched(search, frame, search.quick)
+    best, solved = _posed(search, answer)
     # On flat ground most photos from straight above have no pose either, and are placed well enough without one.
     unsolved = not best.accepted or (basemap.elevation is not None and isinstance(solved, str))
     # More tries are more chances for a false answer, of which a photo of another place must have none.
-    if unsolved and not quick and not anywhere and found.has_ground and frame.pitch is None:
+    if unsolved and not search.quick and not search.anywhere and answer.has_ground and frame.pitch is None:
         near = best if best.accepted else None
         tilts = (replace(frame, pitch=pitch, roll=0.0, fov=frame.fov or DEFAULT_FOV) for pitch in _TRIED_PITCHES)
-        clearest = _clearest(found, [search(tilted, True, near) for tilted in tilts])
-        if clearest is not found:
-            found = clearest
-            best, solved = _posed(basemap, frame, photo, found)
-    around_tag = found.reach if found.has_ground and side is None and options.prior is not None else None
-    tried = found.pitch if frame.pitch is None else None
-    placed = basemap.elevation is not None or found.levelled is not None
-    size = (photo.shape[1], photo.shape[0])
-    return _record(frame, size, best, around_tag, solved, placed, tried)
+        clearest = _clearest(answer, [_searched(search, tilted, True, near) for tilted in tilts])
+        if clearest is not answer:
+            answer = clearest
+            best, solved = _posed(search, answer)
+    around_tag = answer.reach if answer.has_ground and search.side is None and options.prior is not None else None
+    tried = answer.pitch if frame.pitch is None else None
+    placed = basemap.elevation is not None or answer.levelled is not None
+    return _record(frame, search.size, best, around_tag, solved, placed, tried)
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
+class _SearchResult:
     """The best registration of a photo at one tilt.
 
     Attributes:
@@ -341,15 +336,15 @@ class _Search:
     has_ground: bool = True
 
 
-def _posed(basemap: Map, frame: Frame, photo: UInt8Array, found: _Search) -> tuple[Registration, CameraPose | str]:
+def _posed(search: PhotoSearch, answer: _SearchResult) -> tuple[Registration, CameraPose | str]:
     """Return the registration of the photo itself, and its camera's pose or why there is none."""
-    size, best = (photo.shape[1], photo.shape[0]), found.best
-    if found.levelled is not None:
-        best = _of_photo(best, found.levelled, size, frame)
-    return best, photo_pose(basemap, frame, size, best, found.levelled) if best.accepted else ""
+    best, frame = answer.best, search.located.frame
+    if answer.levelled is not None:
+        best = _of_photo(best, answer.levelled, search.size, frame)
+    return best, photo_pose(search.basemap, frame, search.size, best, answer.levelled) if best.accepted else ""
 
 
-def _clearest(plain: _Search, tilted: Sequence[_Search]) -> _Search:
+def _clearest(plain: _SearchResult, tilted: Sequence[_SearchResult]) -> _SearchResult:
     """Return the search of the levelled photo that explains clearly more than the photo as it is, and than every other tilt does
     elsewhere; else `plain`."""
     clearest = max(tilted, key=lambda search: search.best.support)
@@ -366,35 +361,22 @@ def _clearest(plain: _Search, tilted: Sequence[_Search]) -> _Search:
     return clearest
 
 
-def _searched(
-    basemap: Map,
-    features: Sequence[MapFeatures],
-    located: LocatedFrame,
-    photo: UInt8Array,
-    options: LocateOptions,
-    widths: Sequence[float],
-    ratios: Sequence[float],
-    side: float | None,
-    heading: float | None,
-    frame: Frame,
-    quick: bool,
-    near: Registration | None = None,
-    on_progress: CountProgress | None = None,
-    anywhere: bool = False,
-) -> _Search:
-    """Search the map for a photo as `frame` tells its tilt; the other arguments are those of `register_photo`.
+def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration | None = None) -> _SearchResult:
+    """Search the map for a photo as `frame` tells its tilt.
 
     Args:
+        quick: in place of that of the search.
         near: an answer about whose place, heading, and width alone the photo is searched.
     """
-    places = _candidates(located, options)
+    basemap, features, photo = search.basemap, search.features, search.photo
+    places = _candidates(search.located, search.options)
     centres = None if places is None else np.array(places)
-    levelled = level(photo, frame, assumed=frame is not located.frame)
+    levelled = level(photo, frame, assumed=frame is not search.located.frame)
     shown, valid, wider = (photo, None, 1.0) if levelled is None else (levelled.picture, levelled.valid, levelled.wider)
     grid = pixel_grid((shown.shape[1], shown.shape[0]), 9) if levelled is None else levelled.grid(25)
     known_width = ground_width(frame)
-    if known_width is not None and ratios:
-        known_width *= float(np.median(ratios[-_RECENT:]))
+    if known_width is not None and search.ratios:
+        known_width *= float(np.median(search.ratios[-_RECENT:]))
     if near is not None and near.centre is not None and near.width is not None:
         centres, known_width = near.centre[None], near.width
     best: Registration | None = None
@@ -403,25 +385,28 @@ def _searched(
         best = None
         searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
         rivals: list[Similarity] = []
-        tried = list(tried_widths(basemap, known_width, widths))
+        tried = list(tried_widths(basemap, known_width, search.widths))
         tries = list(product(features, tried[:1] if quick and known_width is not None else tried))
         for done, (kind, (width, known)) in enumerate(tries):
-            if on_progress is not None:
-                on_progress(done, len(tries))
+            if search.on_progress is not None:
+                search.on_progress(done, len(tries))
             width *= wider
-            reach = AROUND * width + (options.prior or 0.0 if side is None else 0.5 * side)
+            reach = AROUND * width + (search.options.prior or 0.0 if search.side is None else 0.5 * search.side)
             ground = kind.around(centres, reach, width)
             if ground is None:
                 reason = (
                     f"More than {MAX_BLOCKS} blocks of {basemap.name} would have to be searched for this photo; give --model, or "
                     "--prior with the metres around the tag."
                 )
-                return _Search(
+                return _SearchResult(
                     Registration(False, reason, kind.matcher.name), levelled, reach, frame.pitch, has_ground=False
                 )
             if near is None:
                 expected = Expectation(
-                    width if known else None, frame.heading, heading_is_certain(frame), _guess(located, heading)
+                    width if known else None,
+                    frame.heading,
+                    heading_is_certain(frame),
+                    _guess(search.located, search.heading),
                 )
             else:
                 expected = Expectation(width, near.heading)
@@ -432,7 +417,7 @@ def _searched(
             if answer.accepted and rivals:
                 answer = contested(answer, shown, list(alike.values()), rivals, valid)
             rivals += answer.places
-            if answer.accepted and anywhere:
+            if answer.accepted and search.anywhere:
                 others = [(one.matcher, one.around(centres, reach, width)) for one in features if one is not kind]
                 answer = proven(answer, shown, [(one, seen) for one, seen in others if seen is not None], valid)
             if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
@@ -440,13 +425,13 @@ def _searched(
             if answer.accepted:
                 break
         assert best is not None
-        if again or side is None or centres is None or not _reaches_out(best, grid, centres, searched):
+        if again or search.side is None or centres is None or not _reaches_out(best, grid, centres, searched):
             break
         # A wrong place at the border of what was searched has no rival, as the true one beyond was not seen.
         assert best.centre is not None
         centres = best.centre[None]
     assert best is not None
-    return _Search(best, levelled, searched, frame.pitch)
+    return _SearchResult(best, levelled, searched, frame.pitch)
 
 
 def _guess(located: LocatedFrame, before: float | None) -> float | None:

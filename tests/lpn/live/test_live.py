@@ -41,6 +41,7 @@ from lpn.live.run import LiveRun, LiveSettings
 from lpn.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_link, open_telemetry
 from lpn.locate.camera_place import below_camera
 from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.registered_stage import PhotoSearch
 from lpn.maps import Map
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
 from tools.fixtures.photos import write_photo
@@ -146,8 +147,8 @@ def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float] | Non
     """Registrations of frames by name, in place of matched features: where they lie, None where they are refused."""
     places: dict[str, tuple[float, float] | None] = {f"{i}.png": place for i, place in enumerate(PLACES)}
 
-    def register(_basemap: Any, _features: Any, located: LocatedFrame, *_: Any, **__: Any) -> StageRecord:
-        if (place := places.get(located.frame.name)) is None:
+    def register(search: PhotoSearch) -> StageRecord:
+        if (place := places.get(search.located.frame.name)) is None:
             return StageRecord("refused", "It fits nowhere.")
         matrix = np.linalg.inv(ground_to_photo(place, 90.0, WIDTH, SIZE))
         return StageRecord("accepted", "It fits.", *place, True, 1.0, 90.0, 0.0, WIDTH, 50, matrix.ravel().tolist())
