@@ -199,6 +199,22 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
         raise DataError(f"{file} cannot be read ({printable(str(error))[:150]}); download the sample again.") from error
 
 
+def read_heights(file: Path) -> AnyArray:
+    """Open the heights of a map of AnyVisLoc, (H, W) numbers in metres, which are read when they are used.
+
+    Raises:
+        DataError: if the file is missing or damaged, or holds no such array.
+    """
+    name, again = printable(str(file)), "expected the heights of the map, (H, W) numbers, so download it again"
+    try:
+        heights = np.lib.format.open_memmap(file, mode="r")
+    except (OSError, ValueError, EOFError) as error:
+        raise DataError(f"{name} cannot be read ({printable(str(error))[:150]}); {again}.") from error
+    if heights.ndim not in (2, 3) or heights.size == 0 or heights.dtype.kind not in "fiu":
+        raise DataError(f"{name} holds an array of the shape {heights.shape} and the type {heights.dtype}; {again}.")
+    return heights[:, :, 0] if heights.ndim == 3 else heights
+
+
 def matrix_of(arrays: dict[str, AnyArray], name: str, path: Path, *shapes: tuple[int, ...]) -> Float64Array:
     """Return an array as finite numbers of one of these shapes.
 

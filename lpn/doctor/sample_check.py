@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lpn.core import posed_samples
 from lpn.core.errors import DataError
 from lpn.core.files import printable
@@ -87,7 +85,7 @@ def _problems_of_scene(scene: Path) -> list[str]:
         if not (scene / one.map_path).is_file():
             problems.append(f"The {printable(name)} map {printable(str(scene / one.map_path))} is missing.")
         try:
-            np.load(scene / one.dsm_path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError):
-            problems.append(f"The heights {printable(str(scene / one.dsm_path))} are missing or damaged.")
+            posed_samples.read_heights(scene / one.dsm_path)
+        except DataError as error:
+            problems.append(str(error))
     return problems

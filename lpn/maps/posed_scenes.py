@@ -62,15 +62,7 @@ def build_scene(
         return None
     notes = [posed_samples.PLACE_NOTE.format("AnyVisLoc")]
     dsm = scene / one.dsm_path
-    try:
-        heights = np.load(dsm, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise DataError(
-            f"{printable(str(dsm))} cannot be read ({printable(str(error))[:150]}); expected the heights of the map, so download "
-            "it again."
-        ) from error
-    if heights.ndim == 3:
-        heights = heights[:, :, 0]
+    heights = posed_samples.read_heights(dsm)
     first = [a + b for a, b in zip(one.map_origin_local, one.dsm_origin_local, strict=True)]
     with TemporaryDirectory(prefix="lpn-heights-") as folder:
         file = Path(folder) / f"{dsm.stem}.tif"

@@ -156,6 +156,34 @@ def test_a_harmed_map_leaves_no_folder(tmp_path: Path, harm: Callable[[dict[str,
     assert not (tmp_path / "map").exists()
 
 
+def _as_archive(file: Path) -> None:
+    with file.open("wb") as opened:
+        np.savez(opened, heights=np.zeros((4, 4)))
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (lambda file: np.save(file, np.zeros(9)), r"an array of the shape \(9,\) and the type float64"),
+        (lambda file: np.save(file, np.full((4, 4), "a")), "and the type <U1"),
+        (lambda file: np.save(file, np.zeros((0, 4))), r"of the shape \(0, 4\)"),
+        (_as_archive, "cannot be read"),
+        (lambda file: file.write_bytes(file.read_bytes()[:300]), "cannot be read"),
+        (lambda file: file.unlink(), "cannot be read"),
+    ],
+)
+def test_damaged_heights_are_one_sentence(tmp_path: Path, harm: Callable[[Path], None], message: str) -> None:
+    scene = tmp_path / "Scene_01"
+    posed_samples.anyvisloc(scene)
+    harm(scene / "aerial_dsm.npy")
+    with pytest.raises(DataError, match=rf"aerial_dsm\.npy.*{message}.*download it again"):
+        build_scene(scene, tmp_path / "map", MapOptions())
+    assert not (tmp_path / "map").exists()
+    (report,) = check_samples(sample_folders(tmp_path), quick=True)
+    assert len(report.problems) == 1
+    assert "aerial_dsm.npy" in report.problems[0]
+
+
 def test_samples_over_several_maps_are_no_flight(tmp_path: Path) -> None:
     for number in (1, 2):
         posed_samples.ortholoc(tmp_path / "set" / f"L01_R000{number}.npz")
