@@ -83,10 +83,11 @@ class MapCommand:
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
         place = MapPlace(self.place, self.photographed)
         if self.from_flight is None:
-            if len(self.files) == 1 and elevation is None and self.crs is None and self.corners is None:
+            if len(self.files) == 1:
                 from lpn.maps.posed_scenes import build_scene
 
-                if (scene := build_scene(self.files[0], self.out, options, on_progress, place)) is not None:
+                scene = build_scene(self.files[0], self.out, options, on_progress, place, elevation)
+                if scene is not None:
                     return scene
             return build_map(self.files, self.out, options, on_progress, elevation, place=place)
         if self.files or options != MapOptions():

@@ -20,11 +20,14 @@ from lpn.core.arrays import AnyArray, Float64Array, UInt8Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
+from lpn.core.images import SUFFIXES
 from lpn.core.numbers import wrap_degrees
 from lpn.core.posed_samples import SampleLayout
+from lpn.datasets.base import files_below
 from lpn.datasets.rendered import POSE_COLUMNS, POSES
 from lpn.flights.base import Flight, Frame
 from lpn.flights.cameras import angles_of_view, fov_of_sensor
+from lpn.flights.videos import SUFFIXES as VIDEOS
 
 # Pixels by which a picture's camera may differ from the plain one without being drawn anew.
 _PLAIN = 0.05
@@ -69,27 +72,31 @@ def read_photo(path: Path, layout: SampleLayout) -> PosedPhoto:
     return _of_anyvisloc(path) if layout == "AnyVisLoc" else _of_ortholoc(path)
 
 
-def flight_of_samples(files: Sequence[Path], name: str, pictures: Path) -> Flight | None:
+def flight_of_samples(files: Sequence[Path], name: str, pictures: Path, of_others: Sequence[str] = ()) -> Flight | None:
     """Write the pictures of samples, and return their flight.
 
     Args:
         files: a scene of AnyVisLoc, some of its samples, or one sample of OrthoLoC.
         pictures: folder to write the pictures to; `poses.csv` is written beside it.
+        of_others: options that were given and apply to other files than samples.
 
     Returns:
         None if the files are none of these.
 
     Raises:
         DataError: if no sample can be read; a note names those that are left out.
-        InputError: if the files are of several layouts or scenes, several samples of OrthoLoC, or samples and others.
+        InputError: if the files are of several layouts or scenes, several samples of OrthoLoC, or samples and others, or for
+            `of_others`.
     """
     found: list[tuple[SampleLayout, Path]] = []
     others: list[Path] = []
+    beside: list[Path] = []
     for path in files:
         if path.is_dir():
             below = [one for one in posed_samples.sample_folders(path) if one.samples]
             others += [] if below else [path]
             found += [(one.layout, sample) for one in below for sample in one.samples]
+            beside += _pictures_beside(path) if below else []
         elif (layout := posed_samples.layout_of(path)) is not None:
             found.append((layout, path))
         elif path.suffix.lower() == ".npz" and path.exists():
@@ -104,6 +111,13 @@ def flight_of_samples(files: Sequence[Path], name: str, pictures: Path) -> Fligh
         raise InputError(
             f"{printable(str(others[0]))} holds no sample of {found[0][0]}, which other files are; make one flight of each."
         )
+    if of_others:
+        raise InputError(
+            f"Samples of {found[0][0]} have neither videos nor subtitles, and their own cameras, so {' and '.join(of_others)} "
+            "would not be used; leave it out."
+        )
+    # A sample that is named twice, or by its folder and itself, is one photo.
+    found = list({path.resolve(): (layout, path) for layout, path in found}.values())
     _check_one_map(found)
     frames: list[Frame] = []
     rows: list[list[object]] = [list(POSE_COLUMNS)]
@@ -154,7 +168,21 @@ def flight_of_samples(files: Sequence[Path], name: str, pictures: Path) -> Fligh
     notes = _notes(found[0][0], len(frames), drawn, unsure)
     if broken:
         notes.append(f"{len(broken)} of {len(found)} samples are left out, the first because: {broken[0]}")
+    if beside:
+        listed = first_few([printable(file.name) for file in beside], 3)
+        notes.append(f"Pictures or videos beside the samples are left out: {listed}; make a flight of their own.")
     return Flight(name, tuple(frames), tuple(notes))
+
+
+def _pictures_beside(folder: Path) -> list[Path]:
+    """Return the pictures and videos below a folder of samples that are no maps of theirs."""
+    files = files_below(folder, (*SUFFIXES, *VIDEOS))
+    maps = {
+        (scene / one.map_path).resolve()
+        for scene in {file.parent for file in files}
+        for one in posed_samples.references(scene).values()
+    }
+    return [file for file in files if file.resolve() not in maps]
 
 
 def _notes(layout: SampleLayout, frames: int, drawn: int, unsure: int) -> list[str]:

@@ -99,12 +99,14 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     Raises:
         DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log or the camera's file is
             damaged, or the camera's pictures have other proportions than all frames.
+        InputError: as `flight_of_samples`.
         OutputError: if the folder cannot be written, or holds a flight.csv or flight.json that `lpn flight` did not write.
     """
     options = options or FlightOptions()
     check_folder(out)
     camera = None if options.camera is None else read_camera(options.camera)
-    if (samples := flight_of_samples(files, out.resolve().name, out / FRAMES)) is not None:
+    if (samples := flight_of_samples(files, out.resolve().name, out / FRAMES, _of_other_files(options))) is not None:
+        samples = _completed(samples, options)
         write_flight(samples, out)
         return samples
     inputs = _sorted_files(files)
@@ -522,6 +524,13 @@ def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> t
     return sorted(frames, key=lambda frame: (frame.time, natural(frame.name))), notes
 
 
+def _of_other_files(options: FlightOptions) -> list[str]:
+    """Return the options on the command line that say something about videos, subtitles, or a camera."""
+    usual = FlightOptions()
+    names = ("every", "every_metres", "gps_order", "camera")
+    return [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) != getattr(usual, name)]
+
+
 def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:
     """Give a lens to the frames whose pictures have these proportions (height over width), and say how many they are."""
     fits = [abs(frame.height / frame.width / proportions - 1) <= _SAME_PROPORTIONS for frame in flight.frames]
@@ -549,4 +558,6 @@ def _completed(flight: Flight, options: FlightOptions) -> Flight:
                 changed: dict[str, Any] = {name: value}
                 frames[i] = replace(frames[i], **changed)
             notes.append(f"The {noun} of {len(missing)} of {len(frames)} frames is the {value:g}° given with --{name}.")
+        elif value is not None:
+            notes.append(f"No file lacks the {noun}, so --{name} is not used.")
     return replace(flight, frames=tuple(frames), notes=tuple(notes))

@@ -17,7 +17,7 @@ from lpn.maps import _gdal
 from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import build_map, write_own_map
 from lpn.maps.map import Map
-from lpn.maps.place import MapPlace
+from lpn.maps.place import MapPlace, checked_place
 from lpn.maps.sources import MapOptions
 
 # A height may lie so many pixels off the grid that all heights of a sample tell.
@@ -31,27 +31,46 @@ def build_scene(
     options: MapOptions,
     on_progress: Callable[[str], None] = lambda _: None,
     place: MapPlace | None = None,
+    elevation: ElevationFile | None = None,
 ) -> Map | None:
     """Write the folder of a map with heights of a scene of AnyVisLoc, one of its two maps, or a sample of OrthoLoC.
 
-    A scene's folder stands for its aerial map.
+    A scene's folder stands for its aerial map. One of its maps with a place or heights beside it is a picture like others.
+
+    Args:
+        elevation: heights from elsewhere.
 
     Returns:
         The map; None if the path is none of these.
 
     Raises:
         DataError: if a file is missing or damaged.
-        InputError: if the path is a sample of AnyVisLoc, which has no map.
+        InputError: if the path is a sample of AnyVisLoc, which has no map, or one of OrthoLoC and options are given, or the place
+            is malformed.
         OutputError: as `build_map`.
     """
+    if place is not None:
+        checked_place(place)  # before heights or pictures are written
     layout = posed_samples.layout_of(path)
+    placed = elevation is not None or options.crs is not None or options.corners is not None
+    if placed and (layout == "OrthoLoC" or (path.is_dir() and posed_samples.references(path))):
+        raise InputError(
+            f"{printable(str(path))} has its own place and heights; leave --crs, --corners, and --elevation out."
+        )
     if layout == "OrthoLoC":
+        if options != MapOptions():
+            raise InputError(
+                f"{printable(str(path))} has one orthophoto in colours, which says where it has no data; leave --bands and "
+                "--keep-borders out."
+            )
         return _of_sample(path, out, on_progress, place)
     if layout == "AnyVisLoc":
         raise InputError(
             f"{printable(str(path))} is a photo of AnyVisLoc; give its scene {printable(str(path.parent))} for the aerial map, "
             "or satellite_map.png there."
         )
+    if placed:
+        return None
     scene = path if path.is_dir() else path.parent
     known = posed_samples.references(scene) if scene.is_dir() else {}
     if path.is_dir():
@@ -67,8 +86,8 @@ def build_scene(
     with TemporaryDirectory(prefix="lpn-heights-") as folder:
         file = Path(folder) / f"{dsm.stem}.tif"
         _write(file, heights[None], posed_samples.grid_matrix(one.dsm_resolution, first), "float32")
-        elevation = ElevationFile(file, "metre")
-        return build_map([scene / one.map_path], out, options, on_progress, elevation, notes, place)
+        own = ElevationFile(file, "metre")
+        return build_map([scene / one.map_path], out, options, on_progress, own, notes, place)
 
 
 def _of_sample(path: Path, out: Path, on_progress: Callable[[str], None], place: MapPlace | None) -> Map:

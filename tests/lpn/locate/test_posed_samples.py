@@ -15,12 +15,12 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.posed_samples import sample_folders
 from lpn.datasets.rendered import true_poses
 from lpn.doctor.sample_check import check_samples
-from lpn.flights import make_flight, open_flight
+from lpn.flights import FlightOptions, make_flight, open_flight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.locate.pose_benchmark import measure, summarise
 from lpn.locate.pose_errors import pose_errors
-from lpn.maps import Map, MapOptions, open_map
+from lpn.maps import Map, MapOptions, MapPlace, open_map
 from lpn.maps.posed_scenes import build_scene
 from tools.fixtures import posed_samples
 
@@ -182,6 +182,46 @@ def test_damaged_heights_are_one_sentence(tmp_path: Path, harm: Callable[[Path],
     (report,) = check_samples(sample_folders(tmp_path), quick=True)
     assert len(report.problems) == 1
     assert "aerial_dsm.npy" in report.problems[0]
+
+
+def test_options_that_no_sample_uses_are_refused_and_others_are_honoured(tmp_path: Path) -> None:
+    file, out = tmp_path / "L01_R0001.npz", tmp_path / "flight"
+    posed_samples.ortholoc(file)
+    for options in (FlightOptions(every=2.0), FlightOptions(every_metres=5.0), FlightOptions(gps_order="lat-lon")):
+        with pytest.raises(
+            InputError, match=r"OrthoLoC have neither videos nor subtitles.* so --(every|gps).*leave it out"
+        ):
+            make_flight([file], out, options)
+    with pytest.raises(InputError, match="leave --bands and --keep-borders out"):
+        build_scene(file, tmp_path / "map", MapOptions(bands=(1, 2, 3)))
+    posed_samples.anyvisloc(tmp_path / "Scene_01")
+    for path in (file, tmp_path / "Scene_01"):
+        with pytest.raises(
+            InputError, match="has its own place and heights; leave --crs, --corners, and --elevation out"
+        ):
+            build_scene(path, tmp_path / "map", MapOptions(crs="EPSG:4326"))
+    assert build_scene(tmp_path / "Scene_01" / "aerial_map.png", tmp_path / "map", MapOptions(crs="EPSG:4326")) is None
+    with pytest.raises(InputError, match="expected a day such as"):
+        build_scene(file, tmp_path / "map", MapOptions(), place=MapPlace(photographed="soon"))
+    assert not out.exists()
+    assert not (tmp_path / "map").exists()
+    flight = make_flight([file], out, FlightOptions(fov=60.0, pitch=-70.0))
+    assert flight.frames[0].pitch == -70
+    assert flight.frames[0].fov == pytest.approx(2 * math.degrees(math.atan(100 / 180)))
+    assert flight.notes[-2:] == (
+        "No file lacks the field of view, so --fov is not used.",
+        "The pitch of 1 of 1 frames is the -70° given with --pitch.",
+    )
+
+
+def test_a_sample_named_twice_is_one_and_pictures_beside_samples_are_named(tmp_path: Path) -> None:
+    scene = tmp_path / "Scene_01"
+    posed_samples.anyvisloc(scene)
+    (scene / "DJI_0001.JPG").write_bytes(b"")
+    make_flight([scene, scene / "L01_0001.npz"], tmp_path / "flight")
+    flight = open_flight(tmp_path / "flight")
+    assert [frame.name for frame in flight.frames] == ["L01_0001"]
+    assert "Pictures or videos beside the samples are left out: DJI_0001.JPG; make" in flight.notes[-1]
 
 
 def test_samples_over_several_maps_are_no_flight(tmp_path: Path) -> None:
