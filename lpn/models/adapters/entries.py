@@ -87,6 +87,7 @@ class Entries:
         Raises:
             ModelFileError: if a layer or a block was read in part, such as its weight without its bias.
         """
+        # The tensors of `state` live since before anything was read, so no freed tensor can have had an identity of theirs.
         read = {key for key, value in self.state.items() if id(value) in self.read}
         layers = {_layer(key) for key in read}
         unread = [key for key in self.state if key not in read]
