@@ -141,6 +141,11 @@ def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
     if not normalised and {"features.0.weight", "features.17.weight", "features.28.weight"} <= keys:
         return "vgg16", "layer4"
     last = "layer4" if any(k.startswith("layer4.") for k in keys) else "layer3"
+    if "layer1.0.se.fc1.weight" in keys:
+        raise ModelFileError(
+            f"{name} has LPN's heads on a SE-ResNet (layer1.0.se.fc1.weight), which LPN's released code does not have; if it is "
+            "one of timm, write `backbone: timm:seresnet50` into an opts.yaml beside the file."
+        )
     if "layer1.0.conv3.weight" in keys and "layer3.5.conv1.weight" in keys and "layer3.6.conv1.weight" not in keys:
         return "resnet50", last
     if "layer1.1.conv2.weight" in keys and not {"layer1.0.conv3.weight", "layer1.2.conv1.weight"} & keys:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, NoReturn, cast
 
 import torch
 
@@ -182,7 +182,10 @@ def _one_vector(method: str, prefixes: tuple[tuple[str, ...], ...], entries: Ent
     Args:
         prefixes: those that the entries of one or two networks of timm may have; none for the own network of DAC, CAMP, and MEAN.
     """
-    networks = distinct(entries, *next((names for names in prefixes if has(entries, names[0])), ("",)))
+    held = [names for names in prefixes if has(entries, names[0])]
+    if len(held) > 1:
+        _refuse_two(entries, *(names[0] for names in held))
+    networks = distinct(entries, *(held or [("",)])[0])
     made = [
         _network_of_timm(one) if prefixes else _hand_made_network(one, method in ("DAC", "MEAN")) for one in networks
     ]
@@ -211,6 +214,8 @@ def _network_of_timm(entries: Entries) -> _Network:
         ModelFileError: if the entries are of another network, and the options do not name it.
     """
     if "stages.0.blocks.0.conv_dw.weight" in entries.state:
+        if "patch_embed.proj.weight" in entries.state:
+            _refuse_two(entries, "stages.0.blocks.0.conv_dw.weight", "patch_embed.proj.weight")
         size = size_of(entries, (384, 384), convnext.STRIDE)
         convolutional, width = convnext.vector(entries, size), entries.shape("head.norm.weight", 1)[0]
         return _Network(convolutional, convnext.name_of(entries), width, size)
@@ -236,6 +241,12 @@ def _network_of_timm(entries: Entries) -> _Network:
     if isinstance(branch, transformers.ClassToken):
         return network._replace(level="one vector", held="")
     return network if branch.norm is not None else network._replace(level="exact", held="")
+
+
+def _refuse_two(entries: Entries, first: str, second: str) -> NoReturn:
+    raise ModelFileError(
+        f"{entries.name} holds two networks ({entries.prefix}{first} and {entries.prefix}{second}); give a file with one of them."
+    )
 
 
 def _named_network(entries: Entries, foreign: str) -> _Network:

@@ -54,12 +54,11 @@ _HEAD = r"add_block\."
 _HUB = (r"(.*\.)?patch_embed\.proj\.weight$", r"(.*\.)?blocks\.0\.ls1\.gamma$")
 # Kinds of which a file of the one may be opened as the other by its name: the entries alone do not decide.
 _ALIKE: tuple[frozenset[Recognised], ...] = (frozenset({"sample4geo", "game4loc"}), frozenset({"lpn", "sdpl"}))
-# The signature with most patterns that fits is the model's: it names what tells a method from one that it resembles.
 SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ("fsra", Signature("FSRA", (r"model_1\.transformer\.blocks\.", rf"model_1\.classifier1\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.gem\d\.p$", rf"classifier\d\.{_HEAD}"))),
-    ("mean", Signature("MEAN", (r"model_1\.convnext\.", r"model_1\.DEG\.FC11\.weight$", r"model_1\.MSF\."))),
+    ("mean", Signature("MEAN", (r"model_1\.convnext\.", r"model_1\.(DEG|MSE)\.FC11\.weight$", r"model_1\.MSF\."))),
     (
         "qdfl",
         Signature(
@@ -98,7 +97,7 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
             (r"model\.(pos_embed$|blocks\.0\.attn\.qkv\.bias$)",),
         ),
     ),
-    ("game4loc", Signature("Game4Loc", (r"model1\.", r"model2\.", r"logit_scale$"))),
+    ("game4loc", Signature("Game4Loc", (r"model1\.", r"model2\.", r"logit_scale$"), (r"model\.",))),
     ("sample4geo", Signature("Sample4Geo", (r"model\.stem\.0\.weight$", r"model\.head\.norm\."))),
     ("sample4geo", Signature("Sample4Geo", (r"model\.", r"logit_scale$"))),
     ("denseuav", Signature("DenseUAV", (r"backbone\.backbone\.", r"head\.head\."))),
@@ -107,10 +106,10 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
         Signature(
             "SUES-200",
             (r"model_1\.", r"model_2\.", rf"classifier\d?\.{_HEAD}0\."),
-            (rf"classifier\d?\.{_HEAD}1\.", r"model_\d\.(transformer|convnext|shift_blocks)\."),
+            (rf"classifier\d?\.{_HEAD}1\.",),
         ),
     ),
-    ("lpn", Signature("LPN", (r"model_1\.model\.", rf"classifier\d*\.{_HEAD}1\."), (r"model_\d\.shift_blocks\.",))),
+    ("lpn", Signature("LPN", (r"model_1\.model\.", rf"classifier\d*\.{_HEAD}1\."))),
     (
         "vit",
         Signature(
@@ -119,6 +118,30 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ),
     ("vit", Signature("a vision transformer of torch.hub", (*_HUB, r"(.*\.)?mask_token$"))),
     ("vit", Signature("CLIP", (r"(.*\.)?class_embedding$", r"(.*\.)?conv1\.weight$"))),
+)
+# Names that tell methods apart, each with the kinds whose released code has them. The first kind is the one to name in a message.
+# The last two are vision transformers under a prefix that no method has.
+_MARKS: tuple[tuple[str, tuple[Recognised, ...]], ...] = (
+    (r"model_\d\.(transformer|classifier_heat\d+)\.", ("fsra",)),
+    (r"model_\d\.(shift_blocks|gem\d+)\.", ("sdpl",)),
+    (r"model_\d\.(DEG|MSE|MSF)\.", ("mean",)),
+    (r"model_\d\.proj\.mlp\.", ("dac",)),
+    (r"model_\d\.pos_scale$", ("camp",)),
+    (r"model_\d\.pos_embed$", ("camp", "sues200")),
+    (r"model_\d\.(convnext|classifier_mcb\d+)\.", ("mccg", "dac", "camp", "mean")),
+    (r"model_\d\.tri_layer\.", ("mccg", "dac", "camp")),
+    (r"model_\d\.(conv1|conv_stem|features|patch_embed)\.", ("sues200",)),
+    (rf"classifier\d*\.{_HEAD}", ("lpn", "sdpl", "sues200")),
+    (r"model[12]\.", ("game4loc",)),
+    (r"model\.(stem|patch_embed|blocks|layers|stages)\.", ("sample4geo", "game4loc", "vit")),
+    (r"model_\d\.model\.layer\d\.\d+\.se\.", ("sues200", "lpn")),
+    (r"head\.head\.", ("denseuav",)),
+    (r"backbone\.backbone\.", ("denseuav", "mfrgn", "vit")),
+    (r"components\.(AQEU|classifier\d)\.", ("qdfl",)),
+    (r"(transformer_H|proj_gl|proj_local)\.", ("mfrgn",)),
+    (r"slot_mixvpr\.", ("infogeo",)),
+    (r"(.*\.)?(embeddings\.patch_embeddings?\.(projection\.)?weight|class_embedding)$", ("vit",)),
+    (r"(?!(model[_\d]*|backbone)\.)(.*\.)?blocks\.0\.ls1\.gamma$", ("vit",)),
 )
 # Published checkpoints that are not read, each with the reason.
 _UNREAD: tuple[tuple[Signature, str], ...] = (
@@ -176,12 +199,8 @@ def recognise(keys: Collection[str], name: str) -> Recognised:
     if (kind := _kind(keys)) is not None:
         return kind
     _refuse_unread(keys, name)
-    if fitting := _fitting(keys):
-        titles = " and of ".join(dict.fromkeys(signature.title for _, signature in fitting))
-        raise ModelFileError(
-            f"{name} has the entries of {titles}, and nothing decides between them; say which with --kind "
-            f"({', '.join(dict.fromkeys(one for one, _ in fitting))}), of a second model with --beside-kind."
-        )
+    if _fitting(keys):
+        _refuse_mixed(keys, name)
     convnext = [key for key in keys if "model_1.convnext." in key]
     if convnext and not any("tri_layer" in key for key in keys):
         raise ModelFileError(
@@ -214,18 +233,53 @@ def _wrapper(keys: Collection[str]) -> str | None:
 
 
 def _kind(keys: Collection[str]) -> Recognised | None:
-    """Return the kind whose signature fits; None if none does, or if two fit alike."""
-    fitting = _fitting(keys)
-    return fitting[0][0] if len({kind for kind, _ in fitting}) == 1 else None
+    """Return the kind whose signature fits, if all marks are its own; None if there is none, or if two fit alike."""
+    marks = _marked(keys)
+    alone = [(kind, signature) for kind, signature in _fitting(keys) if all(kind in kinds for _, kinds in marks)]
+    most = max((len(signature.all_of) for _, signature in alone), default=0)
+    kinds = {kind for kind, signature in alone if len(signature.all_of) == most}
+    return kinds.pop() if len(kinds) == 1 else None
 
 
 def _fitting(keys: Collection[str]) -> list[tuple[Recognised, Signature]]:
-    """Return the signatures that fit with most patterns."""
+    """Return the signatures that fit, those with most patterns first."""
     fitting = [(kind, signature) for kind, signature in SIGNATURES if _share(signature, keys) == 1]
     # A method may hold a vision transformer.
     fitting = [pair for pair in fitting if pair[0] != "vit"] or fitting
-    most = max((len(signature.all_of) for _, signature in fitting), default=0)
-    return [(kind, signature) for kind, signature in fitting if len(signature.all_of) == most]
+    return sorted(fitting, key=lambda pair: -len(pair[1].all_of))
+
+
+def _marked(keys: Collection[str]) -> list[tuple[str, tuple[Recognised, ...]]]:
+    """Return the first name of each mark that is there, with the kinds whose released code has it."""
+    first = ((next((key for key in keys if re.match(pattern, key)), None), kinds) for pattern, kinds in _MARKS)
+    return [(key, kinds) for key, kinds in first if key is not None]
+
+
+def _refuse_mixed(keys: Collection[str], name: str) -> None:
+    """Refuse names that some kind fits beside names of another.
+
+    Raises:
+        ModelFileError: with a name of each kind.
+    """
+    marks = _marked(keys)
+    own = {kind: {key for key, kinds in marks if kind in kinds} for kind, _ in _fitting(keys)}
+    # A kind that another one is built on is no second one.
+    whole = [kind for kind, names in own.items() if not any(names < others for others in own.values())]
+    titles = {kind: signature.title for kind, signature in SIGNATURES} | {"vit": "a vision transformer"}
+    shown = {kind: titles[kind] for kind in whole}
+    for key, kinds in marks:
+        if not set(kinds) & set(whole):
+            shown.setdefault(kinds[0], f"{titles[kinds[0]]} ({printable(key)[:80]})")
+    if named := [kind for kind in whole if kind != "vit"]:
+        raise ModelFileError(
+            f"{name} has the entries of {' and of '.join(shown.values())}, and nothing decides between them; say which with "
+            f"--kind ({', '.join(named)}), of a second model with --beside-kind."
+        )
+    others = first_few([printable(key)[:80] for key, kinds in marks if "vit" not in kinds], _SHOWN)
+    raise ModelFileError(
+        f"{name} holds a vision transformer and entries of a method ({others}), of which it has not all; give a whole "
+        "checkpoint, or read the transformer alone with --pooling mean."
+    )
 
 
 def title_of_other(kind: Recognised, keys: Collection[str]) -> str | None:

@@ -163,18 +163,18 @@ def vit_prefix(entries: Entries) -> tuple[str, str] | None:
     Raises:
         ModelFileError: if the file holds several.
     """
+    places: list[tuple[str, str, str]] = []
     for ending, family in _PATCHES:
         begins = [key.removesuffix(ending) for key in entries.state if re.search(rf"(^|\.){re.escape(ending)}$", key)]
         if family == "openai":
             begins = [begin for begin in begins if f"{begin}class_embedding" in entries.state]
-        if len(begins) > 1:
-            named = ", ".join(printable(f"{begin}{ending}") for begin in begins[:3])
-            raise ModelFileError(
-                f"{entries.name} holds several vision transformers ({named}); give a file with one of them."
-            )
-        if begins:
-            return begins[0], family
-    return None
+        places += [(begin, family, ending) for begin in begins]
+    if len(places) > 1:
+        named = ", ".join(printable(f"{begin}{ending}") for begin, _, ending in places[:3])
+        raise ModelFileError(
+            f"{entries.name} holds several vision transformers ({named}); give a file with one of them."
+        )
+    return places[0][:2] if places else None
 
 
 def read_vit(entries: Entries) -> VitTensors:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from lpn.core.errors import InputError, ModelFileError
 from lpn.models import timm_networks
 from lpn.models.adapters.build import build
 from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.recognise import KINDS, Kind, recognise, unwrapped, unwrapped_as
+from lpn.models.adapters.recognise import KINDS, Kind, Recognised, recognise, unwrapped, unwrapped_as
+from lpn.models.adapters.vit_names import vit_prefix
 from lpn.models.base import Model
 from tools.fixtures import published_models, seeded, small_worlds
 from tools.fixtures.published_models import State, small_denseuav, small_fsra, small_mccg, small_vector, small_vit
@@ -52,6 +54,87 @@ def test_formats_that_share_names_are_told_apart() -> None:
         "game4loc": {key.replace("model.", "model2."): 0 for key in published_models.shapes_of("game4loc_vitb_384")},
     }
     assert {kind: recognise(state, "net.pth") for kind, state in found.items()} == {kind: kind for kind in found}
+
+
+def _names(*beginnings: str, heads: str = "", layers: str = "01") -> list[str]:
+    """Names of networks, each by its first entries, and of heads with a linear layer, or with a BatchNorm behind it."""
+    return [*beginnings, *(f"{head}.add_block.{layer}.weight" for head in heads.split() for layer in layers)]
+
+
+# The entries that tell each method from others. Names decide, so that tensors are not needed.
+METHODS: dict[str, tuple[Recognised, Collection[str]]] = {
+    "FSRA": ("fsra", small_fsra(2)),
+    "MCCG": ("mccg", small_mccg(2)),
+    "CAMP": ("camp", small_vector("camp")),
+    "DAC": ("dac", small_vector("dac")),
+    "MEAN": ("mean", small_vector("mean")),
+    "DenseUAV": ("denseuav", small_denseuav(3)),
+    "QDFL": (
+        "qdfl",
+        _names("backbone.model.blocks.0.ls1.gamma", "components.AQEU.coarse.queries", heads="components.classifier0"),
+    ),
+    "MFRGN": ("mfrgn", published_models.shapes_of("mfrgn_small")),
+    "InfoGeo": ("infogeo", published_models.shapes_of("infogeo_small")),
+    "SDPL": ("sdpl", _names("model_1.model.conv1.weight", "model_1.shift_blocks.0.weight", heads="classifier0")),
+    "LPN": ("lpn", _names("model_1.model.conv1.weight", "model_3.model.conv1.weight", heads="classifier0")),
+    "SUES-200": ("sues200", _names("model_1.conv1.weight", "model_2.conv1.weight", heads="classifier", layers="0")),
+    "Sample4Geo": ("sample4geo", ["logit_scale", "model.stem.0.weight", "model.head.norm.weight"]),
+    "Game4Loc": ("game4loc", ["logit_scale", "model1.patch_embed.proj.weight", "model2.patch_embed.proj.weight"]),
+    "a vision transformer": ("vit", ["dino.embeddings.patch_embeddings.projection.weight"]),
+    "CLIP": ("vit", ["visual.class_embedding", "visual.conv1.weight"]),
+    "DINOv2": ("vit", ["dino.patch_embed.proj.weight", "dino.blocks.0.ls1.gamma", "dino.mask_token"]),
+}
+# A method that is built on another has its names.
+BUILT_ON = {"SDPL": "LPN", "DAC": "MCCG", "CAMP": "MCCG"}
+
+
+@pytest.mark.parametrize("first", METHODS)
+def test_a_file_of_two_methods_is_of_neither(first: str) -> None:
+    kind, names = METHODS[first]
+    assert recognise(names, "net.pth") == kind
+    for second, (other, others) in METHODS.items():
+        both = [*names, *others]
+        if first == second or BUILT_ON.get(first) == second or BUILT_ON.get(second) == first:
+            assert recognise(both, "net.pth") == (other if BUILT_ON.get(second) == first else kind)
+        elif kind == other:
+            with pytest.raises(ModelFileError, match="holds several vision transformers"):
+                vit_prefix(Entries("net.pth", dict.fromkeys(both, torch.zeros(1))))
+        else:
+            titles = ("a vision transformer" if of == "vit" else name for of, name in ((kind, first), (other, second)))
+            with pytest.raises(ModelFileError) as caught:
+                recognise(both, "net.pth")
+            assert all(title in str(caught.value) for title in titles)
+            assert "nothing decides between them; say which with --kind" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("own", "of"),
+    [
+        (small_fsra(2), r"FSRA and of LPN \(classifier0\.add_block\.0\.weight\), .* with --kind \(fsra\)"),
+        (small_mccg(2), r"MCCG and of LPN \(classifier0"),
+        (METHODS["DINOv2"][1], r"holds a vision transformer and entries of a method \(classifier0.*--pooling mean"),
+    ],
+)
+def test_heads_of_another_method_over_a_network_are_not_passed_over(own: Collection[str], of: str) -> None:
+    with pytest.raises(ModelFileError, match=of):
+        recognise([*own, *_names(heads="classifier0 classifier1")], "net.pth")
+
+
+def test_two_networks_of_timm_in_a_file_are_refused(tmp_path: Path) -> None:
+    vit = small_vit("model.")
+    convnext = {
+        f"model.{key}": value
+        for key, value in timm_networks.convnext((1, 1, 1, 1), (4, 8, 12, 16))
+        .to_empty(device="cpu")
+        .state_dict()
+        .items()
+    }
+    with pytest.raises(
+        ModelFileError, match=r"two networks \(model\.stages\.0.* and model\.patch_embed\.proj\.weight\)"
+    ):
+        _opened({**vit, **convnext}, tmp_path)
+    with pytest.raises(ModelFileError, match=r"the entries of Sample4Geo and of Game4Loc \(model1\."):
+        _opened({**vit, **small_vit("model1."), **small_vit("model2.")}, tmp_path)
 
 
 def test_a_file_that_resembles_two_methods_is_not_decided_by_order(tmp_path: Path) -> None:
