@@ -195,6 +195,8 @@ def leaderboard(
     tasks = [
         task for task in dataset.tasks() if all(set(views_of(task)) <= set(model.views) for model in models.values())
     ]
+    if not dataset.tasks():
+        raise dataset.no_task()
     if not tasks:
         raise InputError(
             f"No task of {dataset.root.name} is known to all of {', '.join(models)}; compare fewer models."

@@ -7,7 +7,6 @@ a `pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -73,8 +72,6 @@ __all__ = [
     "warn_left_out",
 ]
 
-log = logging.getLogger(__name__)
-
 _LAYOUTS = (
     "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
     "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
@@ -117,12 +114,10 @@ def open_dataset(root: str | Path) -> Dataset:
         raise levels.part_of(root, whole)
     if (error := levels.below(root, _marked) or levels.misplaced(root)) is not None:
         raise error
-    if whole is not None:
-        log.warning("%s is opened as a folder of pictures; the data set that it is a part of is %s.", root, whole)
     if queries := landmarks.query_files(root):
         return Landmarks(root, queries)
     if files := files_below(root):
-        return Folder(root, files)
+        return Folder(root, files, whole)
     if (error := levels.archives_alone(root)) is not None:
         raise error
     inside = ", ".join(sorted(printable(child.name) for child in root.iterdir())[:5]) or "nothing"

@@ -15,7 +15,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.csv_cells import decode_text, delimited
-from lpn.core.errors import DataError
+from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
 from lpn.core.tables import Column, number_column, text_column
@@ -208,6 +208,17 @@ class Dataset(ABC):
     def why_no_task(self) -> str:
         """Return the reason why `tasks` is empty, as a predicate, and the remedy."""
         return "has no queries of one view with a gallery of another in its test split; lpn doctor lists what it has"
+
+    def lacks_task(self, name: str) -> DataError | InputError:
+        """Return the error about a task that is not one of `tasks`: what there is instead, or why there is none."""
+        if offered := self.tasks():
+            own = printable(self.root.resolve().name)
+            return InputError(f"The task is {name!r}; {own} offers {', '.join(offered)} in its test split.")
+        return self.no_task()
+
+    def no_task(self) -> DataError:
+        """Return the error about a data set without `tasks`."""
+        return DataError(f"{printable(self.root.resolve().name)} {self.why_no_task()}.")
 
     @abstractmethod
     def lists(self) -> dict[str, list[Picture]]:

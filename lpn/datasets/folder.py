@@ -13,12 +13,14 @@ class Folder(ListedDataset):
 
     Args:
         files: the pictures, below the root.
+        whole: the folder of the data set that the root is a part of, such as one place of its pictures.
     """
 
     kind = "folder"
 
-    def __init__(self, root: Path, files: list[Path]) -> None:
+    def __init__(self, root: Path, files: list[Path], whole: Path | None = None) -> None:
         super().__init__(root, {}, {}, {}, "a data set with queries and a gallery, since this is a folder of pictures")
+        self.whole = whole
         self.pictures = [
             Picture(file, index, printable(file.relative_to(root).with_suffix("").as_posix()))
             for index, file in enumerate(files)
@@ -28,6 +30,12 @@ class Folder(ListedDataset):
         return unread_below(self.root)
 
     def why_no_task(self) -> str:
+        if self.whole is not None:
+            inside = self.root.resolve().relative_to(self.whole.resolve()).as_posix()
+            return (
+                f"is the part {printable(inside)} of a data set, and has no queries and gallery of its own; give --data "
+                f"{printable(str(self.whole))}"
+            )
         return (
             "is a folder of pictures without queries and a gallery; expected test/query_drone/<number>/* and "
             "test/gallery_satellite/<number>/*, or a pairs.csv that names the pairs"

@@ -16,6 +16,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, geo
+from lpn.datasets.folder import Folder
 from lpn.datasets.integrity import picture_errors
 from lpn.training.recipes import RECIPES
 from lpn.training.training_set import trainable
@@ -313,6 +314,8 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
     if (dataset.root / "cvusa" / "splits").is_dir():
         yield f"Table II of the paper, on the panoramas in {printable(dataset.root.resolve().name)}/cvusa, a data set of its own"
     yield "lpn describe --images, on any folder of these pictures"
+    if isinstance(dataset, Folder) and dataset.whole is not None:
+        yield f"lpn doctor --data {printable(str(dataset.whole))}, on the data set that this folder is a part of"
 
 
 def _tables(dataset: Dataset, trainable: bool) -> str | None:

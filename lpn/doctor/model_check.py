@@ -57,8 +57,10 @@ def pictures_of(dataset: Dataset) -> dict[View, list[tuple[str, UInt8Array]]]:
     """Return some pictures of each view of a data set, spread over the lists of its tasks.
 
     Raises:
-        LPNError: if a picture cannot be read.
+        LPNError: if a picture cannot be read, or the data set has no task.
     """
+    if not dataset.tasks():
+        raise dataset.no_task()
     lists: dict[View, list[Picture]] = {}
     for task in dataset.tasks():
         query, gallery = views_of(task)

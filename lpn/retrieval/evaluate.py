@@ -396,15 +396,12 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     """Check a test split before long work, so that the evaluation at its end does not fail.
 
     Raises:
-        InputError: when the data set does not offer one of the tasks.
+        InputError: when the data set does not offer one of the tasks, but others.
         PictureError: when a picture of the split is damaged.
-        DataError: when the test split is incomplete, or a picture lacks the position that its metrics take.
+        DataError: when there is no task, the test split is incomplete, or a picture lacks the position that its metrics take.
     """
-    missing = [task for task in tasks if task not in dataset.tasks()]
-    if missing:
-        raise InputError(
-            f"{dataset.root.name} does not offer {missing[0]}; it offers {', '.join(dataset.tasks()) or 'no task'}."
-        )
+    if missing := [task for task in tasks if task not in dataset.tasks()]:
+        raise dataset.lacks_task(missing[0])
     lists = lists_of(dataset, tasks)
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)

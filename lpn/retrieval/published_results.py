@@ -80,7 +80,8 @@ class PublishedResult:
         Raises:
             DataError: when no task of the test split has all pictures.
         """
-        tasks = dataset.tasks()
+        if not (tasks := dataset.tasks()):
+            raise dataset.no_task()
         for task in sorted(tasks, key=lambda task: task != self.task):
             query_view, gallery_view = views_of(task)
             queries = _pictures_of_rows(self.query_paths, self.query_labels, dataset.queries(query_view))
@@ -92,7 +93,7 @@ class PublishedResult:
         how = "by the last two parts of their paths" if by_path else "in the order of their labels"
         example = f", such as {printable(self.query_paths[0])}" if self.query_paths else ""
         raise DataError(
-            f"No task of {printable(dataset.root.name)} ({', '.join(tasks) or 'it has none'}) has all pictures of {self.name} "
+            f"No task of {printable(dataset.root.name)} ({', '.join(tasks)}) has all pictures of {self.name} "
             f"{how}{example}; give the data set that the result was computed on."
         )
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from lpn import descriptors
 from lpn.core.arrays import Float32Array, Int64Array
-from lpn.core.errors import InputError
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, labels_of
 from lpn.descriptors.transforms import UNCHANGED, Change
@@ -35,13 +34,11 @@ class TaskPictures:
         """List both sides of a task.
 
         Raises:
-            InputError: when the data set does not offer the task.
-            DataError: when its test split is incomplete.
+            InputError: when the data set has other tasks.
+            DataError: when it has none, or its test split is incomplete.
         """
-        if name not in (offered := dataset.tasks()):
-            raise InputError(
-                f"The task is {name!r}; {dataset.root.name} offers {', '.join(offered) or 'none'} in its test split."
-            )
+        if name not in dataset.tasks():
+            raise dataset.lacks_task(name)
         query_view, gallery_view = views_of(name)
         return cls(name, dataset.queries(query_view), dataset.gallery(gallery_view), dataset.truth(name))
 

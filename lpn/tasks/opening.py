@@ -196,9 +196,9 @@ def offered_tasks(model: Model, dataset: Dataset) -> list[str]:
 
 def no_task_error(model: Model, dataset: Dataset) -> DataError:
     """Return the error for a model and a data set without any of `offered_tasks`."""
-    name = printable(dataset.root.resolve().name)
     if not (tasks := dataset.tasks()):
-        return DataError(f"{name} {dataset.why_no_task()}.")
+        return dataset.no_task()
+    name = printable(dataset.root.resolve().name)
     return DataError(
         f"The test split of {name} is for {', '.join(tasks)}, and the model knows only {' and '.join(model.views)} pictures; "
         "choose another data set or model."

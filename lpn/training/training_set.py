@@ -21,6 +21,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few
 from lpn.core.views import VIEWS, View, branch_of
 from lpn.datasets import Dataset, Picture
+from lpn.datasets.folder import Folder
 from lpn.datasets.integrity import list_errors, picture_errors
 
 # Size limit of the cache of decoded pictures.
@@ -96,6 +97,8 @@ class TrainingSet:
             console.print(
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
+        if isinstance(dataset, Folder) and dataset.whole is not None:
+            raise dataset.no_task()
         _check_sets(by_place, dataset.root)
         _leave_out_broken(by_place, dataset.root, console)
         _check_sets(by_place, dataset.root)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
 import tarfile
 import zipfile
@@ -14,6 +13,7 @@ import pytest
 from lpn.cli import main
 from lpn.core.errors import DataError
 from lpn.datasets import levels, open_dataset
+from lpn.retrieval.sides import TaskPictures
 from tools.fixtures import layouts, small_worlds
 
 
@@ -105,12 +105,20 @@ def test_the_lists_of_a_split_alone_are_told_where_they_belong(tmp_path: Path) -
 
 
 def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     root = layouts.university_gaps(tmp_path / "release")
-    with caplog.at_level(logging.WARNING):
-        assert open_dataset(root / "test" / "query_drone" / "0004").kind == "folder"
-    assert f"the data set that it is a part of is {root}" in caplog.text
+    place = root / "test" / "query_drone" / "0004"
+    dataset = open_dataset(place)
+    assert dataset.kind == "folder"
+    part = "0004 is the part test/query_drone/0004 of a data set"
+    expected = f"{part}, and has no queries and gallery of its own; give --data {root}."
+    with pytest.raises(DataError) as caught:
+        TaskPictures.of(dataset, "drone-to-satellite")
+    assert str(caught.value) == str(dataset.no_task()) == expected
+    assert main.main(["doctor", "--data", str(place)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"lpn doctor --data {root}, on the data set that this folder is a part of" in printed
     small_worlds.write(tmp_path / "photos" / "a" / "1.jpg", layouts.small(1))
     assert open_dataset(tmp_path / "photos").kind == "folder"
 
