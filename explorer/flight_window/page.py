@@ -99,7 +99,7 @@ def _tracks(view: FlightView) -> list[str]:
 def _track(view: FlightView, name: str) -> dict[str, Any]:
     """Return a track: x, y, state, radius, and error of each frame, None where unknown; a tag counts as accepted.
 
-    The state is -1 while the stage has no answer.
+    The state is -1 while the stage has no answer. A refused answer has its reason, too.
     """
     track: dict[str, Any] = {"label": label(name), "colour": theme.css(COLOURS[name])}
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
@@ -121,6 +121,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
         else:
             radius = None if answer.state == "refused" else answer.radius  # a refused place has none
             rows.append((answer.x, answer.y, _STATES[answer.state], radius, located.error(name)))
+    track["reason"] = [_refusal(located, name) for located in flight.frames]
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
         # Two digits more than are shown: rounded twice, a figure would differ from that of the card.
@@ -133,6 +134,16 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     else:
         track["count"] = f"{states.count(0)} of {total}"
     return track
+
+
+def _refusal(located: LocatedFrame, stage: str) -> str | None:
+    """Return that a stage's answer is refused, and why; None if it is not."""
+    answer = located.stages.get(stage)
+    return None if answer is None or answer.state != "refused" else f"{label(stage)}: refused. {answer.sentence}"
+
+
+def _refusals(located: LocatedFrame) -> list[str]:
+    return [refusal for stage in located.stages if (refusal := _refusal(located, stage)) is not None]
 
 
 def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = False) -> str:
@@ -148,7 +159,7 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
     at: MapCoordinate | str | None = None
     if place is not None and place.x is not None and place.y is not None:
         at = MapCoordinate.on_map(view.flight, (place.x, place.y)) or describe_offset(place.x, place.y)
-    ground = ground_window(located, stage)
+    ground, refusals = ground_window(located, stage), _refusals(located)
     return render(
         "flight/card",
         frame=frame,
@@ -157,6 +168,9 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
         address=address,
         verdict=verdict,
         colour=_verdict_colour(verdict.sign),
+        # The reason of a verdict may be that of a stage that refuses.
+        reason=verdict.reason if all(not refusal.endswith(verdict.reason) for refusal in refusals) else "",
+        refusals=refusals,
         place=place,
         at=at,
         ground=ground,
@@ -321,10 +335,6 @@ def _list(
         empty="" if entries else empty,
         terms=terms,
     )
-
-
-def _refusals(located: LocatedFrame) -> list[str]:
-    return [f"{label(name)}: {answer.sentence}" for name, answer in located.stages.items() if answer.state == "refused"]
 
 
 def _number(value: float | None, digits: int) -> float | None:

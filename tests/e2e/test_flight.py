@@ -35,6 +35,8 @@ WIDTH = 60.0
 PLACES = [(x, 0.0) for x in (-60.0, -40.0, -20.0, 0.0, 20.0, 40.0)]
 # The frame whose registration is refused.
 REFUSED = 4
+# Where its refused place lies, away from all others.
+GUESS = (20.0, 60.0)
 # The photos are red, the map is not.
 RED = (200, 30, 40)
 
@@ -70,7 +72,7 @@ def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> It
         for i, (frame, place) in enumerate(zip(located.frames, PLACES, strict=True)):
             matrix = np.linalg.inv(ground_to_photo(place, 0.0, WIDTH, SIZE)).ravel().tolist()
             accepted = StageRecord("accepted", "Matches agree.", *place, True, 1.5, 0.0, 0.0, WIDTH, 50, matrix)
-            frame.stages["registration"] = StageRecord("refused", "Too few.") if i == REFUSED else accepted
+            frame.stages["registration"] = StageRecord("refused", "Too few.", *GUESS) if i == REFUSED else accepted
         located.audit = TagAudit(5, 0.0, 0.0)
         task = flight_task(model, "a.onnx", located, folder)
         ranking = RankingJob(task)
@@ -136,7 +138,15 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     window.expect_frame(5)
     window.page.keyboard.press("ArrowLeft")
     window.expect_frame(REFUSED)
-    expect(window.verdict_of_frame).to_contain_text("Too few.")
+    expect(window.verdict_of_frame).to_contain_text("Registration: refused. Too few.")
+    window.page.mouse.move(*window.at(*GUESS))
+    expect(window.page.locator("#lpn-flight .why")).to_have_text("photo4.png. Registration: refused. Too few.")
+    cross = window.page.locator("#lpn-flight .legend .term").last
+    cross.scroll_into_view_if_needed()  # a scroll hides a tip
+    window.page.mouse.move(5, 5)
+    cross.click()
+    expect(window.page.get_by_role("tooltip")).to_have_text("Registration: refused. Too few.")
+    expect(window.page.locator("#lpn-flight .why")).to_be_empty()
     window.key("n")
     window.expect_frame(5)
     window.page.mouse.click(*window.at(*PLACES[2]))

@@ -92,21 +92,26 @@
   const fill = (element, text) => {
     if (element && element._html !== text) element.innerHTML = element._html = text;
   };
+  const escaped = (text) => text.replace(/[&<>"]/g, (letter) => `&#${letter.charCodeAt(0)};`);
+  // The sign of a track's answer for a frame; that of a refused one tells its reason.
+  const sign = (track, frame) => {
+    if (track.state[frame] === 2) return `<span class="term" tabindex="0" data-tip="${escaped(track.reason[frame])}">${SIGNS[2]}</span> `;
+    return track.x[frame] === null ? "" : SIGNS[track.state[frame]] + " ";
+  };
   flight.fillLegend = () => {
     const { data, chosen, hidden } = flight;
     const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0));
     const rows = Object.entries(data.tracks).map(([name, track]) => {
-      const here = chosen >= 0 && (track.x[chosen] !== null || track.state[chosen] === 2) ? SIGNS[track.state[chosen]] + " " : "";
       const cells = [
         `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><i style="background:${track.colour}"></i>${track.label}</a>`,
-        ...(name === "retrieval" ? ["not verified", ""] : [track.count, name === "tag" || chosen < 0 ? "" : here + metres(track.radius[chosen])]),
+        ...(name === "retrieval" ? ["not verified", ""] : [track.count, name === "tag" || chosen < 0 ? "" : sign(track, chosen) + metres(track.radius[chosen])]),
         chosen < 0 ? "" : metres(track.error[chosen]),
       ];
       return `<tr data-state="${chosen < 0 ? "" : track.state[chosen]}">${cells.map((cell) => `<td>${cell}</td>`).join("")}</tr>`;
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Distance of the answer from the GPS tag, in metres">m off tag</th></tr>${rows.join("")}</table><p class="dim">Hollow dot: refused. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Distance of the answer from the GPS tag, in metres">m off tag</th></tr>${rows.join("")}</table><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it.</p>`,
     );
   };
   const refresh = () => {
@@ -178,7 +183,10 @@
     cancel: () => flight.photo.use("off"),
     forget: () => flight.photo.forget(),
   };
+  const see = (selector) => find(selector).scrollIntoView({ block: "nearest" });
   const onClick = (event) => {
+    // The verdict on a photo of a list comes into sight.
+    if (event.target.closest(".entry")) see(".about");
     const link = event.target.closest("[data-act],[data-photo],[data-plot],[data-list],[data-track]");
     if (!link || !flight.data) return;
     const { act, photo, plot, list: named, track } = link.dataset;
@@ -188,6 +196,7 @@
     if (named) list = named;
     if (track && !flight.hidden.delete(track)) flight.hidden.add(track);
     refresh();
+    if (named) see(".lower");
   };
   const onKey = (event) => {
     const { key, target } = event;

@@ -150,20 +150,32 @@
   };
 
   // ---- the pointer
+  // Return the frame of the nearest dot, and its track; -1 where none is near.
   const hit = (at) => {
-    let best = [REACH, -1];
+    let best = [REACH, -1, null];
     for (const [, track] of flight.tracks())
       for (let i = 0; i < flight.total(); i++) {
         const point = place(track, i);
         if (!point) continue;
         const [left, top] = map.toPixels(point);
         const far = Math.hypot(left - at[0], top - at[1]);
-        if (far < best[0]) best = [far, i];
+        if (far < best[0]) best = [far, i, track];
       }
-    return best[1];
+    return { frame: best[1], track: best[2] };
+  };
+  // Say beside a refused answer's dot why it is refused.
+  const explain = ({ frame, track }) => {
+    const reason = track?.reason?.[frame], tip = find(".why");
+    tip.textContent = reason ? flight.data.names[frame] + ". " + reason : "";
+    if (!reason) return;
+    const [left, top] = map.toPixels(place(track, frame)), [width] = map.size();
+    const below = top < tip.offsetHeight + REACH;
+    tip.style.left = lpn.clamp(left - tip.offsetWidth / 2, 0, Math.max(width - tip.offsetWidth, 0)) + "px";
+    tip.style.top = (below ? top + REACH : top - REACH - tip.offsetHeight) + "px";
   };
   const read = (at) => {
-    const [x, y] = map.toPlane(at), frame = hit(at);
+    const [x, y] = map.toPlane(at), pointed = hit(at), { frame } = pointed;
+    explain(pointed);
     find(".read").textContent =
       (frame >= 0 ? flight.data.names[frame] + " · " : "") + (flight.data.degrees ? lpn.mapMarks.degrees(degrees([x, y])) + " · " : "") + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
   };
@@ -173,9 +185,10 @@
       lpn.send("flight-spot", map.toPlane(at).map((value) => Math.round(100 * value) / 100));
       return true;
     }
-    const frame = hit(at);
-    flight.choose(frame);
-    return frame >= 0;
+    const pointed = hit(at);
+    explain(pointed);
+    flight.choose(pointed.frame);
+    return pointed.frame >= 0;
   };
 
   flight.pixels = (at) => map.toPixels(at);
@@ -228,7 +241,7 @@
         ignores: ".swipe, .zoom, .ties *",
       });
       map.view = view;
-      box.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (find(".read").textContent = ""));
+      box.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (find(".read").textContent = find(".why").textContent = ""));
     },
   };
 })();

@@ -69,6 +69,7 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
     assert track["state"] == [0, 0, 2]
     assert track["error"] == [1.0, 45.0, None]
     assert track["count"] == "2 of 3"
+    assert track["reason"] == [None, None, "Registration: refused. Only <i>4</i> matches agree."]
     assert data["tracks"]["tag"]["count"] == "3 of 3"
     assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
     assert data["times"] == [0.0, 2.0, 4.0]
@@ -103,7 +104,8 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     assert "this is the answer of the sequence." in page.card(view, 2, "pictures/x/", retrieval_failed=True)
     assert "<b>photo2" not in third
     assert "<i>4" not in third
-    assert "Only &lt;i&gt;4&lt;/i&gt; matches agree." in third
+    assert third.count("Only &lt;i&gt;4&lt;/i&gt; matches agree.") == 1
+    assert "✗ Registration: refused. Only" in third
 
 
 def test_a_photo_that_the_map_hardly_shows_says_so(flight: LocatedFlight) -> None:
@@ -128,7 +130,7 @@ def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, fl
     assert "Not placed 0" in page.lists(view)["counts"], "its neighbours place the frame whose registration was refused"
     stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "sequence"}
     lists = page.lists(view_of(replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])))
-    assert "Registration: Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]
+    assert "Registration: refused. Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]
     assert "photo0" not in lists["refused"]
     assert "up to 45 m off" in lists["audit"]
     assert "Registration and tag lie 45.0 m apart" in lists["audit"]
