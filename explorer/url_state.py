@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, get_args
 from urllib.parse import parse_qsl, quote, urlencode
@@ -24,6 +24,7 @@ from explorer.parameters import (
 )
 from explorer.session_state import POSITIVE, SessionState, WhyTab, with_field
 from explorer.workspace import Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.descriptors.weather import WEATHERS
@@ -49,7 +50,7 @@ _SUMMARY = {
     "flight": "flight",
 }
 # Parameters of the query that is shown.
-_OF_QUERY = ("with", "weather", "weather_strength", "angle", "shift", "down", "zoom", "region")
+_OF_QUERY = ("with", "weather", "weather_strength", "angle", "shift", "down", "zoom", "region", "why")
 # Characters of the queries that were chosen in the laboratory by hand.
 _LONGEST_CHOICE = 3000
 # Choices of such queries: each may name all queries in few characters, so that many would fill the server's memory.
@@ -74,6 +75,7 @@ class UrlState:
             Parameter("show", self._write_key, self._read_key),
             Parameter("task", lambda s: s.task, self._read_task),
             Parameter("query", self._write_query, self._read_query),
+            Parameter("own", lambda s: s.upload.key or None if s.upload else None, lambda s, _: s),
             Parameter("with", self._write_tile, self._read_tile),
             Parameter("scoring", self._write_scoring, self._read_scoring),
             parameters.choice("weather", {name.replace("+", "-"): name for name in WEATHERS}),
@@ -115,7 +117,9 @@ class UrlState:
         ]
         return urlencode(pairs, quote_via=quote, safe="/,~")
 
-    def read(self, text: str, state: SessionState) -> tuple[SessionState, list[str]]:
+    def read(
+        self, text: str, state: SessionState, own: Callable[[str], OwnPicture | None] = lambda _: None
+    ) -> tuple[SessionState, list[str]]:
         """Return the state that a query string describes, and a sentence about each value that is invalid.
 
         The name of a tile is looked up in its index, which may take seconds; a tile that cannot be looked up is invalid.
@@ -123,12 +127,16 @@ class UrlState:
         Args:
             text: untrusted; unknown keys are ignored.
             state: supplies what the query string leaves out.
+            own: returns the user's own picture of a key, or None if the page does not hold it.
         """
         try:
             values = _parameters_of(text)
         except ValueError:
             return state, [f"It has more than {_MOST_PARAMETERS} parameters or {_MAX_LENGTH:,} characters."]
         problems = []
+        if values.get("query") == OWN and (picture := own(values.get("own", ""))) is not None:
+            state = replace(state, upload=picture)
+            del values["query"]
         for parameter in self._parameters:  # in this order: the query depends on the task
             if (value := values.get(parameter.key)) is None:
                 continue
@@ -254,7 +262,8 @@ class UrlState:
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
             raise UnusableError(
-                "your own picture is only in the page that loaded it, until you close or reload that page; open the file again."
+                "your own picture is no longer here, as a page holds one until it is loaded again or shows another place; "
+                "open the file again."
             )
         if query is None:
             raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")

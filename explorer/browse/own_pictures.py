@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -39,13 +40,14 @@ _REASONS = {
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A picture in memory: its name, its file, its thumbnail, the camera's position in degrees, and what else its file tells."""
+    """A picture in memory: its file, its thumbnail, and the rest as in `OwnPicture`."""
 
     name: str
     file: bytes
     thumbnail: bytes
     place: tuple[float, float] | None
     frame: Frame | None
+    key: str
 
     @property
     def size(self) -> int:
@@ -139,7 +141,7 @@ class OwnPictures:
         try:
             if len(self._held) >= MOST:
                 raise InputError(f"{printable(name)[:80]} {_REASONS['many']}.")
-            picture = uploads.read(name, content)
+            picture = replace(uploads.read(name, content), key=secrets.token_hex(4))
             held = _hold(picture, content)
             with self._lock:
                 if closed != self._closed or self._left:  # it was closed with the others while it was read
@@ -181,6 +183,12 @@ class OwnPictures:
             if index is None or len(self._held) < 2:
                 return None
             return own_query(state, self._open((index + by) % len(self._held)))
+
+    def find(self, key: str) -> OwnPicture | None:
+        """Return the picture that addresses name by a key, decoded; None if it is not held."""
+        with self._lock:
+            index = next((index for index, held in enumerate(self._held) if held.key == key), None)
+            return None if index is None else self._open(index)
 
     def show(self, state: SessionState) -> None:
         """Mark the picture that the state shows."""
@@ -276,7 +284,8 @@ class OwnPictures:
         if opened is not None and at == index:
             return opened
         held = self._held[index]
-        picture = OwnPicture(held.name, images.decode_picture(held.file, held.name), held.place, held.frame)
+        decoded = images.decode_picture(held.file, held.name)
+        picture = OwnPicture(held.name, decoded, held.place, held.frame, held.key)
         self._opened = picture, index
         return picture
 
@@ -322,7 +331,7 @@ def _hold(picture: OwnPicture, content: bytes) -> _Held:
     own = len(content) <= _SMALL and max(picture.picture.shape[:2]) < uploads.MAX_SIDE
     file = content if own else images.jpeg(picture.picture, _QUALITY)
     thumbnail = images.jpeg(overlays.square(picture.picture, _THUMBNAIL), 80)
-    return _Held(picture.name, file, thumbnail, picture.place, picture.frame)
+    return _Held(picture.name, file, thumbnail, picture.place, picture.frame, picture.key)
 
 
 def _thumbnails(held: Sequence[_Held]) -> Callable[[int], EncodedPicture | None]:

@@ -90,14 +90,17 @@ class PageAddress:
         key = self._url_state.workspace_key(search)
         if key != self._workspace.key and key in self._workspace.choices:
             self._show_other(key, search)
-        else:
-            self.show(search)
+        elif problems := self.show(search):
+            self._views.panels.notify_error("Not all of what was shown can be shown again", " ".join(problems))
 
     def show(self, search: str) -> list[str]:
-        """Show what an address of this workspace shows, with the page's theme, words, and filter; see `UrlState.read`."""
+        """Show what an address of this workspace shows, with the page's theme, words, filter, and own pictures.
+
+        Returns a sentence about each value that is invalid, see `UrlState.read`.
+        """
         before = self._state()
         kept = {name: getattr(before, name) for name in ("dark", "find", "laboratory")}
-        state, problems = self._url_state.read(search, replace(self._plain, **kept))
+        state, problems = self._url_state.read(search, replace(self._plain, **kept), self._views.panels.query.find_own)
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
         self._views.show_state(replace(state, dark=before.dark, plain=before.plain))

@@ -19,6 +19,7 @@ from explorer.panels.navigation import Navigation
 from explorer.session_state import MAX_ZOOM, SessionState, StateChange
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis.analyser import OwnPicture
 from lpn.descriptors.weather import WEATHERS
 
 _HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
@@ -121,6 +122,10 @@ class QueryPanel:
         self.list.show(analysis)
         if self.own is not None:
             self.own.show(analysis.state)
+
+    def find_own(self, key: str) -> OwnPicture | None:
+        """Return the user's own picture of a key, see `OwnPictures.find`."""
+        return None if self.own is None else self.own.find(key)
 
     def receive(self, message: BrowseMessage) -> None:
         """Do what a message of a list of pictures asks for."""

@@ -36,12 +36,14 @@ class OwnPicture:
         picture: (H, W, 3) uint8.
         place: latitude and longitude of the camera in degrees; None if the file has none.
         frame: what the file tells of the camera; None if that was not read.
+        key: names it in the addresses of the page that holds it; empty where none does.
     """
 
     name: str
     picture: UInt8Array
     place: tuple[float, float] | None = None
     frame: Frame | None = None
+    key: str = ""
 
 
 @dataclass(frozen=True, eq=False)

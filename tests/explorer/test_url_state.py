@@ -209,6 +209,18 @@ def test_ones_own_picture_is_not_in_the_link(workspace: Workspace, links: UrlSta
     written = links.write(own)
     assert "query=own" in written
     assert "secret" not in written
+    assert "own=" not in written.replace("query=own", "")
+
+
+def test_the_page_that_holds_ones_own_picture_finds_it_by_its_address(workspace: Workspace, links: UrlState) -> None:
+    plain = replace(start(workspace), query=3)
+    held = OwnPicture("mine.jpg", np.zeros((2, 2, 3), np.uint8), key="1f2e")
+    written = links.write(replace(plain, upload=held, angle=5, why=True))
+    assert links.read(written, plain, {"1f2e": held}.get) == (replace(plain, upload=held, angle=5, why=True), [])
+    lost, problems = links.read(written, plain, {"0000": held}.get)
+    assert (lost.upload, lost.query, lost.angle) == (None, 3, 0)
+    assert len(problems) == 1
+    assert "no longer here" in problems[0]
 
 
 def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> None:
@@ -233,7 +245,7 @@ def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> N
         "selections": "chosen",
     }
     fields = (set(vars(state)) | set(vars(LabChoices()))) - left_out - {"laboratory"}
-    assert {named.get(field, field) for field in fields} | {"show", "on"} == set(links.keys)
+    assert {named.get(field, field) for field in fields} | {"show", "on", "own"} == set(links.keys)
 
 
 def test_an_address_names_its_workspace_where_there_are_several(data: Path, model_file: Path) -> None:

@@ -143,6 +143,22 @@ def test_next_and_previous_step_through_ones_own_pictures(page: Page, workspace:
     assert names == ["a.jpg", "b.jpg", "a.jpg"]
 
 
+def test_a_picture_is_found_by_its_key_until_it_is_closed(page: Page) -> None:
+    keys = []
+    for number in (1, 2):
+        page.own.take(f"{number}.jpg", photo(number))
+        assert page.state.upload is not None
+        keys.append(page.state.upload.key)
+    for number, key in enumerate(keys):
+        picture = page.own.find(key)
+        assert picture is not None
+        assert picture.key == key
+        assert page.own.position(picture) == (number, 2)
+    assert page.own.find("") is None
+    page.own.close()
+    assert page.own.find(keys[0]) is None
+
+
 @pytest.mark.parametrize(
     "value",
     [None, 3, [1], [-1, [], 0], [MOST + 1, [], 0], [1, [["a"]], 0], [1, [["a", 3]], 0], [1, [], -1], ["1", [], 0]],
