@@ -171,7 +171,7 @@ class MapPage:
             "words": [words.say("query"), words.say("query", 2)],
             "maps": [self._of_map(findings, lab, number, one) for number, one in enumerate(maps)],
         }
-        if points.ground is not None and points.origin is not None:
+        if points.ground is not None:
             origin, unit = map_data.scale(points)
             west, south, east, north = points.ground[1]
             corners = (np.array([[west, north], [east, south]]) - origin) / unit
@@ -179,7 +179,8 @@ class MapPage:
                 "picture": self._publish("ground", points, partial(images.jpeg, points.ground[0], 85), "image/jpeg"),
                 "corners": corners.tolist(),
                 "metres": unit,
-                "degrees": map_data.degrees(points, points.origin),
+                "middle": origin.tolist(),
+                "degrees": None if points.origin is None else map_data.degrees(points, points.origin),
             }
         if query is not None:
             outcomes = findings.outcomes

@@ -22,6 +22,7 @@ from lpn.core.errors import LPNError
 from lpn.core.tables import Table
 from lpn.datasets.geo import Position
 from lpn.datasets.metadata import NOTE, TAGS
+from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import words
 from lpn.drawing.words import Vocabulary, speaking
 from lpn.locate.located import LocatedFlight
@@ -107,7 +108,8 @@ class MapPoints:
         queries, tiles: (Q, 2) and (G, 2), y upwards; NaN for queries whose places are unknown.
         axes: the axes in words; may be empty.
         ground: a picture of the ground, and its west, south, east, and north border; None for embeddings.
-        origin: the position that a map of the ground counts its metres from; None for embeddings.
+        origin: the position that a map of the ground counts its metres from; None for embeddings, and for a rendered place,
+            which is no real one.
     """
 
     queries: Float64Array
@@ -335,7 +337,8 @@ class FailureLab:
             assert task.geometry is not None
             places = task.geometry
             ground = self._workspace.mosaic(task), places.bounds()
-            return MapPoints(places.query_ground, places.ground, ground=ground, origin=places.origin)
+            origin = None if shows_rendered(self._workspace.root) else places.origin
+            return MapPoints(places.query_ground, places.ground, ground=ground, origin=origin)
         if kind == "umap":
             queries, gallery = map(np.asarray, task.sides())
             embedding = run_in_process(progress, embedding_map.umap, queries, gallery)

@@ -414,11 +414,13 @@
       }
       return inside;
     };
-    // On the ground: the latitude and longitude of a place in pixels; without one, nothing.
-    const read = (at) => {
-      const place = at && data.ground ? map.toPlane(at) : null;
-      position.textContent = place ? lpn.mapMarks.degrees([1, 0].map((axis, i) => data.ground.degrees[i][0] + place[axis] * data.ground.degrees[i][1])) : "";
+    // On the ground: the latitude and longitude of a place in pixels, or metres where the place is rendered; without one, nothing.
+    const located = (place) => {
+      const { degrees, middle, metres } = data.ground;
+      if (!degrees) return lpn.mapMarks.metres(place.map((value, axis) => middle[axis] + value * metres));
+      return lpn.mapMarks.degrees([1, 0].map((axis, i) => degrees[i][0] + place[axis] * degrees[i][1]));
     };
+    const read = (at) => (position.textContent = at && data.ground ? located(map.toPlane(at)) : "");
     const tell = (count) => (counted.textContent = count.toLocaleString("en") + " of " + data.queries.toLocaleString("en"));
 
     // ---- pointer and keys

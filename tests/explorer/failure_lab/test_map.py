@@ -8,6 +8,7 @@ import pytest
 
 from explorer.browse.feeds import Feeds
 from explorer.failure_lab import map_data, messages
+from explorer.failure_lab import service as lab_service
 from explorer.failure_lab.map_layout import MapRoom, map_room
 from explorer.failure_lab.map_page import MapPage
 from explorer.failure_lab.messages import MAX_CORNERS, ColourBy, LabMessage, OpenPoint, SelectLasso, ShowMap
@@ -70,6 +71,19 @@ def test_a_map_of_the_ground_knows_the_degrees_of_its_units(service: FailureLab,
     places = [(place.latitude, place.longitude) for place in findings.task.geometry.tiles]
     found = np.column_stack([latitude + drawn[:, 1] * north, longitude + drawn[:, 0] * east])
     np.testing.assert_allclose(found, places, rtol=0, atol=1e-8)
+
+
+def test_a_rendered_place_has_metres_in_place_of_degrees(
+    view: MapPage, service: FailureLab, findings: Findings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, lab = findings.table.rows(), LabState(task=findings.task.name, tab="maps", map="ground")
+    for rendered in (False, True):
+        monkeypatch.setattr(lab_service, "shows_rendered", lambda _, rendered=rendered: rendered)
+        points = service._points("ground", findings.task, lambda *_: None)
+        ground = view._data(findings, lab, None, rows, [points])["ground"]
+        assert (ground["degrees"] is None) == rendered
+        origin, unit = map_data.scale(points)
+        assert (ground["middle"], ground["metres"]) == (origin.tolist(), unit)
 
 
 def test_a_column_gives_colours_and_counts_of_the_selected_queries(findings: Findings) -> None:
