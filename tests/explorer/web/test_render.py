@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
+import explorer.web
 from explorer.panels import pages
 from explorer.web.render import press, render, send
 
@@ -66,3 +69,18 @@ def test_a_missing_value_is_an_error() -> None:
 def test_a_script_runs_by_the_onload_of_an_image() -> None:
     html = render("run_script", body='"a < b && \\"c\\""')
     assert Attributes(html).values["onload"] == 'Function("a < b && \\"c\\"")()'
+
+
+def test_a_control_that_shows_a_sign_has_a_name() -> None:
+    (folder,) = explorer.web.__path__
+    signs = 0
+    for template in Path(folder).rglob("*.j2"):
+        # Expressions may hold angle brackets.
+        source = re.sub(
+            r"{{.*?}}", lambda match: match[0].replace("<", "").replace(">", ""), template.read_text("utf-8")
+        )
+        for tag, attributes, text in re.findall(r"<(a|button)\b([^>]*)>([^<]*)</", source):
+            if re.search(r"[A-Za-z]", text) is None:
+                signs += 1
+                assert "aria-label" in attributes, f"{template.name}: <{tag}{attributes}>{text}"
+    assert signs > 10
