@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
 from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box
 from tools.fixtures import small_worlds
 
@@ -235,3 +236,36 @@ def test_a_shared_link_opens_what_it_names_in_any_browser(app: RunningApp, fresh
     explorer.expect_status("name", "0011")
     expect(fresh.locator("#lpn-lab-table tr[data-row]").first).to_be_visible()
     expect(fresh.locator("#lpn-first")).to_have_count(0)
+
+
+@pytest.mark.slow
+def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_is_refused(
+    demo_app: RunningApp, fresh: Page
+) -> None:
+    first = fresh.locator("#lpn-first")
+    sentence, captions, place = first.locator(".sentence"), first.locator("figcaption"), first.locator("details.bring")
+
+    def send(file: Path) -> None:
+        with fresh.expect_file_chooser() as chooser:
+            first.get_by_text("Your own picture").click()
+        chooser.value.set_files(file)
+        expect(captions.first).to_contain_text(file.name)
+        expect(first.locator(".comparing")).to_contain_text("Its details are compared with the map")
+
+    fresh.goto(demo_app.url)
+    expect(sentence).to_contain_text("The model compared 224 pieces of the map")
+    send(DEMO_PLACE[1] / "IMG_9368.webp")
+    place.locator("summary").click()
+    expect(sentence).to_contain_text("On this map.")
+    expect(sentence).to_contain_text("your picture fits the map to ±")
+    expect(captions.nth(2)).to_contain_text("On the map")
+    # What was opened, and what has the focus, outlast the answer.
+    expect(place).to_have_attribute("open", "")
+    expect(place.locator("summary")).to_be_focused()
+    first.get_by_text("See it on the map").click()
+    expect(fresh.locator("#lpn-header")).to_be_visible()
+    fresh.get_by_text("‹ Start").first.click()
+
+    send(DEMO_FLIGHT[1] / "LPN_0086.webp")
+    expect(sentence).to_contain_text("Its details fit nowhere on this map")
+    expect(captions).to_have_count(2)
