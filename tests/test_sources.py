@@ -195,6 +195,27 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
     assert "Recall@1" in task._repr_html_()
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("published --saved FOLDER --data FOLDER", "is a folder; give the file that the published test code wrote"),
+        ("arrays --queries FOLDER --gallery FOLDER --paths FOLDER", "is a folder; give the file of query descriptors"),
+        ("index --index FILE --data FOLDER --model city-lpn", "is a file; expected the folder of an index"),
+        (
+            "flight --flight FOLDER --map FILE --model city-lpn",
+            "file.mp4 is a video or its subtitles; make a flight of it",
+        ),
+    ],
+)
+def test_a_folder_in_place_of_a_file_is_named(
+    words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
+    names = {"FOLDER": str(tmp_path), "FILE": str(tmp_path / "file.mp4")}
+    assert main(["failures", *(names.get(word, word) for word in words.split())]) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_a_word_that_is_no_source_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", "indx", "--index", "tiles"]) == 2
     assert "no source indx; it has data, published, arrays, index, flight" in capsys.readouterr().err

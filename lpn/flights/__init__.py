@@ -12,6 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.flights.base import Flight, Frame, HeadingSource
 from lpn.flights.cameras import footprint, ground_width
 from lpn.flights.folder import is_flight, read_flight, write_flight
@@ -39,6 +40,11 @@ def open_flight(folder: str | Path) -> Flight:
         DataError: if there is no such folder, it has no photo that can be read, or its files are damaged.
     """
     folder = Path(folder)
+    if folder.is_file():
+        raise DataError(
+            f"{printable(str(folder))} is a file; expected a folder that lpn flight wrote, or one of photos, so make one with "
+            f"lpn flight {printable(str(folder))} --out FLIGHT, and give FLIGHT."
+        )
     if not folder.is_dir():
         raise DataError(f"There is no flight at {folder}; expected a folder that lpn flight wrote, or one of photos.")
     if is_flight(folder):

@@ -167,6 +167,11 @@ def flight_of_folder(folder: Path) -> Flight:
     """
     files = files_below(folder, PHOTOS)
     if not files:
+        if filmed := files_below(folder, videos.SUFFIXES):
+            raise DataError(
+                f"{printable(str(folder))} has videos ({printable(filmed[0].name)}) and no flight.json; make a flight of them "
+                f"with lpn flight {printable(str(folder))} --out FLIGHT, and give FLIGHT."
+            )
         raise DataError(
             f"{folder} has neither flight.json nor photos ({', '.join(PHOTOS)}); give a folder that lpn flight wrote, or one of "
             "photos."
@@ -261,7 +266,8 @@ def _no_pictures(files: _Files) -> str:
         return f"There is no video for {len(files.subtitles)} .SRT file{'s' * (len(files.subtitles) > 1)}; give the video, too."
     if files.logs:
         return f"No photo that {files.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
-    return f"No file of {len(files.others)} is a photo or a video; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
+    others = f" ({printable(files.others[0].name)} is neither)" if files.others else ""
+    return f"There is no photo and no video{others}; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
 
 
 def _named_by(log: Log, file: Path) -> list[Path]:

@@ -129,6 +129,10 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
             return manifest
         except FileNotFoundError as error:
             raise StoreError(f"{folder} has no {MANIFEST}, so it is not an index; make one with lpn index.") from error
+        except NotADirectoryError as error:
+            raise StoreError(
+                f"{folder} is a file; expected the folder of an index, so make one with lpn index."
+            ) from error
         except OSError as error:
             raise unreadable_error(folder / MANIFEST, error) from error
         except (ValueError, RecursionError) as error:

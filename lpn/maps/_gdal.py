@@ -38,6 +38,13 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
     ((".kml", ".kmz"), b"", "a file of Google Earth without one picture on the ground", "export the map as GeoTIFF"),
     ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
+    (
+        (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"),
+        b"",
+        "a video or its subtitles",
+        "make a flight of it with lpn flight",
+    ),
+    ((".pth", ".pt", ".ckpt", ".safetensors", ".onnx"), b"", "a file of a model", "give it with --model"),
     ((), b"PK\x03\x04", "a zip archive", "unpack it first"),
 )
 

@@ -184,9 +184,13 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
             f"{printable(str(path))} has its position as RPCs only; orthorectify it first, such as with gdalwarp -rpc."
         )
     if matrix is None:
+        flown = (
+            f" It has a GPS tag; lpn map --from-flight {printable(str(path.parent))} makes a map of a flight's photos."
+        )
         raise DataError(
             f"{printable(str(path))} has no georeference: it is no GeoTIFF, and no world file lies beside it; add one, or give "
             "--corners with the latitude and longitude of its top-left and bottom-right corner."
+            f"{flown if 'EXIF_GPSLatitude' in file.tags() else ''}"
         )
     if options.crs is not None:
         return parse_crs(options.crs), matrix

@@ -193,6 +193,8 @@ def _shape(array: AnyArray) -> str:
 
 def _read(file: Path, side: Role) -> AnyArray:
     """Return the array of a side as it is in its file."""
+    if file.is_dir():
+        raise DataError(f"{printable(str(file))} is a folder; give the file of {side} descriptors.")
     if not file.is_file():
         raise DataError(f"There is no file of {side} descriptors at {printable(str(file))}; check the path.")
     readers = {".npy": _read_npy, ".npz": _read_npz, ".mat": _read_mat, ".parquet": _read_parquet}

@@ -209,6 +209,10 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
 
 
 def _read(path: Path, name: str) -> dict[str, Any]:
+    if path.is_dir():
+        raise DataError(
+            f"{path} is a folder; give the file that the published test code wrote, such as pytorch_result.mat."
+        )
     if not path.is_file():
         raise DataError(f"There is no saved result at {path}; check the path.")
     if _first_bytes(path) == b"MATLAB 7.3":

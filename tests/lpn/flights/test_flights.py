@@ -114,7 +114,7 @@ def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:
         (["photo.jpg", "--every", "0"], "--every is 0; expected a number from 0.04"),
         (["photo.jpg", "--fov", "200"], "--fov is 200"),
         (["a.SRT"], "There is no video for 1 .SRT file"),
-        (["a.txt"], "No file of 1 is a photo or a video"),
+        (["a.txt"], "There is no photo and no video (a.txt is neither)"),
         (["photo.jpg", "a.mp4"], "Photos (1) and videos (1) have different clocks"),
         (["photo.jpg", "photo.jpg"], "photo.jpg is given twice"),
     ],

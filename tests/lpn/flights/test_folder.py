@@ -82,6 +82,15 @@ def test_folders_that_are_no_flight_are_refused(tmp_path: Path) -> None:
         open_flight(tmp_path / "nowhere")
     with pytest.raises(DataError, match=r"neither flight\.json nor photos"):
         open_flight(tmp_path)
+    (tmp_path / "a.mp4").touch()
+    for given, message in (
+        (tmp_path, r"has videos \(a\.mp4\) and no flight\.json"),
+        (tmp_path / "a.mp4", "is a file; exp"),
+    ):
+        with pytest.raises(
+            DataError, match=rf"{message}.* make .* with lpn flight {given} --out FLIGHT, and give FLIGHT\."
+        ):
+            open_flight(given)
     header = written(tmp_path) / "flight.json"
     header.write_text(header.read_text("utf-8").replace("lpn-flight/1", "lpn-flight/9"), "utf-8")
     with pytest.raises(DataError, match="later version"):

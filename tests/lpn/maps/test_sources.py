@@ -612,6 +612,8 @@ def test_an_overlay_of_google_earth_is_read_unless_it_is_turned(tmp_path: Path, 
         ),
         ("a.tpkx", b"PK\x03\x04" + bytes(99), "a tile package of ArcGIS"),
         ("a.qgz", b"PK\x03\x04" + bytes(99), "a project"),
+        ("a.mp4", b"\0\0\0\x18ftypmp42", "a flight of it with lpn flight"),
+        ("a.pth", b"PK\x03\x04" + bytes(99), "a file of a model"),
     ],
 )
 def test_what_is_no_raster_is_called_what_it_is(tmp_path: Path, name: str, data: bytes, words: str) -> None:
