@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob
+from explorer.flight_window import flight_text
 from explorer.flight_window.pictures import Pyramid, ground_window
 from explorer.flight_window.service import FlightView
 from explorer.web.coordinates import MapCoordinate, describe_point
@@ -17,8 +18,8 @@ from explorer.workspace import StateAnalysis
 from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays, score_map, theme
-from lpn.drawing.words import capitalised, plain, say
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.drawing.words import plain, say
+from lpn.locate.located import StageRecord
 from lpn.locate.summary import PLACED, describe_flight
 from lpn.maps import Window
 from lpn.maps.named_window import describe_offset
@@ -31,18 +32,7 @@ COLOURS = {name: theme.COLOURS[name] for name in ("tag", "retrieval", "sequence"
 }
 # Length of the lists of refused and of contradicting frames.
 _MAX_LISTED = 200
-# Some parts are measured by themselves, and others are not.
-_EVIDENCE = (
-    "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
-    "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "
-    "of them errs."
-)
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
-
-
-def label(name: str) -> str:
-    """Return what a track is called: that of a stage, of the GPS tags, or of a person's corrections."""
-    return "By hand" if name == "corrected" else capitalised(say(name))
 
 
 def shell(part_names: Sequence[str], height: int, tall: bool = False, live: bool = False) -> str:
@@ -101,7 +91,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
 
     The state is -1 while the stage has no answer. A refused answer has its reason, too.
     """
-    track: dict[str, Any] = {"label": label(name), "colour": theme.css(COLOURS[name])}
+    track: dict[str, Any] = {"label": flight_text.label(name), "colour": theme.css(COLOURS[name])}
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
     flight = view.flight
     for i, located in enumerate(flight.frames):
@@ -121,7 +111,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
         else:
             radius = None if answer.state == "refused" else answer.radius  # a refused place has none
             rows.append((answer.x, answer.y, _STATES[answer.state], radius, located.error(name)))
-    track["reason"] = [_refusal(located, name) for located in flight.frames]
+    track["reason"] = [flight_text.refusal(located, name) for located in flight.frames]
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
         # Two digits more than are shown: rounded twice, a figure would differ from that of the card.
@@ -134,16 +124,6 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     else:
         track["count"] = f"{states.count(0)} of {total}"
     return track
-
-
-def _refusal(located: LocatedFrame, stage: str) -> str | None:
-    """Return that a stage's answer is refused, and why; None if it is not."""
-    answer = located.stages.get(stage)
-    return None if answer is None or answer.state != "refused" else f"{label(stage)}: refused. {answer.sentence}"
-
-
-def _refusals(located: LocatedFrame) -> list[str]:
-    return [refusal for stage in located.stages if (refusal := _refusal(located, stage)) is not None]
 
 
 def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = False) -> str:
@@ -159,7 +139,7 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
     at: MapCoordinate | str | None = None
     if place is not None and place.x is not None and place.y is not None:
         at = MapCoordinate.on_map(view.flight, (place.x, place.y)) or describe_offset(place.x, place.y)
-    ground, refusals = ground_window(located, stage), _refusals(located)
+    ground = ground_window(located, stage)
     return render(
         "flight/card",
         frame=frame,
@@ -168,16 +148,16 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
         address=address,
         verdict=verdict,
         colour=_verdict_colour(verdict.sign),
-        # The reason of a verdict may be that of a stage that refuses.
-        reason=verdict.reason if all(not refusal.endswith(verdict.reason) for refusal in refusals) else "",
-        refusals=refusals,
+        reason=flight_text.reason(view, frame),
+        refusals=flight_text.refusals(located),
+        drone=flight_text.drone(view.flight, located),
         place=place,
         at=at,
         ground=ground,
         on_map=None if ground is None else _share_on_map(view, ground),
         height=located.frame.flying_height,
         corrected=_correction(view, frame, place),
-        later_stage=stage if retrieval_failed and stage in ("sequence", "registration") else None,
+        look_errs=retrieval_failed and stage in PLACED,
     )
 
 
@@ -227,18 +207,24 @@ def progress(registration: BackgroundJob[None] | None, frames: int) -> str:
     if registration is None:
         return ""
     if registration.wait(0):
-        return "" if registration.error is None else f"{_laying('Registration')} failed: {registration.error}"
-    return f"{_laying('Registering')} {registration.done}/{registration.total or frames}"
+        return "" if registration.error is None else f"{_comparison()} failed: {registration.error}"
+    work = "Comparing details with the map" if plain() else "Registering"
+    return f"{work} {registration.done}/{registration.total or frames}"
 
 
-def _laying(term: str) -> str:
-    return "Laying photos over the map" if plain() else term
+def _comparison() -> str:
+    return "The comparison of details" if plain() else "Registration"
 
 
 def sentence(view: FlightView, running: bool) -> str:
     """Say how the flight's photos were placed; `running` says that a registration goes on."""
-    more = f" {_laying('Registration')} is still running, so these numbers change." if running else ""
+    more = f" {_comparison()} is still running, so these numbers change." if running else ""
     return f"{describe_flight(view.flight.frames, view.beliefs)}{more}"
+
+
+def accuracy(view: FlightView) -> str:
+    """Return how accurate the flight's places are, and where each figure comes from."""
+    return render("flight/accuracy", known=flight_text.accuracy(view))
 
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:
@@ -281,19 +267,22 @@ def lists(view: FlightView) -> dict[str, str]:
     """Return the lists beside the map by their names, as HTML."""
     flight = view.flight
     refused = [
-        (i, printable(located.frame.name), _refusals(located) or [view.beliefs[i].reason])
+        (i, printable(located.frame.name), flight_text.refusals(located) or [view.beliefs[i].reason])
         for i, located in enumerate(flight.frames)
         if view.beliefs[i].stage not in PLACED
     ]
-    apart = [(one.frame, printable(flight.frames[one.frame].frame.name), [one.sentence]) for one in view.contradictions]
+    apart = [
+        (one.frame, printable(flight.frames[one.frame].frame.name), [flight_text.apart(one)])
+        for one in view.contradictions
+    ]
     notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]
     if view.corrections_error:
         notes.append(f"Corrections are left out: {view.corrections_error}")
     summary = flight.summaries().get("registration")
     proof = None if summary is None else summary.calibration_sentence("registration")
     audit = " ".join(filter(None, ("" if flight.audit is None else flight.audit.sentence, proof)))
-    if plain() and apart:
-        audit = f"{_EVIDENCE} {audit}"
+    if plain():  # the figures stand above the map
+        audit = flight_text.EVIDENCE if apart else ""
     return {
         "refused": _list(refused, "", "Every frame is placed.", ("support", "registration") if refused else ()),
         "audit": _list(
@@ -314,7 +303,8 @@ def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float
     entries = []
     for i in frames:
         one = view.outlines[i]
-        source = "by its registration" if one is not None and one.registered else "by its tag and the camera's angles"
+        details = "by its details" if plain() else "by its registration"
+        source = details if one is not None and one.registered else "by its tag and the camera's angles"
         entries.append((i, printable(view.flight.frames[i].frame.name), [source]))
     unknown = sum(one is None for one in view.outlines)
     sentence = f"{len(frames)} of {len(view.outlines)} frames show {describe_point(view.flight, place)}."

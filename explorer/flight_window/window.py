@@ -218,6 +218,7 @@ class FlightWindow:
             page.calls(
                 {
                     "sentence": page.sentence(view, running),
+                    "accuracy": page.accuracy(view),
                     "status": (message and message.text) or page.progress(job, len(view.flight.frames)),
                 }
             )

@@ -51,6 +51,11 @@ def describe_position(cells: Float64Array, view: View) -> str:
     return (_COMPASS if view == "satellite" and width < 2 * height else _SIDES)[sector]
 
 
+def compass(azimuth: float) -> str:
+    """Return the name of a direction in degrees clockwise from north, as one of eight: "south-west"."""
+    return _COMPASS[round((90 - azimuth) / 45) % 8]
+
+
 def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
     """Say which part, and which places of the two pictures, a pair's score comes from."""
     weighted = evidence.weighted_cosines

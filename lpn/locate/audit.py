@@ -74,7 +74,7 @@ class TagAudit:
         return (
             f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted} are {off}, against "
             f"registered positions of {self.frames} frames; without the lag and a constant offset of {self.offset:.1f} m, "
-            f"{self.without_lag:.1f} m remain in the median."
+            f"{self.without_lag:.1f} m remain in the median, which neither explains."
         )
 
 

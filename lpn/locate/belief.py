@@ -45,6 +45,7 @@ class Disagreement:
         one, other: stages, or "tag".
         metres: between them.
         allowed: metres that their radii allow.
+        tilt: metres of these for an unknown tilt.
     """
 
     frame: int
@@ -52,6 +53,7 @@ class Disagreement:
     other: str
     metres: float
     allowed: float
+    tilt: float = 0.0
 
     @property
     def sentence(self) -> str:
@@ -77,9 +79,10 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
             places["tag"] = float(located.tag[0]), float(located.tag[1]), TAG_RADIUS, True
         for (one, a), (other, b) in combinations(places.items(), 2):
             metres = math.hypot(a[0] - b[0], a[1] - b[1])
-            allowed = SIGMAS * math.hypot(a[2], b[2]) + (_shift(located) if a[3] != b[3] else 0.0)
+            tilt = _shift(located) if a[3] != b[3] else 0.0
+            allowed = SIGMAS * math.hypot(a[2], b[2]) + tilt
             if metres > allowed:
-                pairs.append(Disagreement(i, one, other, metres, allowed))
+                pairs.append(Disagreement(i, one, other, metres, allowed, tilt))
     return pairs
 
 
@@ -119,7 +122,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
     registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
     why = "" if registration is None else registration.sentence
     if registration is not None and registration.accepted:
-        headline = f"Fits the map to ± {registration.radius or 0:.1f} m"
+        headline = f"Placed by its details, ± {registration.radius or 0:.1f} m on this map"
         error = located.error("registration")
         beside = "" if error is None else f" It lies {error:.1f} m from the tag."
         against = {one.other: one for one in contradictions if one.one == "registration"}
@@ -127,12 +130,16 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
         if doubt is None:
             return Belief(True, headline, why + beside, "registration")
         if "tag" not in against and located.tag is not None:  # two of three agree
-            return Belief(True, headline, f"{why}{beside} The sequence is {doubt.metres:.1f} m off.", "registration")
-        who = "its tag" if doubt.other == "tag" else "the sequence"
-        return Belief(None, f"{headline}, but {who} disagrees", doubt.sentence, "registration")
+            beside += f" Its neighbours would place it {doubt.metres:.1f} m from here."
+            return Belief(True, headline, why + beside, "registration")
+        against_it = "its GPS tag disagrees" if doubt.other == "tag" else "its neighbours disagree"
+        return Belief(None, f"{headline}, but {against_it}", doubt.sentence, "registration")
     if sequence is not None and sequence.accepted:
         return Belief(
-            None, f"Within ± {sequence.radius or 0:.0f} m by its neighbours", why or sequence.sentence, "sequence"
+            None,
+            f"Placed by its neighbours only, ± {sequence.radius or 0:.0f} m on this map",
+            why or sequence.sentence,
+            "sequence",
         )
     if retrieval is not None and retrieval.x is not None:
         refused = _first_refusal(registration, sequence)

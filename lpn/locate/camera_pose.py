@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import msgspec
@@ -18,7 +18,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, inverse
 from lpn.core.numbers import wrap_degrees
-from lpn.flights.cameras import angles_of_view, fov_of_sensor
+from lpn.flights.cameras import angles_of_view, fov_of_sensor, rotation
 
 # Fields of view in degrees across the picture that are tried where it is unknown, and the one that stands for it.
 _FOVS = (35.0, 50.0, 62.0, 72.0, 82.0, 95.0)
@@ -41,6 +41,17 @@ _ITERATIONS = 30
 _FINEST = 0.3
 # The largest squared residual counts as this many variances (GRIC's lambda 3 times its codimension).
 _CUT = 4.0
+
+
+class CameraTilt(NamedTuple):
+    """The angle between a camera's axis and straight down, its 1-sigma error, and where the camera looks clockwise from north.
+
+    All are in degrees.
+    """
+
+    degrees: float
+    error: float
+    azimuth: float
 
 
 class CameraPose(msgspec.Struct, frozen=True):
@@ -80,6 +91,20 @@ class CameraPose(msgspec.Struct, frozen=True):
     def radius(self) -> float:
         """The 1-sigma radius in metres: the root mean square of the errors to the east and north."""
         return float(np.sqrt((self.sigmas[:2] ** 2).mean()))
+
+    @property
+    def tilt(self) -> CameraTilt:
+        """The angle between optical axis and straight down, with its error by the covariance of pitch and roll."""
+        north, east, down = rotation(self.heading, self.pitch, self.roll)[:, 2].tolist()
+        away = math.hypot(north, east)
+        degrees = math.degrees(math.atan2(away, down))
+        # The tilt's cosine is cos(pitch + 90) cos(roll), so its slopes need no step; at 0 degrees pitch and roll count alike.
+        pitch, roll = math.radians(self.pitch + 90), math.radians(self.roll)
+        slopes = np.array([math.sin(pitch) * math.cos(roll), math.cos(pitch) * math.sin(roll)])
+        slopes = slopes / away if away > 1e-9 else np.full(2, math.sqrt(0.5))
+        covariance = np.array(self.covariance).reshape(6, 6)[4:, 4:]
+        error = math.sqrt(float(slopes @ covariance @ slopes))
+        return CameraTilt(degrees, error, math.degrees(math.atan2(east, north)) % 360)
 
     @property
     def sentence(self) -> str:

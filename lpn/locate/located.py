@@ -183,6 +183,7 @@ class LocatedFlight:
         tags_without_lag: positions of the tags in metres without the constant lag that the audit finds, (N, 2), NaN where they
             are not known; None if it finds none.
         tags_corrected: whether the frames have these as their tags.
+        map_error: 1-sigma error in metres along each axis that the radii of registrations hold for the map; None without them.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
     """
 
@@ -195,6 +196,7 @@ class LocatedFlight:
     shipped: Mapping[str, StageRecord] = field(default_factory=dict)
     tags_without_lag: Float64Array | None = None
     tags_corrected: bool = False
+    map_error: float | None = None
 
     @property
     def stages(self) -> list[str]:

@@ -163,6 +163,7 @@ def registered(
         audit=audit,
         notes=[*located.notes, *notes, *_turn_notes(frames)],
         tags_without_lag=moved,
+        map_error=map_error,
     )
     return found.without_lag() if options.tags == "corrected" else found
 

@@ -1,19 +1,65 @@
-"""One plain sentence on how the photos of a flight were placed."""
+"""How the photos of a flight were placed, and how accurate that is, by what the flight itself has measured."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from statistics import median
 
 from lpn.core.numbers import distance
+from lpn.drawing.words import plain
 from lpn.locate.belief import Belief
-from lpn.locate.located import LocatedFrame
+from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.maps.orthophoto import PLACED_BY_TAGS
 
-# The stages whose answers are accepted.
-PLACED = {
-    "registration": "by laying the photo over the map (registration)",
-    "sequence": "by the photos before and after (sequence)",
-}
+# The stages whose answers are accepted, in the words for everybody and in the field's.
+PLACED = {"registration": ("by their details", "by registration"), "sequence": ("by their neighbours", "by sequence")}
+
+
+@dataclass(frozen=True)
+class FlightAccuracy:
+    """The errors of a flight's places, as far as flight and map tell them.
+
+    Attributes:
+        photos: placed ones, whose stage tells a radius.
+        radius: median of their 1-sigma radii in metres, on this map.
+        details: median of the radii in metres that the scatter of the details alone gives, without the map's error; None where
+            no photo is registered, or the map's error is not known.
+        map_error: 1-sigma error in metres that counts for the map's own places; None where it is not known.
+        map_source: sentence of the map about the GPS tags that its georeference comes from; "" if it comes from elsewhere.
+    """
+
+    photos: int
+    radius: float
+    details: float | None
+    map_error: float | None
+    map_source: str
+
+
+def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> FlightAccuracy | None:
+    """Return how accurate the places of a flight are; None if no placed photo has a radius.
+
+    Args:
+        verdicts: of the frames, see `lpn.locate.belief.beliefs`.
+    """
+    radii, details = [], []
+    for located, verdict in zip(flight.frames, verdicts, strict=True):
+        if verdict.stage not in PLACED or (radius := located.stages[verdict.stage].radius) is None:
+            continue
+        radii.append(radius)
+        if verdict.stage == "registration" and flight.map_error is not None:
+            details.append(math.sqrt(max(radius**2 - flight.map_error**2, 0.0)))
+    if not radii:
+        return None
+    source = next((note for note in flight.basemap.notes if PLACED_BY_TAGS in note), "")
+    return FlightAccuracy(
+        len(radii),
+        median(radii),
+        median(details) if details else None,
+        flight.map_error,
+        source[source.find(PLACED_BY_TAGS) :],
+    )
 
 
 def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) -> str:
@@ -25,18 +71,21 @@ def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) 
         verdicts: of the frames, see `lpn.locate.belief.beliefs`.
     """
     counts = {stage: sum(verdict.stage == stage for verdict in verdicts) for stage in (*PLACED, "retrieval")}
-    placed = sum(counts[stage] for stage in PLACED)
-    ways = [f"{counts[stage]:,} {way}" for stage, way in PLACED.items() if counts[stage]]
+    ways = [f"{counts[stage]:,} {of[0 if plain() else 1]}" for stage, of in PLACED.items() if counts[stage]]
+    placed = counts["registration"] + counts["sequence"]
     guessed, refused = counts["retrieval"], len(frames) - placed - counts["retrieval"]
-    pieces = [f"{placed:,} placed"]
+    pieces = [f"{placed:,} placed" + (f" ({', '.join(ways)})" if ways else "")]
     if guessed:
-        pieces.append(f"{guessed:,} only guessed, by the most similar window of the map (retrieval)")
+        pieces.append(f"{guessed:,} only guessed {'by their look' if plain() else 'by retrieval'}")
     if refused:
         pieces.append(f"{refused:,} refused")
-    text = f"A drone flew over this map and took {len(frames):,} photos: {', '.join(pieces)}."
-    if ways:
-        text += f" Of those placed, {' and '.join(ways)}."
+    text = f"A drone took {len(frames):,} photos over this map: {', '.join(pieces)}."
     pairs = zip(frames, verdicts, strict=True)
     errors = [frame.error(one.stage) for frame, one in pairs if one.stage in PLACED]
     known = [error for error in errors if error is not None]
-    return f"{text} Half of the placed ones lie within {distance(median(known))} of their GPS tags." if known else text
+    if not known:
+        return text
+    return (
+        f"{text} Half of the placed ones lie within {distance(median(known))} of their GPS tags, which is the error of both "
+        "together."
+    )

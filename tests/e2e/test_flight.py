@@ -151,7 +151,7 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     window.expect_frame(5)
     window.page.mouse.click(*window.at(*PLACES[2]))
     window.expect_frame(2)
-    expect(window.verdict_of_frame).to_contain_text("Fits the map to ± 1.5 m")
+    expect(window.verdict_of_frame).to_contain_text("Placed by its details, ± 1.5 m on this map")
     shown = box(window.timeline)
     window.timeline.click(position={"x": shown["width"] - 12, "y": 30})
     window.expect_frame(5)

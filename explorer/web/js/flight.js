@@ -18,7 +18,7 @@
     asking: false, // the next click on the map asks who saw the spot
     hidden: new Set(), // the tracks that are switched off
   });
-  const html = { counts: "", spot: "" };
+  const html = { accuracy: "", counts: "", spot: "" };
   let list = "refused", sentence = "", status = "";
   let more = false; // in plain words, all controls are shown
   const find = (flight.find = (selector) => flight.root?.querySelector(selector));
@@ -52,6 +52,7 @@
     refresh();
   };
   flight.sentence = (text) => ((sentence = text), refresh());
+  flight.accuracy = (text) => ((html.accuracy = text), refresh());
   flight.status = (text) => ((status = text), refresh());
   flight.lists = (lists) => (Object.assign(html, lists), refresh());
   // Everything that belongs to a frame comes at once: its flight's address, card, answer, scores, and the number of the message.
@@ -119,6 +120,7 @@
     if (!root) return;
     if (sentence) find(".sentence").textContent = sentence;
     find(".status").textContent = status;
+    fill(find(".accuracy"), html.accuracy);
     if (!flight.whole()) return;
     flight.fillLegend();
     fill(find(".lists"), html.counts);

@@ -4,6 +4,7 @@ import base64
 import json
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,10 +16,13 @@ import numpy as np
 import pytest
 
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress
-from explorer.flight_window import page
+from explorer.flight_window import flight_text, page
 from explorer.flight_window.service import FlightService, FlightView
 from lpn.core.errors import DataError
+from lpn.drawing.words import Vocabulary, speaking
+from lpn.locate.audit import TagAudit
 from lpn.locate.belief import Belief
+from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
 from lpn.locate.summary import describe_flight
 from lpn.maps import open_map
@@ -46,18 +50,19 @@ def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
 
 def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     text = page.sentence(view, running=False)
-    assert text.startswith(
-        "A drone flew over this map and took 3 photos: 3 placed. Of those placed, 2 by laying the photo over"
-    )
-    assert "and 1 by the photos before and after (sequence)." in text
+    assert text.startswith("A drone took 3 photos over this map: 3 placed (2 by registration, 1 by sequence). Half of")
+    assert text.endswith("m of their GPS tags, which is the error of both together.")
     best = Belief(None, "", "", "retrieval")
-    guessed = describe_flight(view.flight.frames, [view.beliefs[0], best, Belief(False, "", "")])
-    assert guessed.startswith(
-        "A drone flew over this map and took 3 photos: 1 placed, 1 only guessed, by the most similar window of the map "
-        "(retrieval), 1 refused. Of those placed, 1 by laying"
-    )
-    assert guessed.endswith("Half of the placed ones lie within 1 m of their GPS tags."), "a guess counts for nothing"
-    assert text.endswith("m of their GPS tags.")
+    verdicts = [view.beliefs[0], best, Belief(False, "", "")]
+    guessed = describe_flight(view.flight.frames, verdicts)
+    assert guessed == (
+        "A drone took 3 photos over this map: 1 placed (1 by registration), 1 only guessed by retrieval, 1 refused. Half of "
+        "the placed ones lie within 1 m of their GPS tags, which is the error of both together."
+    ), "a guess counts for nothing"
+    with speaking(Vocabulary(plain=True)):
+        assert ": 1 placed (1 by their details), 1 only guessed by their look, 1" in describe_flight(
+            view.flight.frames, verdicts
+        )
     assert page.sentence(view, running=True).endswith("Registration is still running, so these numbers change.")
 
 
@@ -94,18 +99,88 @@ def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path
 
 def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_says(view: FlightView) -> None:
     first, third = page.card(view, 0, "pictures/x/"), page.card(view, 2, "pictures/x/")
-    assert "Fits the map to ± 1.0 m" in first
+    assert "✓ Placed by its details, ± 1.0 m on this map" in first
     assert "1.0 m from the tag" in first
     assert "pictures/x/pair/0" in first
     assert "pictures/x/ground/0" in first
     assert "by its neighbours" in third
-    assert "retrieval alone" not in first
-    assert "this is the answer of the registration." in page.card(view, 0, "pictures/x/", retrieval_failed=True)
-    assert "this is the answer of the sequence." in page.card(view, 2, "pictures/x/", retrieval_failed=True)
+    assert "as the panel says" not in first
+    failed = page.card(view, 0, "pictures/x/", retrieval_failed=True)
+    assert failed.index("Retrieval alone is wrong, as the panel says") < failed.index("Placed by its details")
     assert "<b>photo2" not in third
     assert "<i>4" not in third
     assert third.count("Only &lt;i&gt;4&lt;/i&gt; matches agree.") == 1
     assert "✗ Registration: refused. Only" in third
+
+
+@pytest.fixture
+def plainly() -> Iterator[None]:
+    with speaking(Vocabulary(plain=True)):
+        yield
+
+
+@pytest.mark.usefixtures("plainly")
+def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
+    def lines(**changes: Any) -> tuple[str, dict[str, str]]:
+        known = flight_text.accuracy(view_of(replace(flight, **changes)))
+        assert known is not None
+        return known[0], {line.name: f"{line.figure} {line.source}" for line in known[1]}
+
+    summary, of = lines(map_error=0.8)
+    assert summary == "± 1.0 m on this map; on earth as good as the map’s georeference, which nothing here checks."
+    assert "details gives ± 0.6 m, and ± 0.8 m are assumed" in of["On this map"]
+    assert of["GPS tags"].startswith("22.0 m Median of 2 photos, 45 m at most")
+    assert "error of both together" in of["GPS tags"]
+    assert "late" not in of["GPS tags"]
+    # One of two tags lies within a radius, and tags err by more than that.
+    assert of["Check of the radii"].startswith("50, 50, 50 % ")
+    assert of["Check of the radii"].endswith("does not tell which of the two fails.")
+    late = TagAudit(9, 15.3, 33.0, 2.8, 0.5, 10.5, 2.7, 14.0, 8.6)
+    _, of = lines(audit=late)
+    assert "are 2.8 s (± 0.5 s) late, or that the camera looks 8.6 m ahead" in of["GPS tags"]
+    assert "explains a part: 10.5 m remain in the median" in of["GPS tags"]
+    unplaced = [replace(frame, stages={}) for frame in flight.frames]
+    assert flight_text.accuracy(view_of(replace(flight, frames=unplaced))) is None
+    assert page.accuracy(view_of(replace(flight, frames=unplaced))).strip() == ""
+
+
+def test_a_map_made_of_photos_names_the_tags_that_place_it(
+    flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    note = "The map is made of 30 photos. Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
+    monkeypatch.setattr(type(flight.basemap), "notes", [note])
+    known = flight_text.accuracy(view_of(flight))
+    assert known is not None
+    assert known[0].endswith("on earth no better than the GPS tags that the map was made by.")
+    assert known[1][1].source == "Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
+
+
+@pytest.mark.usefixtures("plainly")
+def test_contradictions_say_what_is_allowed_and_what_nothing_tells(view: FlightView) -> None:
+    (one,) = [one for one in view.contradictions if one.other == "tag"]
+    assert flight_text.apart(one) == (
+        "Its place by its details and its GPS tag lie 45.0 m apart, and 15.3 m are allowed: three times the error of both. "
+        "Nothing here tells which of the two errs."
+    )
+    assert "and 6.0 m as a tilted camera looks aside" in flight_text.apart(replace(one, tilt=6.0))
+    assert flight_text.reason(view, 1).startswith(
+        "40 details of the photo agree with the map. Its place by its details and"
+    )
+    assert flight_text.reason(view, 2) == ""
+
+
+@pytest.mark.usefixtures("plainly")
+def test_the_drone_has_a_place_and_a_tilt_that_a_person_would_say(flight: LocatedFlight) -> None:
+    covariance = np.diag([1.0, 1.0, 4.0, 1.0, 4.0, 4.0]).ravel().tolist()
+    pose = CameraPose(1.0, 2.0, 40.0, 40.0, 180.0, -93.0, 4.0, 70.0, "told", True, 40, covariance)
+    frame = flight.frames[0]
+    with_pose = msgspec.structs.replace(frame.stages["registration"], pose=pose)
+    said = flight_text.drone(flight, replace(frame, stages={"registration": with_pose}))
+    assert "(±\N{NO-BREAK SPACE}1.0 m), 40 m above the ground (±\N{NO-BREAK SPACE}2 m)" in said
+    # 3 degrees to the back, which is north, and 4 to the side.
+    assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
+    assert "The map has no heights" in said
+    assert flight_text.drone(flight, frame) == ""
 
 
 def test_a_photo_that_the_map_hardly_shows_says_so(flight: LocatedFlight) -> None:

@@ -54,13 +54,13 @@ def test_answers_that_were_refused_or_not_verified_contradict_nothing() -> None:
 def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
     good = located(registration=registration(3.0), sequence=sequence(5.0))
     assert belief(good).sign is True
-    assert belief(good).headline == "Fits the map to ± 1.0 m"
+    assert belief(good).headline == "Placed by its details, ± 1.0 m on this map"
     assert belief(good).reason == "Matches agree. It lies 3.0 m from the tag."
     bad = located(registration=registration(60.0), sequence=sequence(50.0))
     found = belief(bad, disagreements([bad]))
     assert found.sign is None
     assert found.stage == "registration"
-    assert found.headline == "Fits the map to ± 1.0 m, but its tag disagrees"
+    assert found.headline == "Placed by its details, ± 1.0 m on this map, but its GPS tag disagrees"
     assert found.reason == "Registration and tag lie 60.0 m apart; their radii allow 15.3 m."
 
 
@@ -69,15 +69,18 @@ def test_a_tag_outweighs_the_sequence() -> None:
     tagged, untagged = located(**both), located(tag=None, **both)
     found = belief(tagged, disagreements([tagged]))
     assert found.sign is True
-    assert found.reason == "Matches agree. It lies 3.0 m from the tag. The sequence is 97.0 m off."
+    assert found.reason == "Matches agree. It lies 3.0 m from the tag. Its neighbours would place it 97.0 m from here."
     found = belief(untagged, disagreements([untagged]))
-    assert (found.sign, found.headline) == (None, "Fits the map to ± 1.0 m, but the sequence disagrees")
+    assert (found.sign, found.headline) == (
+        None,
+        "Placed by its details, ± 1.0 m on this map, but its neighbours disagree",
+    )
 
 
 def test_without_a_registration_the_reason_is_its_refusal() -> None:
     one = belief(located(registration=REFUSED, sequence=sequence(5.0)))
     assert (one.sign, one.stage, one.reason) == (None, "sequence", "Too few matches.")
-    assert one.headline == "Within ± 10 m by its neighbours"
+    assert one.headline == "Placed by its neighbours only, ± 10 m on this map"
     retrieval = StageRecord("not verified", "The best window.", 1.0, 1.0)
     two = belief(located(registration=REFUSED, sequence=REFUSED, retrieval=retrieval))
     assert (two.sign, two.stage, two.reason) == (None, "retrieval", "Too few matches.")

@@ -186,7 +186,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
         ("3.png", "by hand"),
     ]
     assert best[0] == by_hand
-    assert best[1].reason.startswith("Fits the map to ± ")
+    assert best[1].reason.startswith("Placed by its details, ± ")
     lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
     (point,) = best_track(replace(found, frames=[lost]))
     assert (point.state, point.latitude, point.reason) == ("refused", None, "Not located. Too few.")

@@ -1,0 +1,185 @@
+"""The sentences of the flight window about a flight, its accuracy, and one photo of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from explorer.flight_window.service import FlightView
+from explorer.web.coordinates import describe_point
+from lpn.drawing.verdicts import compass
+from lpn.drawing.words import capitalised, plain, say
+from lpn.locate.audit import TagAudit
+from lpn.locate.belief import TAG_RADIUS, Disagreement
+from lpn.locate.camera_pose import CameraPose
+from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.locate.measures import RIGHT_CALIBRATION
+from lpn.locate.summary import FlightAccuracy, flight_accuracy
+
+# Of errors within three right radii 99 % lie; a smaller share than this says that radii or tags are wrong.
+_RIGHT_SHARE = 90.0
+# Some parts are measured by themselves, and others are not.
+EVIDENCE = (
+    "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
+    "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "
+    "of them errs."
+)
+_ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
+
+
+@dataclass(frozen=True)
+class AccuracyLine:
+    """One source of error: what it is of, its figure, and a sentence on where the figure comes from."""
+
+    name: str
+    figure: str
+    source: str
+
+
+def label(name: str) -> str:
+    """Return what a track is called: that of a stage, of the GPS tags, or of a person's corrections."""
+    return "By hand" if name == "corrected" else capitalised(say(name))
+
+
+def refusal(located: LocatedFrame, stage: str) -> str | None:
+    """Return that a stage's answer is refused, and why; None if it is not."""
+    answer = located.stages.get(stage)
+    return None if answer is None or answer.state != "refused" else f"{label(stage)}: refused. {answer.sentence}"
+
+
+def refusals(located: LocatedFrame) -> list[str]:
+    """Return the refusals of all stages."""
+    return [text for stage in located.stages if (text := refusal(located, stage)) is not None]
+
+
+def apart(one: Disagreement) -> str:
+    """Return two answers that contradict each other in words: how far apart they lie, and what is allowed."""
+    if not plain():
+        return one.sentence
+    tilt = f", and {one.tilt:.1f} m as a tilted camera looks aside" if one.tilt else ""
+    return (
+        f"{capitalised(_ENDS[one.one])} and {_ENDS[one.other]} lie {one.metres:.1f} m apart, and {one.allowed:.1f} m are "
+        f"allowed: three times the error of both{tilt}. Nothing here tells which of the two errs."
+    )
+
+
+def reason(view: FlightView, frame: int) -> str:
+    """Return the grounds of the verdict on a frame; "" where they are those of a stage that refuses."""
+    located, verdict = view.flight.frames[frame], view.beliefs[frame]
+    if any(text.endswith(verdict.reason) for text in refusals(located)):
+        return ""
+    answer = located.stages.get("registration")
+    if not plain() or verdict.stage != "registration" or answer is None:
+        return verdict.reason
+    sentences = [] if answer.inliers is None else [f"{answer.inliers} details of the photo agree with the map."]
+    against = [one for one in view.contradictions if one.frame == frame and one.one == "registration"]
+    error = located.error("registration")
+    if error is not None and all(one.other != "tag" for one in against):
+        sentences.append(
+            f"The place lies {error:.1f} m from {'the correction by hand' if located.by_hand else 'its GPS tag'}."
+        )
+    return " ".join([*sentences, *map(apart, against)])
+
+
+def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
+    """Say where the drone was and how its camera was tilted, by the pose of a registered photo; "" without one."""
+    answer = located.stages.get("registration")
+    pose = None if answer is None or not answer.accepted else answer.pose
+    if pose is None:
+        return ""
+    height = pose.altitude if pose.flat else pose.height
+    high = "" if height is None else f", {height:.0f} m above the ground {_error(pose.sigmas[2], ' m', 0)}"
+    flat = " The map has no heights, and over flat ground a tilt and a shift of the drone look nearly alike."
+    place = f"{describe_point(flight, (pose.east, pose.north))} {_error(pose.radius, ' m')}"
+    return f"{place}{high}. {_tilt(pose)}{flat if pose.flat else ''}"
+
+
+def _tilt(pose: CameraPose) -> str:
+    tilt = pose.tilt
+    if tilt.degrees < tilt.error:
+        return f"Its camera looked straight down, to within {tilt.error:.1f}°."
+    where = compass(tilt.azimuth)
+    return f"Its camera looked {tilt.degrees:.1f}° {_error(tilt.error, '°')} away from straight down, to the {where}."
+
+
+def _error(value: float, unit: str, digits: int = 1) -> str:
+    return f"(±\N{NO-BREAK SPACE}{value:.{digits}f}{unit})"
+
+
+def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
+    """Return how accurate the places of a flight are, in one line and source by source; None if no photo is placed."""
+    known = flight_accuracy(view.flight, view.beliefs)
+    if known is None:
+        return None
+    on_earth, earth = _on_earth(view.flight, known)
+    lines = [_on_map(known), earth]
+    audit = view.flight.audit
+    if audit is not None and audit.frames:
+        lines.append(AccuracyLine("GPS tags", f"{audit.median:.1f} m", _tags(audit)))
+    if (radii := _radii(view.flight, known)) is not None:
+        lines.append(radii)
+    return f"± {known.radius:.1f} m on this map; {on_earth}.", lines
+
+
+def _on_map(known: FlightAccuracy) -> AccuracyLine:
+    source = f"1-sigma radius, the median of {known.photos} photos."
+    if known.details is not None and known.map_error:
+        source += (
+            f" The scatter of the details gives ± {known.details:.1f} m, and ± {known.map_error:.1f} m are assumed for the "
+            "map, whose places nobody measured."
+        )
+    return AccuracyLine("On this map", f"± {known.radius:.1f} m", source)
+
+
+def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, AccuracyLine]:
+    """Return how well the place of the map itself is known, in a clause and with its source."""
+    if flight.rendered:
+        return "the map shows no real place", AccuracyLine(
+            "The map itself", "", "It is rendered, and shows no real place."
+        )
+    if known.map_source:
+        return (
+            "on earth no better than the GPS tags that the map was made by",
+            AccuracyLine("The map itself", "", known.map_source),
+        )
+    return (
+        "on earth as good as the map’s georeference, which nothing here checks",
+        AccuracyLine("The map itself", "", "Its place on earth is that of its file, which does not tell its error."),
+    )
+
+
+def _tags(audit: TagAudit) -> str:
+    """Say how far the tags lie from the places on the map, and how much of that a lag or a tilted camera explains."""
+    text = (
+        f"Median of {audit.frames} photos, {audit.largest:.0f} m at most, between the GPS tag and the place on this map: the "
+        "error of both together."
+    )
+    if not audit.has_lag or audit.lag is None:
+        return text
+    ahead = f", or that {audit.looks_ahead}" if audit.looks_ahead else ""
+    return (
+        f"{text} It may be that the tags are {abs(audit.lag):.1f} s (± {audit.lag_error or 0:.1f} s) "
+        f"{'late' if audit.lag > 0 else 'early'}{ahead}. With a constant offset of {audit.offset:.1f} m that explains a part: "
+        f"{audit.without_lag:.1f} m remain in the median, which nothing here explains."
+    )
+
+
+def _radii(flight: LocatedFlight, known: FlightAccuracy) -> AccuracyLine | None:
+    """Return whether the radii hold against the tags; None where no tag tells."""
+    summary = flight.summaries().get("registration")
+    if summary is None or not summary.calibration:
+        return None
+    right = ", ".join(f"{share:.0f}" for share in RIGHT_CALIBRATION.values())
+    if summary.calibration[3] >= _RIGHT_SHARE:
+        verdict = "Radii and tags agree."
+    elif known.radius < TAG_RADIUS:
+        verdict = (
+            f"GPS tags alone err by some {TAG_RADIUS:.0f} m, more than these radii, so this does not tell which of the two "
+            "fails."
+        )
+    else:
+        verdict = "Radii or tags are worse than they should be, and this does not tell which."
+    return AccuracyLine(
+        "Check of the radii",
+        f"{', '.join(f'{share:.0f}' for share in summary.calibration.values())} %",
+        f"The share of the tags within 1, 2, and 3 radii; right radii and exact tags would have {right} %. {verdict}",
+    )
