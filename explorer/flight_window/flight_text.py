@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from explorer.flight_window.service import FlightView
 from explorer.web.coordinates import describe_point
+from lpn.core.files import printable
 from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.audit import TagAudit
@@ -22,6 +24,9 @@ EVIDENCE = (
     "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
     "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "
     "of them errs."
+)
+WORST = (
+    "Metres between a photo's place on the map and its GPS tag, or its correction by hand: the error of both together."
 )
 _ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 
@@ -78,6 +83,26 @@ def reason(view: FlightView, frame: int) -> str:
             f"The place lies {error:.1f} m from {'the correction by hand' if located.by_hand else 'its GPS tag'}."
         )
     return " ".join([*sentences, *map(apart, against)])
+
+
+def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
+    """Return frame, name, and words of each photo that has a place, the one farthest from its GPS tag first.
+
+    Photos without a tag come last, the largest radius first.
+    """
+    placed = []
+    for i, (located, verdict) in enumerate(zip(view.flight.frames, view.beliefs, strict=True)):
+        if verdict.stage is None:
+            continue
+        error, radius = located.error(verdict.stage), located.stages[verdict.stage].radius
+        words = [] if error is None else [f"{error:.1f} m"]
+        words.append(say(verdict.stage) + (", not verified" if radius is None else f", ± {radius:.1f} m on this map"))
+        if not verdict.sign and verdict.stage == "registration":
+            words.append("contradicted")
+        order = -math.inf if error is None else error, radius or 0.0
+        placed.append((order, i, printable(located.frame.name), [", ".join(words)]))
+    placed.sort(key=lambda one: one[0], reverse=True)
+    return [(i, name, words) for _, i, name, words in placed]
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:

@@ -293,6 +293,7 @@ def lists(view: FlightView) -> dict[str, str]:
             else "Registration, sequence, and tags agree within their radii.",
             ("tag", "radius", "median", "time lag", "offset") if audit else (),
         ),
+        "worst": _list(flight_text.worst(view), flight_text.WORST, "No photo has a place."),
         "notes": render("flight/notes", notes=notes),
         "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
     }

@@ -186,7 +186,7 @@ def verdict(
             f"It would lead the {top} by {lead:.3f}{unit()}: the index searches approximately.",
         )
     margin = first.contributions - positive.contributions
-    off = "" if error_m is None else f" The answer is {distance(error_m)} off."
+    off = "" if error_m is None else f" The answer lies {distance(error_m)} from the place photographed."
     return (
         False,
         f"Wrong: the {say('positive')} is {describe_rank(positive)}",

@@ -157,6 +157,10 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     window.expect_frame(5)
     window.page.locator(".entry", has_text="Too few.").click()
     window.expect_frame(REFUSED)
+    window.page.get_by_role("button", name="previous photo").click()
+    window.expect_frame(REFUSED - 1)
+    window.page.get_by_role("button", name="next photo").click()
+    window.expect_frame(REFUSED)
     # A frame of a longer flight may come before that flight itself.
     window.page.evaluate(
         "lpn.flight.follow({ address: 'another', frame: { frame: 99, card: '' }, answer: null, scores: null, sequence: 99 })"

@@ -112,7 +112,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Distance of the answer from the GPS tag, in metres">m off tag</th></tr>${rows.join("")}</table><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it.</p>`,
     );
   };
   const refresh = () => {
@@ -126,7 +126,6 @@
     fill(find(".lists"), html.counts);
     fill(find(".listed"), html[list] || '<p class="dim"><span class="for-mouse">Shift and click on the map</span><span class="for-touch">Tap Who saw? and then the map</span>: the frames that show the spot.</p>');
     if (followed) fill(find(".about"), followed.card);
-    root.classList.toggle("late", flight.wanted !== null);
     if (chosen < 0) fill(find(".about"), "<p>Your own picture is not a frame of this flight.</p>");
     const bar = find(".scores");
     bar.style.display = painted ? "flex" : "none";
@@ -142,6 +141,7 @@
   // Mark the buttons of what is chosen.
   flight.mark = () => {
     if (!flight.root) return;
+    flight.root.classList.toggle("late", flight.wanted !== null);
     const set = (selector, name, value) =>
       all(selector).forEach((one) => {
         one.classList.toggle("chosen", one.dataset[name] === String(value));
@@ -180,6 +180,8 @@
     more: () => (more = !more),
     spot: () => (flight.asking = !flight.asking),
     play: () => flight.play.turn(),
+    back: () => flight.step(-1),
+    next: () => flight.step(1),
     skip: () => (flight.play.skips = !flight.play.skips),
     save: () => flight.photo.save(),
     cancel: () => flight.photo.use("off"),

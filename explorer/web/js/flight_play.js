@@ -3,9 +3,9 @@
   const lpn = window.lpn;
   const { flight } = lpn;
   if (flight.play) return;
-  // Milliseconds after which a frame that does not come is asked for no longer, between two looks at the clock, and between two
-  // frames that the server is asked for.
-  const PATIENCE = 8000, TICK = 50, ASK = 150;
+  // Milliseconds after which a frame that does not come is asked for no longer, between two looks at the clock, between two
+  // frames that the server is asked for, and after which the window says that a frame is awaited.
+  const PATIENCE = 8000, TICK = 50, ASK = 150, LATE = 600;
   let since = 0, asked = 0, ticking = 0, due = 0;
   const waits = () => flight.wanted !== null && performance.now() - since < PATIENCE;
 
@@ -16,6 +16,8 @@
     since = performance.now();
     if (!asked) ask();
     flight.draw();
+    flight.mark();
+    setTimeout(flight.draw, LATE);
   };
   // Go on from the frame that was asked for last.
   flight.step = (by) => flight.choose(lpn.clamp((flight.wanted ?? flight.chosen) + by, 0, flight.total() - 1));
@@ -59,6 +61,8 @@
       }
       flight.mark();
     },
+    // Return whether a frame is waited for so long that it is worth a word.
+    late: () => waits() && performance.now() - since >= LATE - TICK,
     // Show the frame that has come.
     arrived: () => {
       flight.chosen = flight.followed ? flight.followed.frame : -1;

@@ -17,15 +17,21 @@
     const far = (i) => Math.abs(across(i, element.clientWidth, flight.data) - left);
     return flight.data.names.reduce((best, _, i) => (far(i) < far(best) ? i : best), 0);
   };
+  // Values at which the scale has lines, from 0 to the largest: the ones that have room for their numbers.
+  const ticks = (top, level) => {
+    const chosen = [top, 0], apart = (value) => chosen.every((other) => Math.abs(level(value) - level(other)) >= 15);
+    for (let power = 10 ** Math.floor(Math.log10(top)); power >= 0.1; power /= 10)
+      for (const value of [5 * power, 2 * power, power]) if (value < top && apart(value)) chosen.push(value);
+    return chosen;
+  };
   // Draw lines, each with values, states (2: refused), and a colour, between two heights of the canvas.
   const band = (pen, data, { plot, lines }, colour, width, head, foot) => {
     const values = lines.flatMap((one) => one.values.filter((value) => value !== null)).sort((a, b) => a - b);
-    const most = values.length ? values[values.length - 1] : 1;
-    // One wrong guess far away must not flatten the others: the scale ends at three times the 90th percentile.
-    const usual = values.length ? values[Math.floor(0.9 * (values.length - 1))] : 1;
-    const top = (plot === "height" ? most : Math.min(most, 3 * usual)) || 1;
-    const low = plot === "height" && values.length ? Math.max(values[0] - 0.3 * (most - values[0]) - 1, 0) : 0;
-    const level = (value) => foot - ((foot - head) * (Math.min(value, top) - low)) / (top - low || 1);
+    const top = values[values.length - 1] || 1;
+    const low = plot === "height" && values.length ? Math.max(values[0] - 0.3 * (top - values[0]) - 1, 0) : 0;
+    // One wrong guess far away must not flatten the others: errors are drawn by their square roots.
+    const scaled = (value) => (plot === "height" ? value : Math.sqrt(value));
+    const level = (value) => foot - ((foot - head) * (scaled(value) - scaled(low))) / (scaled(top) - scaled(low) || 1);
     pen.strokeStyle = pen.fillStyle = colour;
     pen.globalAlpha = 0.25;
     pen.lineWidth = 1;
@@ -34,8 +40,13 @@
     pen.font = "12px system-ui, sans-serif";
     pen.textBaseline = "middle";
     pen.textAlign = "right";
-    pen.fillText(top.toFixed(top < 10 ? 1 : 0) + " m", 40, head + 5);
-    pen.fillText(low.toFixed(0), 40, foot - 4);
+    for (const value of plot === "height" ? [top, low] : ticks(top, level)) {
+      const at = level(value), unit = value === top ? " m" : "";
+      pen.fillText(value.toFixed(value && value < 10 ? 1 : 0) + unit, 40, lpn.clamp(at, head + 5, foot - 4));
+      pen.globalAlpha = 0.25;
+      pen.fillRect(44, at, width - 56, 1);
+      pen.globalAlpha = 0.85;
+    }
     pen.textAlign = "center";
     pen.globalAlpha = 1;
     if (!values.length) pen.fillText(EMPTY[plot], width / 2, (head + foot) / 2);
@@ -63,6 +74,13 @@
           .tracks()
           .filter(([name]) => name !== "tag" && (plot === "error" || !["retrieval", "corrected"].includes(name)))
           .map(([, track]) => ({ colour: track.colour, values: track[plot], state: track.state }));
+  // Return whether the panel beside the window shows another photo still; the line is written again until it does not.
+  const panelFollows = () => {
+    const shown = document.getElementById("lpn-status")?.dataset.query;
+    const follows = shown !== undefined && flight.chosen >= 0 && Number(shown) !== flight.chosen;
+    if (follows) setTimeout(flight.draw, 300);
+    return follows;
+  };
   // Say what the timeline shows, also to screen readers.
   const say = () => {
     const { data, chosen } = flight;
@@ -71,9 +89,10 @@
     element.setAttribute("aria-valuetext", chosen < 0 ? "no frame" : data.names[chosen]);
     const since = data.times && chosen >= 0 ? data.times[chosen] - data.times[0] : null;
     const clock = since === null ? "" : ", " + Math.floor(since / 60) + ":" + String(Math.floor(since % 60)).padStart(2, "0");
-    const { on, skipped, slow } = flight.play;
+    const { on, skipped, slow, late } = flight.play;
     const pace = skipped ? ", " + skipped + " skipped" : on && slow ? ", every frame, slower than asked" : on ? ", every frame" : "";
-    flight.find(".now").textContent = (chosen < 0 ? "your own picture" : chosen + 1 + " of " + flight.total() + clock) + pace;
+    const comes = late() ? ", " + data.names[flight.wanted] + " is coming …" : panelFollows() ? ", the panel follows …" : "";
+    flight.find(".now").textContent = (chosen < 0 ? "your own picture" : chosen + 1 + " of " + flight.total() + clock) + pace + comes;
   };
   // Draw the plots one below the other.
   const draw = () => {

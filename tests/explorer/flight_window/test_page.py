@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -210,6 +211,12 @@ def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, fl
     assert "up to 45 m off" in lists["audit"]
     assert "Registration and tag lie 45.0 m apart" in lists["audit"]
     assert lists["notes"].count("<p>") == 2
+    order = re.findall(r"<b>(.*?)</b> <span>(.*?)</span>", lists["worst"])
+    assert order == [
+        ("photo1.png", "45.0 m, Registration, ± 1.0 m on this map, contradicted"),
+        ("&lt;b&gt;photo2&lt;/b&gt;.png", "20.0 m, Retrieval, not verified"),
+        ("photo0.png", "1.0 m, Registration, ± 1.0 m on this map"),
+    ]
     assert "Not placed 1" in lists["counts"]
 
 

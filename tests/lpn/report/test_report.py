@@ -165,7 +165,7 @@ def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_
     made = open_task(lpn.load(model_file), "model.onnx", open_dataset(root))
     text = Page(report.build(made, [worst(made)])).text
     metres = made.table.column("distance").values[worst(made)]
-    assert f"The answer is {metres:,.0f} m off." in text
+    assert f"The answer lies {metres:,.0f} m from the place photographed." in text
     assert "off by" in text
 
 
