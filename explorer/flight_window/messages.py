@@ -59,4 +59,10 @@ class ForgetCorrection(FlightMessage, tag="flight-forget"):
 class ToggleHeight(FlightMessage, tag="flight-tall"): ...
 
 
+class SavePositions(FlightMessage, tag="flight-save"):
+    """Save one position a photo as a file with a suffix."""
+
+    suffix: Literal[".csv", ".geojson"]
+
+
 class CloseFlight(FlightMessage, tag="flight-close"): ...

@@ -14,10 +14,12 @@ from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import LPNError
 from lpn.locate import corrections
-from lpn.locate.belief import Belief, Disagreement, beliefs, disagreements
+from lpn.locate.belief import Belief, Disagreement, beliefs, best_track, disagreements
 from lpn.locate.corrections import Correction
 from lpn.locate.coverage import Outline, outline
 from lpn.locate.located import LocatedFlight
+from lpn.locate.tags import enter_corrections
+from lpn.locate.tracks import track_bytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +114,13 @@ class FlightService:
             kept = corrections.set_correction(self.corrections_file, name, correction)
             self._view = replace(view, corrections=kept, corrections_error="")
         self.watchers.tell()
+
+    def positions(self, suffix: str) -> bytes:
+        """Return one position a photo, that of its correction or of the stage that counts, as a track's file with a suffix."""
+        view = self.view()
+        frames = [replace(located, by_hand=None) for located in view.flight.frames]
+        enter_corrections(view.flight.basemap, frames, view.corrections)
+        return track_bytes(suffix, view.flight.flight.name, best_track(replace(view.flight, frames=frames)))
 
     def _read(self) -> tuple[dict[str, Correction], str]:
         try:

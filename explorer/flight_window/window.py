@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -86,7 +87,7 @@ class FlightWindow:
         viewport: Viewport,
         on_error: Callable[[Exception], None],
     ) -> None:
-        self._service = service
+        self._client, self._service = client, service
         self._workspace, self._pictures, self._change, self._viewport = workspace, pictures, change, viewport
         self._lock = threading.RLock()
         self._choices = _Choices()
@@ -157,8 +158,16 @@ class FlightWindow:
                 self._correct(frame, None)
             case messages.ToggleHeight():
                 self._choose(full_height=not self._choices.full_height)
+            case messages.SavePositions(suffix):
+                self._save(suffix)
             case messages.CloseFlight():
                 self._change(lambda state: replace(state, flight=False))
+
+    def _save(self, suffix: str) -> None:
+        if self._workspace.has_flight:
+            name = re.sub(r"[^\w-]+", "-", self._service.view().flight.flight.name)
+            contents = self._service.positions(suffix)
+            self._client.send_file_download(f"{name}-positions{suffix}", contents, save_immediately=True)
 
     def _correct(self, frame: int, corners: Float64Array | None) -> None:
         if not self._workspace.has_flight or frame >= len(self._service.view().flight.frames):

@@ -102,8 +102,12 @@ def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
         OutputError: if the file cannot be written.
     """
     check_suffix(path)
-    writer = {".geojson": _geojson, ".gpx": _gpx, ".kml": _kml, ".csv": _csv}[path.suffix.lower()]
-    write_atomic(path, writer(name, points))
+    write_atomic(path, track_bytes(path.suffix.lower(), name, points))
+
+
+def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
+    """Return a track as a file in the format of one of `SUFFIXES`, see `write_track`."""
+    return {".geojson": _geojson, ".gpx": _gpx, ".kml": _kml, ".csv": _csv}[suffix](name, points)
 
 
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:

@@ -12,6 +12,7 @@ from explorer.flight_window.messages import (
     FlightMessage,
     ForgetCorrection,
     PaintScores,
+    SavePositions,
     ShowSpot,
 )
 from explorer.web.messages import decode
@@ -26,6 +27,7 @@ def test_messages_are_what_the_page_sends() -> None:
     square = [[0, 1], [1, 1], [1, 0], [0, 0]]
     assert decode(FlightMessage, "flight-correct", [3, square]) == CorrectFrame(3, ((0, 1), (1, 1), (1, 0), (0, 0)))
     assert decode(FlightMessage, "flight-forget", 3) == ForgetCorrection(3)
+    assert decode(FlightMessage, "flight-save", ".csv") == SavePositions(".csv")
 
 
 @pytest.mark.parametrize(
@@ -36,6 +38,7 @@ def test_messages_are_what_the_page_sends() -> None:
         ("flight-frame", "1"),
         ("flight-frame", None),
         ("flight-paint", "none"),
+        ("flight-save", ".exe"),
         ("flight-paint", -1),
         ("flight-spot", [1.0]),
         ("flight-spot", [math.inf, 0.0]),

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import csv
+import json
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -46,6 +48,17 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightSe
     service.correct(2, None)
     assert service.view().homography(2) is None
     assert "corrected" not in page.data(service.view(), "x/")["tracks"]
+
+
+def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:
+    def stages() -> list[str]:
+        rows = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
+        return [row["stage"] for row in rows]
+
+    assert stages() == ["registration", "registration", "sequence"]
+    service.correct(2, CORNERS)
+    assert stages() == ["registration", "registration", "by hand"]
+    assert json.loads(service.positions(".geojson"))["type"] == "FeatureCollection"
 
 
 def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:

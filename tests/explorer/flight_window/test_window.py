@@ -134,6 +134,14 @@ def test_a_correction_wakes_the_windows_of_all_browsers_that_are_there(make: Cal
     assert (first.woken > before[0], second.woken > before[1], gone.woken > before[2]) == (True, True, False)
 
 
+def test_positions_are_saved_as_a_file_named_for_the_flight(make: Callable[[], WindowOf]) -> None:
+    page = make()
+    page.send("flight-save", ".geojson")
+    name, contents = page.client.send_file_download.call_args.args
+    assert name == "monday-positions.geojson"
+    assert b"FeatureCollection" in contents
+
+
 def test_a_resize_while_the_window_is_placed_is_followed(make: Callable[[], WindowOf]) -> None:
     page = make()
     panel = page.client.gui.add_panel.return_value
