@@ -11,8 +11,9 @@ from lpn.core.numbers import distance
 from lpn.drawing.words import plain
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.maps.orthophoto import PLACED_BY_TAGS
 
+# The beginning of a sentence of a map that `lpn map --from-flight` made, about the tags that its georeference comes from.
+PLACED_BY_TAGS = "Place and scale are those of the GPS tags"
 # The stages whose answers are accepted, in the words for everybody and in the field's.
 PLACED = {"registration": ("by their details", "by registration"), "sequence": ("by their neighbours", "by sequence")}
 

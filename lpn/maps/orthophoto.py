@@ -31,8 +31,6 @@ from lpn.maps.place import MapPlace, checked_place
 
 # Photos that a map needs at least, and the names that a sentence lists.
 _LEAST, _NAMED = 3, 5
-# The beginning of a map's sentence about the GPS tags that its georeference comes from.
-PLACED_BY_TAGS = "Place and scale are those of the GPS tags"
 # Side of the coarsest overview in pixels.
 _COARSEST = 512
 # Lines of the library's log that tell how far it is, by their beginnings, and the sentence for each.
@@ -216,7 +214,7 @@ def _limits(report: dict[str, Any], photos: Sequence[Path], tags: Float64Array) 
     )
     off = np.hypot(*(np.array(middles) - metres).T)
     return (
-        f"The map is made of {report['images_used']} photos as if the ground were flat, so what stands on it leans. "
-        f"{PLACED_BY_TAGS}, which lie {np.median(off):.1f} m from the photos' middles on it in the median, "
+        f"The map is made of {report['images_used']} photos as if the ground were flat, so what stands on it leans. Place and "
+        f"scale are those of the GPS tags, which lie {np.median(off):.1f} m from the photos' middles on it in the median, "
         f"{off.max():.1f} m at most."
     )

@@ -19,13 +19,14 @@ import pytest
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress
 from explorer.flight_window import flight_text, page
 from explorer.flight_window.service import FlightService, FlightView
+from lpn.core.demo import DEMO_PLACE
 from lpn.core.errors import DataError
 from lpn.drawing.words import Vocabulary, speaking
 from lpn.locate.audit import TagAudit
 from lpn.locate.belief import Belief
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
-from lpn.locate.summary import describe_flight
+from lpn.locate.summary import PLACED_BY_TAGS, describe_flight
 from lpn.maps import open_map
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
@@ -154,6 +155,7 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     assert known is not None
     assert known[0].endswith("on earth no better than the GPS tags that the map was made by.")
     assert known[1][1].source == "Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
+    assert PLACED_BY_TAGS in (DEMO_PLACE[0] / "map.json").read_text("utf-8")
 
 
 @pytest.mark.usefixtures("plainly")
