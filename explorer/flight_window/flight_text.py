@@ -106,16 +106,25 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
-    """Say where the drone was and how its camera was tilted, by the pose of a registered photo; "" without one."""
+    """Say where the drone was and how its camera was tilted, by the pose of a registered photo; "" without one.
+
+    Where the position that counts is the drone's already, its place is not said again. It may rest on the tilt in the photo's
+    file, which the pose does not know as well.
+    """
     answer = located.stages.get("registration")
     pose = None if answer is None or not answer.accepted else answer.pose
-    if pose is None:
+    if answer is None or pose is None:
         return ""
+    place = (
+        "there" if answer.camera else f"{describe_point(flight, (pose.east, pose.north))} {_error(pose.radius, ' m')}"
+    )
     height = pose.altitude if pose.flat else pose.height
-    high = "" if height is None else f", {height:.0f} m above the ground {_error(pose.sigmas[2], ' m', 0)}"
+    if height is not None:
+        place += f", {height:.0f} m above the ground {_error(pose.sigmas[2], ' m', 0)}"
+    if answer.camera and not answer.by_pose:
+        return f"{place}. Its place rests on the tilt in the photo's file."
     flat = " The map has no heights, and over flat ground a tilt and a shift of the drone look nearly alike."
-    place = f"{describe_point(flight, (pose.east, pose.north))} {_error(pose.radius, ' m')}"
-    return f"{place}{high}. {_tilt(pose)}{flat if pose.flat else ''}"
+    return f"{place}. {_tilt(pose)}{flat if pose.flat else ''}"
 
 
 def _tilt(pose: CameraPose) -> str:

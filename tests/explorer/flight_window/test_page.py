@@ -177,12 +177,18 @@ def test_the_drone_has_a_place_and_a_tilt_that_a_person_would_say(flight: Locate
     covariance = np.diag([1.0, 1.0, 4.0, 1.0, 4.0, 4.0]).ravel().tolist()
     pose = CameraPose(1.0, 2.0, 40.0, 40.0, 180.0, -93.0, 4.0, 70.0, "told", True, 40, covariance)
     frame = flight.frames[0]
-    with_pose = msgspec.structs.replace(frame.stages["registration"], pose=pose)
-    said = flight_text.drone(flight, replace(frame, stages={"registration": with_pose}))
+
+    def drone(**changes: Any) -> str:
+        answer = msgspec.structs.replace(frame.stages["registration"], pose=pose, **changes)
+        return flight_text.drone(flight, replace(frame, stages={"registration": answer}))
+
+    said = drone(camera=False)
     assert "(±\N{NO-BREAK SPACE}1.0 m), 40 m above the ground (±\N{NO-BREAK SPACE}2 m)" in said
     # 3 degrees to the back, which is north, and 4 to the side.
     assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
     assert "The map has no heights" in said
+    assert drone(x=1.0, y=2.0).startswith("there, 40 m above the ground")
+    assert drone().endswith("Its place rests on the tilt in the photo's file.")
     assert flight_text.drone(flight, frame) == ""
 
 
