@@ -166,6 +166,7 @@ class Stage:
         self._framing = RLock()
         self._drawn: list[tuple[DescribedPicture, Evidence | None, View, object, UInt8Array] | None] = [None, None]
         self._viewpoint: Viewpoint | None = None
+        self._exploded = False
         self._map: GalleryMap | None = None
         # The camera that the view looks through.
         self._looking: Eye | None = None
@@ -273,9 +274,11 @@ class Stage:
             ground = self._map.ground(task.geometry)
         self.ground = ground
         with self._framing:
-            if viewpoint != self._viewpoint:
+            # A turn around the pulled rings ends with them.
+            if viewpoint != self._viewpoint or (self._exploded and not state.exploded):
                 self._viewpoint = viewpoint
                 self._point_camera()
+            self._exploded = state.exploded
         if viewpoint is not None:
             return
         areas = [

@@ -41,8 +41,8 @@ def story(workspace: Workspace) -> Story:
         "parts": (
             "Part by part",
             f"Both pictures are divided into {'square rings around the centre' if rings else 'parts'}, and each part is "
-            "compared with its counterpart. The left bar is its share of the whole difference: the longer, the less "
-            "they agree. The right one says for which of two pictures it speaks.",
+            "compared with its counterpart. Its share of the whole difference is large where the two agree little. "
+            "Where a second bar stands beside it, that one says for which of two pictures the part speaks.",
             "",
         ),
         "ranking": (
@@ -58,8 +58,9 @@ def story(workspace: Workspace) -> Story:
         ),
         "controls": (
             "Look around",
-            f"The row above the pictures takes the {whole} apart{' and shows the map' if mapped else ''}. The list with the "
-            "magnifier, above these links, has every command. Link copies an address that brings back what you see.",
+            f"Look, in the panel Query, takes the {whole} apart{' and shows the map' if mapped else ''}; on a large screen the "
+            "row above the pictures does, too. The list with the magnifier, above these links, has every command. Link copies "
+            "an address that brings back what you see.",
             f"X takes the {whole} apart{', M shows the map' if mapped else ''}, Ctrl K lists every command",
         ),
     }

@@ -235,6 +235,7 @@
     if (!told) [before, moved, pushed] = [story === begunOnFirst ? "first" : lpn.screen(), false, false];
     begunOnFirst = null;
     told = story;
+    if (free(story.steps[first])) lpn.straighten(); // it frames the pictures where they lie when nobody has turned them
     frame();
     go(first);
   };

@@ -37,3 +37,15 @@ def test_a_position_is_sent_although_the_page_reports_it_while_another_is_under_
     assert narrow[2] > 1.9 * wide[2]
     # The page is wide again before it has moved its camera to `narrow`.
     assert framed(1200, 600, wide) == pytest.approx(wide)
+
+
+def test_a_turn_around_the_pulled_rings_ends_with_them(page: WebSocketClient) -> None:
+    page.tell("back", "?apart=1")
+    page.wait(lambda: "apart=1" in (page.link or ""))
+    page.camera(position=(4.0, 0.0, 3.0))
+    known = len(page.camera_positions)
+    page.tell("back", "?screen=first")
+    page.wait(lambda: "screen=first" in (page.link or ""))
+    page.tell("back", "?screen=all")
+    page.wait(lambda: len(page.camera_positions) > known)
+    assert page.camera_positions[-1][:2] == (0.0, 0.0)
