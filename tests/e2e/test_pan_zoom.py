@@ -48,6 +48,7 @@ class PanZoomPage:
 
     def __init__(self, page: Page) -> None:
         self.page = page
+        self._touch = page.context.new_cdp_session(page)
         page.set_content(BODY)
         scripts = Path(explorer.web.__file__).parent / "js"
         for name in ("viser_compat.js", "pan_zoom.js"):
@@ -76,6 +77,12 @@ class PanZoomPage:
         values = json.dumps({"clientX": AT[0], "clientY": AT[1], "bubbles": True, "cancelable": True, **event})
         self.page.evaluate(f"document.getElementById('map').dispatchEvent(new WheelEvent('wheel', {values}))")
         return self.view()[2] / before
+
+    def fingers(self, kind: str, *places: tuple[float, float]) -> None:
+        """Send a touch event with fingers at places of the page."""
+        points = [{"x": x, "y": y, "id": n} for n, (x, y) in enumerate(places)]
+        self._touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+        self.page.evaluate(HANDLED)
 
     def reset(self) -> None:
         """Show again what was shown first."""
@@ -142,7 +149,7 @@ def test_a_wheel_zooms_about_the_cursor_whatever_its_unit(pan_zoom: PanZoomPage)
     assert pan_zoom.wheel(deltaY=-12, ctrlKey=True) == pytest.approx(pan_zoom.wheel(deltaY=-48), abs=1e-9)
 
 
-def test_zoom_ends_at_its_limits_and_some_of_the_bounds_stays_in_sight(pan_zoom: PanZoomPage) -> None:
+def test_zoom_ends_at_its_limits_and_the_middle_stays_within_the_bounds(pan_zoom: PanZoomPage) -> None:
     for _ in range(20):
         pan_zoom.wheel(deltaY=-300)
     assert pan_zoom.view()[2] == 20
@@ -150,14 +157,14 @@ def test_zoom_ends_at_its_limits_and_some_of_the_bounds_stays_in_sight(pan_zoom:
         pan_zoom.wheel(deltaY=300)
     assert pan_zoom.view()[2] == 0.5
     for key, axis, border in (
-        ("ArrowLeft", 0, -1320),
-        ("ArrowRight", 0, 1320),
-        ("ArrowUp", 1, 740),
-        ("ArrowDown", 1, -740),
+        ("ArrowLeft", 0, -1000),
+        ("ArrowRight", 0, 1000),
+        ("ArrowUp", 1, 500),
+        ("ArrowDown", 1, -500),
     ):
         for _ in range(30):
             pan_zoom.page.keyboard.press(key)
-        assert pan_zoom.view()[axis] == border  # four tenths of the map beyond the bounds
+        assert pan_zoom.view()[axis] == border
 
 
 def test_keys_move_zoom_and_bring_home(pan_zoom: PanZoomPage) -> None:
@@ -188,13 +195,7 @@ def test_a_double_click_zooms_in_where_there_is_nothing(pan_zoom: PanZoomPage) -
 
 
 def test_two_fingers_move_and_zoom_about_their_middle(pan_zoom: PanZoomPage) -> None:
-    touch = pan_zoom.page.context.new_cdp_session(pan_zoom.page)
-
-    def fingers(kind: str, *places: tuple[float, float]) -> None:
-        points = [{"x": x, "y": y, "id": n} for n, (x, y) in enumerate(places)]
-        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
-        pan_zoom.page.evaluate(HANDLED)
-
+    fingers = pan_zoom.fingers
     pan_zoom.page.evaluate(
         "window.downs = []; addEventListener('pointerdown', (event) => downs.push(event.pointerId), true)"
     )
@@ -217,6 +218,28 @@ def test_two_fingers_move_and_zoom_about_their_middle(pan_zoom: PanZoomPage) -> 
     assert pan_zoom.calls("tapped") == []
     pan_zoom.page.touchscreen.tap(*AT)
     assert pan_zoom.calls("tapped") == ["tapped 200,80"]
+
+
+def test_one_finger_is_left_to_a_page_that_may_scroll(pan_zoom: PanZoomPage) -> None:
+    pan_zoom.page.evaluate(
+        "() => { document.getElementById('map').style.touchAction = 'pan-y'; document.body.style.height = '2000px'; }"
+    )
+    place = pan_zoom.under([150, 130])
+    fingers = pan_zoom.fingers
+    fingers("Start", (150, 150))
+    fingers("Start", (150, 150), (250, 150))
+    for step in range(1, 6):
+        fingers("Move", (150, 150 - 10 * step), (250, 150 - 10 * step))
+    fingers("End")
+    assert pan_zoom.under([150, 80]) == pytest.approx(place)
+    assert pan_zoom.page.evaluate("scrollY") == 0
+    view = pan_zoom.view()
+    fingers("Start", (150, 250))
+    for step in range(1, 16):
+        fingers("Move", (150, 250 - 10 * step))
+    fingers("End")
+    pan_zoom.page.wait_for_function("scrollY > 50")
+    assert pan_zoom.view() == view
 
 
 def test_without_a_view_nothing_happens_and_a_finger_is_let_go(pan_zoom: PanZoomPage) -> None:

@@ -3,7 +3,7 @@
   const lpn = window.lpn;
   const { flight } = lpn;
   if (flight.map) return;
-  // Pixels within which the mouse points at a frame, and metres around the map into which the view may be moved.
+  // Pixels within which the mouse points at a frame, and metres around the map within which a frame counts as near.
   const REACH = 12, AROUND = 500;
   const { canvas, stroke, dot, text } = lpn.pens;
   const { find } = flight;
@@ -22,17 +22,26 @@
   };
   const around = () => flight.data.bounds.map((border, i) => border + (i < 2 ? -AROUND : AROUND));
 
-  // Show the flight, or the whole map if nothing of it lies there, and at least 40 m of ground.
-  const fit = () => {
-    moved = false;
-    if (!box?.clientWidth) return;
+  const near = () => {
     const [west, south, east, north] = around();
     const track = Object.entries(flight.data.tracks).flatMap(([name, one]) =>
       name === "retrieval" ? [] : flight.data.names.map((_, i) => (one.state[i] < 2 ? place(one, i) : null)).filter(Boolean),
     );
-    const inside = track.filter(([x, y]) => x > west && x < east && y > south && y < north);
-    const { bounds } = flight.data;
-    const [across, up] = inside.length > 1 ? [0, 1].map((axis) => flight.range(inside.map((at) => at[axis]))) : [0, 1].map((axis) => [bounds[axis], bounds[axis + 2]]);
+    return track.filter(([x, y]) => x > west && x < east && y > south && y < north);
+  };
+  // The map and the frames near it: the view is moved within them.
+  const bounds = () => {
+    const [west, south, east, north] = flight.data.bounds, all = [[west, south], [east, north], ...near()];
+    const [across, up] = [0, 1].map((axis) => flight.range(all.map((at) => at[axis])));
+    return [across[0], up[0], across[1], up[1]];
+  };
+
+  // Show the flight, or the whole map if nothing of it lies there, and at least 40 m of ground.
+  const fit = () => {
+    moved = false;
+    if (!box?.clientWidth) return;
+    const inside = near(), whole = flight.data.bounds;
+    const [across, up] = inside.length > 1 ? [0, 1].map((axis) => flight.range(inside.map((at) => at[axis]))) : [0, 1].map((axis) => [whole[axis], whole[axis + 2]]);
     map.fit([across[0], up[0]], [across[1], up[1]], inside.length > 1 ? 0.72 : 0.9, 40);
     flight.draw();
   };
@@ -232,7 +241,7 @@
       box = find(".view");
       map = lpn.panZoom(box, {
         limits: () => [20 / flight.data.pyramid.side, 8 / flight.data.resolution],
-        bounds: around,
+        bounds,
         ready: () => !!(flight.data && map.view),
         changed: () => ((moved = true), flight.draw()),
         home: fit,

@@ -1,13 +1,12 @@
 // The one way to move a map: a drag or an arrow moves it; wheel, pinch, double click, plus, and minus zoom it; 0 brings it home.
-// A map shows a plane whose axes point right and up.
+// A map shows a plane whose axes point right and up. Where its `touch-action` lets the page scroll, one finger is left to the page.
 (() => {
   const lpn = window.lpn;
   if (lpn.panZoom) return;
   // Pixels that a press moves before it is a drag.
   const STILL = 4;
-  // The factors of one key or button and of a double click; shares of the map: by which an arrow moves it, and by which its middle
-  // may lie beyond the bounds.
-  const STEP = 1.5, DOUBLE = 2, ARROW = 1 / 6, BEYOND = 0.4;
+  // The factors of one key or button and of a double click, and the share of the map by which an arrow moves it.
+  const STEP = 1.5, DOUBLE = 2, ARROW = 1 / 6;
   const ARROWS = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   // The pixels of a wheel's line and page, the most that count at once, and the logarithm of the factor of one pixel: a pinch on a
   // touchpad comes as a wheel with Ctrl, in small steps.
@@ -50,12 +49,11 @@
         return true;
       },
     };
-    // Some of the bounds stays in sight, so that no map is lost.
+    // The middle stays within the bounds, so that no map is lost.
     const pan = (right, down) => {
       const { view } = map, [west, south, east, north] = bounds();
-      const [across, up] = size().map((side) => (BEYOND * side) / view.scale);
-      view.x = lpn.clamp(view.x - right / view.scale, west - across, east + across);
-      view.y = lpn.clamp(view.y + down / view.scale, south - up, north + up);
+      view.x = lpn.clamp(view.x - right / view.scale, west, east);
+      view.y = lpn.clamp(view.y + down / view.scale, south, north);
       changed();
     };
 
@@ -73,6 +71,9 @@
       const [[x0, y0], [x1, y1]] = fingers.values();
       return { middle: [(x0 + x1) / 2, (y0 + y1) / 2], apart: Math.hypot(x1 - x0, y1 - y0) };
     };
+    const scrolls = (event) => event.pointerType === "touch" && getComputedStyle(element).touchAction !== "none";
+    // A second finger ends the scrolling that the first one might begin.
+    element.addEventListener("touchmove", (event) => event.touches.length > 1 && event.cancelable && event.preventDefault(), { passive: false });
     const drop = () => {
       if (draws) pen.cancel();
       draws = false;
@@ -100,7 +101,7 @@
         const began = dragged ? last : start;
         dragged ||= Math.hypot(at[0] - start[0], at[1] - start[1]) > STILL;
         if (draws) pen.move(at);
-        else if (dragged) pan(at[0] - began[0], at[1] - began[1]);
+        else if (dragged && !scrolls(event)) pan(at[0] - began[0], at[1] - began[1]);
       }
       pointed(at, event, Boolean(last));
     });
