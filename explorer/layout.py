@@ -10,12 +10,14 @@ Box = tuple[Point, Point]
 
 # Height of the stage in its own units, whatever its size on the screen.
 HEIGHT = 8.4
-# Heights in CSS pixels: of the row of controls, of a caption, of a card's label, and of the bars' heading and rows.
-TOOLS, CAPTION, LABEL, BAR = 36, 30, 30, 22
+# Heights in CSS pixels: of the row of controls, a caption, a card's label, the bars' heading and rows, and a line of notes.
+TOOLS, CAPTION, LABEL, BAR, NOTE = 36, 30, 30, 22, 16
 # A stage at least this high has controls and bars; a lower one, as on a phone, leaves its room to the pictures.
 ROOMY = 560
 # Width and height of a stage before the page has reported its own.
 DEFAULT_STAGE = (780, 820)
+# A stage at least this wide has room for all notes in one line.
+WIDE = 600
 _GAP, _CARD_GAP = 12, 8
 _MOST_CARDS = 10
 _SMALLEST_CARD, _LARGEST_CARD = 58, 140
@@ -33,6 +35,7 @@ class ScreenLayout:
         query, tile: the two pictures.
         pixels: rows and columns of their images.
         query_caption, tile_caption: the captions above them.
+        notes: the room of the notes below the pair: one line, and two on a narrow stage.
         bars: the room of the part bars; None on a low stage.
         card: width of a ranked tile's card, height of its picture, height of its label.
         card_pixels: rows and columns of a card's image.
@@ -48,6 +51,7 @@ class ScreenLayout:
     pixels: tuple[int, int]
     query_caption: Box
     tile_caption: Box
+    notes: Box
     bars: Box | None
     card: tuple[float, float, float]
     card_pixels: tuple[int, int]
@@ -105,8 +109,9 @@ def layout_for(input_size: tuple[int, int], n_parts: int = 4, stage: tuple[int, 
     stacked = aspect >= _PANORAMA
     width, height = stage
     tools, bars = (TOOLS, BAR * (n_parts + 1)) if height >= ROOMY else (0, 0)
+    notes = NOTE if width >= WIDE else 2 * NOTE
     inside = width - 2 * _GAP
-    fixed = tools + bars + (_GAP if bars else 0) + (2 if stacked else 1) * CAPTION + 2 * _GAP
+    fixed = tools + bars + notes + (_GAP if bars else 0) + (2 if stacked else 1) * CAPTION + 2 * _GAP
     chosen = max(_choices(aspect, inside, height - fixed, stacked), key=lambda one: one.worth)
     picture = chosen.picture, chosen.picture / aspect
     card_height = chosen.card / aspect
@@ -127,7 +132,7 @@ def layout_for(input_size: tuple[int, int], n_parts: int = 4, stage: tuple[int, 
     else:
         left = -picture[0] - _GAP / 2
         tops, left_of_tile = (top, top), _GAP / 2
-    below = max(tops) + CAPTION + picture[1] + _GAP + spare
+    below = max(tops) + CAPTION + picture[1] + _GAP
     caption = picture[0], float(CAPTION)
     wide = inside if stacked else 2 * picture[0] + _GAP
     cards_top = height - _GAP - strip
@@ -139,7 +144,8 @@ def layout_for(input_size: tuple[int, int], n_parts: int = 4, stage: tuple[int, 
         pixels=(round(960 / aspect), 960) if stacked else (512, 512),
         query_caption=box(left, tops[0], caption),
         tile_caption=box(left_of_tile, tops[1], caption),
-        bars=box(-wide / 2, below, (wide, bars)) if bars else None,
+        notes=box(-inside / 2, below, (inside, notes)),
+        bars=box(-wide / 2, below + notes + spare, (wide, bars)) if bars else None,
         card=(chosen.card / unit, card_height / unit, LABEL / unit),
         card_pixels=(round(416 / aspect), 416) if stacked else (224, 224),
         columns=chosen.columns,

@@ -29,7 +29,7 @@ def overlap(one: Edges, other: Edges) -> bool:
 def test_nothing_on_the_stage_overlaps_or_sticks_out(size: tuple[int, int], parts: int, stage: tuple[int, int]) -> None:
     layout = layout_for(size, parts, stage)
     assert layout.stacked == (size[1] >= 2 * size[0])
-    boxes = [layout.query, layout.tile, layout.query_caption, layout.tile_caption]
+    boxes = [layout.query, layout.tile, layout.query_caption, layout.tile_caption, layout.notes]
     boxes += [] if layout.bars is None else [layout.bars]
     boxes += [(layout.card_centre(slot), (layout.card[0], sum(layout.card[1:]))) for slot in range(layout.shown)]
     across = HEIGHT * stage[0] / stage[1] / 2 + 1e-6

@@ -104,3 +104,15 @@ def test_the_controls_lie_where_the_pictures_are(workspace: Workspace, analyses:
     assert "lpn-bars" in html
     assert "lpn-bars" not in low
     assert not controls.html(replace(analyses[0], state=replace(analyses[0].state, first_screen=True)), layout)
+
+
+def test_notes_below_the_pair_explain_what_is_drawn(workspace: Workspace, analyses: list[StateAnalysis]) -> None:
+    controls = StageControls(workspace, Navigation(workspace, lambda *_: None), lambda _: None)
+    layout = layout_for(workspace.contract.input_size, 4, (390, 352))
+    apart = replace(analyses[0], state=replace(analyses[0].state, exploded=True))
+    flat, pulled = controls.html(analyses[0], layout), controls.html(apart, layout)
+    assert "joins a part to its counterpart" in pulled
+    assert "joins a part" not in flat
+    pictures, notes = pulled.split('class="lpn notes"')
+    assert "Opacity of the heatmap" not in pictures
+    assert "Opacity of the heatmap" in notes
