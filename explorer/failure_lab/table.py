@@ -25,10 +25,12 @@ from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import RANK_A, RANK_B
 from lpn.tasks.task import Task
 
+# Digits of a margin: that of an answer that is computed anew may differ in the next one.
+_DIGITS = 2
 _HINTS = {
     "rank": "Rank of the nearest true tile",
     "margin": "d² of the hardest negative minus that of the nearest true tile; negative where the query failed. "
-    "It is of the stored descriptors, which may be rounded: an answer that is computed anew may differ in the third digit",
+    "It is of the stored descriptors, which may be rounded, so it has two digits",
     "part": "The part that decides: it lowers the margin most in a failure, and raises it most in a success",
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
@@ -292,7 +294,7 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
         right=findings.outcomes.verdict(row),
         rank=rank,
         answer=answer,
-        margin="" if np.isnan(margin) else signed(margin),
+        margin="" if np.isnan(margin) else signed(margin, _DIGITS),
         count=len(rows),
         failed=int(findings.outcomes.failed[rows].sum()),
     )
@@ -328,9 +330,9 @@ def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit
         value = float(column.values[row])
         start, width = 50 - max(-value, 0) / limit * 50, abs(value) / limit * 50
         colour = theme.css(theme.verdict_colour(value >= 0))
-        return _Cell("number margin", signed(value), bar=(start, width, colour))
+        return _Cell("number margin", signed(value, _DIGITS), bar=(start, width, colour))
     if column.name == "distance":
         text = f"{float(column.values[row]):,.0f}"
     elif column.name.startswith("margin_"):
-        text = signed(float(column.values[row]))
+        text = signed(float(column.values[row]), _DIGITS)
     return _Cell(column.kind, text, title=text)

@@ -117,7 +117,7 @@
       pick: (entry, data) => lpn.send(data.message, [data.task, entry[0]]),
     },
     table: {
-      measure: () => [1, 27],
+      measure: (root) => [1, parseFloat(getComputedStyle(root).getPropertyValue("--lpn-row"))],
       make: ([row, html]) => {
         const node = document.createElement("tr");
         node.dataset.row = row;

@@ -43,6 +43,14 @@ def test_what_is_offered_and_shown_fits_the_number_of_queries_and_the_filter(fin
         assert f"The rows below are those {shown}." in table.summary(findings, wrong, rows)
 
 
+def test_a_share_of_failures_is_left_out_where_failures_are_the_filter(findings: Findings, lab: LabState) -> None:
+    rows, failed = findings.table.rows(), findings.outcomes.failed
+    assert f"{len(rows)} of {len(rows)} queries, {failed.sum()} failed ({100 * failed.mean():.1f} %)" in table.summary(
+        findings, lab, rows
+    )
+    assert f"{failed.sum()} of {len(rows)} queries, all failed" in table.summary(findings, lab, rows[failed])
+
+
 def test_rows_are_fetched_in_the_tables_order_and_an_empty_table_says_what_to_do(
     workspace: Workspace, findings: Findings, lab: LabState
 ) -> None:
