@@ -546,7 +546,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
                 f"{sign} {headline} Its look alone errs: the model compared 224 pieces of the map and chose a place "
                 in said
             )
-            assert "Wrong" not in said
+            assert "✗ Wrong" not in said
     before = flight.frames[placed].stages["registration"]
     flight.frames[placed].stages["registration"] = StageRecord("refused", "Few agree.")
     flight.frames[placed].stages.pop("sequence", None)
