@@ -231,10 +231,7 @@ def _tag_on_map(own: OwnPhoto, workspace: Workspace) -> bool:
     """Return whether an own picture's GPS tag lies on the map, or beyond its border by no more than the errors of tags."""
     if own.located.tag is None or workspace.basemap is None:
         return False
-    west, south, east, north = workspace.basemap.bounds
-    x, y = own.located.tag
-    reach = _tag_error(workspace)
-    return bool(west - reach <= x <= east + reach and south - reach <= y <= north + reach)
+    return workspace.basemap.metres_off(own.located.tag) <= _tag_error(workspace)
 
 
 def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
@@ -418,7 +415,7 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"
         return f"{look}, at most {distance(max(errors))} from {judge}."
     elsewhere, _ = trials(workspace)
-    return f"{look}, though nobody measured if rightly.{f' {elsewhere}.' if elsewhere else ''}"
+    return f"{look}, and nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
 
 
 def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:

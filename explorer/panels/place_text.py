@@ -73,8 +73,8 @@ def criterion(workspace: Workspace, task: Task) -> str:
         return f"{right}; its GPS tag is the judge. {_season(workspace, flight)}".rstrip()
     return (
         f"{right}. GPS tags here lie {distance(audit.median)} off in the median, some of which a lag of {abs(audit.lag):.1f} s "
-        "explains, so the judge is the program's second method, which lays the photo's details over the map; nobody measured "
-        f"the places. {_season(workspace, flight)}"
+        "explains, so the judge is the program's second method, which lays the photo's details over the map. "
+        f"{_season(workspace, flight)}"
     ).rstrip()
 
 

@@ -54,7 +54,8 @@ def register_own_photo(
     Args:
         features: of the map by each matcher, which are tried in this order.
         photo: RGB, (H, W, 3), as it was taken.
-        frame: what the photo's file tells; None if it tells nothing.
+        frame: what the photo's file tells; None if it tells nothing. It is not believed where its tag lies farther off the map
+            than the map is wide: then either the photo is of another place, or what it tells is of another photo.
         windows: the most similar ones, about which a large map is searched.
         map_error: 1-sigma error of the map's places in metres, along each axis.
         on_progress: called before each try with the number of those made, and of all; what it raises ends the search.
@@ -65,6 +66,8 @@ def register_own_photo(
     if frame.latitude is not None and frame.longitude is not None:
         tag = basemap.frame.xy([frame.latitude], [frame.longitude])[0]
     located = LocatedFrame(frame, tag if tag is not None and np.isfinite(tag).all() else None)
+    if located.tag is not None and basemap.metres_off(located.tag) > max(basemap.sides):
+        located.frame = frame = Frame(frame.name, frame.file, width, height)
     smallest = min(metres for metres, _ in tried_widths(basemap, ground_width(frame), ()))
     whole_map = all(kind.holds_map(smallest) for kind in features)
     side = None

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import corner_pixels
@@ -97,6 +97,11 @@ class Map:
         self._coverage = coverage
         self._lock, self._overview_lock = Lock(), Lock()
         self._overview: tuple[UInt8Array, BoolArray] | None = None
+
+    def metres_off(self, point: FloatingArray) -> float:
+        """Return by how many metres a point of the frame, (2,), lies beyond the bounds, along the farther axis; 0 inside."""
+        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
+        return max(0.0, float(np.maximum(low - point, point - high).max()))
 
     @property
     def sides(self) -> tuple[float, float]:

@@ -529,7 +529,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     right = [bool(first == 0) for first in ranking.ranking.first]
     assert (
         "How far to trust it: by their look alone, 25 of 30 photos were right (83.3 %); by their details, 30 of 30 were placed, "
-        "though nobody measured if rightly. Of 68 photos of other places, none was placed on this map." in said
+        "and nobody measured where they really are. Of 68 photos of other places, none was placed on this map." in said
     )
     # The first screen, its reasons, and the flight window say the same of each photo.
     beliefs = FlightView.of(flight, {}, "").beliefs

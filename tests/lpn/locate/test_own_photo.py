@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,19 @@ def test_a_photo_of_another_land_is_refused(town: Map, features: list[MapFeature
     own = register_own_photo(town, features, photo(of=1), FLOWN, [], 1.0)
     assert not own.answer.accepted
     assert own.answer.sentence
+
+
+def test_what_a_file_with_the_tag_of_another_region_tells_is_not_believed(
+    town: Map, features: list[MapFeatures]
+) -> None:
+    latitude, longitude = town.frame.degrees([(0.0, 0.0)])[0]
+    far, near = (
+        replace(FLOWN, height_above_ground=5.0, latitude=latitude + off, longitude=longitude) for off in (1, 0)
+    )
+    own = register_own_photo(town, features, photo(), far, [], 1.0)
+    assert own.answer.accepted
+    assert own.located.error("registration") == pytest.approx(111_000, rel=0.01)
+    assert not register_own_photo(town, features, photo(), near, [], 1.0).answer.accepted, "10 m across, it tells"
 
 
 @pytest.mark.parametrize(
