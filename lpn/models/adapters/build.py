@@ -54,6 +54,7 @@ _VECTORS: dict[Kind, tuple[str, tuple[tuple[str, ...], ...]]] = {
     "dac": ("DAC", ()),
     "camp": ("CAMP", ()),
     "mean": ("MEAN", ()),
+    "dmnil": ("DMNIL", ()),
 }
 
 
@@ -146,7 +147,7 @@ def _sdpl(entries: Entries) -> PublishedParts:
 
 
 def _hand_made_network(entries: Entries, resnet: bool) -> _Network:
-    """Build the ConvNeXt of DAC, CAMP, or MEAN, or the ResNet-101 that DAC's and MEAN's code takes as well."""
+    """Build the ConvNeXt of DAC, CAMP, MEAN, or DMNIL, or the ResNet-101 that the code of all but CAMP takes as well."""
     own = entries.under("model_1.convnext.")
     if resnet and convnext.on_resnet(entries.under("model_1.")):
         size = size_of(entries, (384, 384), convnext.STRIDE)
@@ -157,7 +158,7 @@ def _hand_made_network(entries: Entries, resnet: bool) -> _Network:
         entry = next((f"{own.prefix}{key}" for key in own.state), next(iter(entries.state), "nothing"))
         raise ModelFileError(
             f"{entries.name} holds {entry}; expected a ConvNeXt (model_1.convnext.downsample_layers.0.0.weight), as DAC, "
-            "CAMP, and MEAN were published with."
+            "CAMP, MEAN, and DMNIL were published with."
         )
     return _network_of_timm(convnext.with_timm_names(own))
 
@@ -180,15 +181,13 @@ def _one_vector(method: str, prefixes: tuple[tuple[str, ...], ...], entries: Ent
     """Build a model of one network for both views, or of one for queries and one for the gallery.
 
     Args:
-        prefixes: those that the entries of one or two networks of timm may have; none for the own network of DAC, CAMP, and MEAN.
+        prefixes: those that the entries of one or two networks of timm may have; none for the hand-made ones.
     """
     held = [names for names in prefixes if has(entries, names[0])]
     if len(held) > 1:
         _refuse_two(entries, *(names[0] for names in held))
     networks = distinct(entries, *(held or [("",)])[0])
-    made = [
-        _network_of_timm(one) if prefixes else _hand_made_network(one, method in ("DAC", "MEAN")) for one in networks
-    ]
+    made = [_network_of_timm(one) if prefixes else _hand_made_network(one, method != "CAMP") for one in networks]
     own = made[0]
     mean, std = own.mean, own.std
     stated = entries.options.get("model")

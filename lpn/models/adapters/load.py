@@ -36,7 +36,7 @@ _PLAIN = ("Sample4Geo", "Game4Loc")
 _SHOWN = 3
 # Entries that the released code of the methods has for training alone, or that are read in another form.
 _KNOWN = re.compile(
-    r"num_batches_tracked$|classifier|(^|\.)(logit_scale\w*|mask_token|cls_token|reg_token|pos_embed|pos_scale|gem\d*\.p)$|"
+    r"num_batches_tracked$|classifier|(^|\.)(logit_scale\w*|w_blocks\d|mask_token|cls_token|reg_token|pos_embed|pos_scale|gem\d*\.p)$|"
     r"(^|\.)(head|fc|bn|tri_layer|proj|DEG|MSE|MSF|feature_scaling|slot_model|slot_moe|mix_fusion)\."
 )
 

@@ -28,6 +28,7 @@ Kind = Literal[
     "qdfl",
     "mfrgn",
     "infogeo",
+    "dmnil",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # A vision transformer has no parts of its own: a pooling by name makes them, see `lpn.models.token_pooling`.
@@ -53,7 +54,14 @@ class Signature:
 _HEAD = r"add_block\."
 _HUB = (r"(.*\.)?patch_embed\.proj\.weight$", r"(.*\.)?blocks\.0\.ls1\.gamma$")
 # Kinds of which a file of the one may be opened as the other by its name: the entries alone do not decide.
-_ALIKE: tuple[frozenset[Recognised], ...] = (frozenset({"sample4geo", "game4loc"}), frozenset({"lpn", "sdpl"}))
+# DMNIL has what is left of DAC, CAMP, and MEAN without the modules of their training.
+_ALIKE: tuple[frozenset[Recognised], ...] = (
+    frozenset({"sample4geo", "game4loc"}),
+    frozenset({"lpn", "sdpl"}),
+    frozenset({"dmnil", "dac"}),
+    frozenset({"dmnil", "camp"}),
+    frozenset({"dmnil", "mean"}),
+)
 SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ("fsra", Signature("FSRA", (r"model_1\.transformer\.blocks\.", rf"model_1\.classifier1\.{_HEAD}"))),
     ("sdpl", Signature("SDPL", (r"model_1\.model\.", r"model_1\.shift_blocks\.", rf"classifier\d\.{_HEAD}"))),
@@ -81,6 +89,7 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
     ),
     ("camp", Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$"))),
     ("dac", Signature("DAC", (r"model_1\.convnext\.", r"model_1\.proj\.mlp\.0\.weight$"))),
+    ("dmnil", Signature("DMNIL", (r"model_1\.convnext\.", r"w_blocks1$"), (r"model_\d\.(?!convnext\.)",))),
     (
         "mccg",
         Signature(
@@ -128,8 +137,10 @@ _MARKS: tuple[tuple[str, tuple[Recognised, ...]], ...] = (
     (r"model_\d\.proj\.mlp\.", ("dac",)),
     (r"model_\d\.pos_scale$", ("camp",)),
     (r"model_\d\.pos_embed$", ("camp", "sues200")),
-    (r"model_\d\.(convnext|classifier_mcb\d+)\.", ("mccg", "dac", "camp", "mean")),
+    (r"model_\d\.convnext\.", ("mccg", "dac", "camp", "mean", "dmnil")),
+    (r"model_\d\.classifier_mcb\d+\.", ("mccg", "dac", "camp", "mean")),
     (r"model_\d\.tri_layer\.", ("mccg", "dac", "camp")),
+    (r"w_blocks1$", ("dmnil", "dac", "camp", "mean")),
     (r"model_\d\.(conv1|conv_stem|features|patch_embed)\.", ("sues200",)),
     (rf"classifier\d*\.{_HEAD}", ("lpn", "sdpl", "sues200")),
     (r"model[12]\.", ("game4loc",)),
@@ -202,7 +213,7 @@ def recognise(keys: Collection[str], name: str) -> Recognised:
     if _fitting(keys):
         _refuse_mixed(keys, name)
     convnext = [key for key in keys if "model_1.convnext." in key]
-    if convnext and not any("tri_layer" in key for key in keys):
+    if convnext and not (any("tri_layer" in key for key in keys) and not any("logit_scale" in key for key in keys)):
         raise ModelFileError(
             f"{name} holds a ConvNeXt under model_1.convnext and nothing that distinguishes DAC from CAMP; say which with "
             "--kind dac or --kind camp, of a second model with --beside-kind."

@@ -13,6 +13,7 @@ from lpn.core.errors import ModelFileError
 from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.network import Account, PartBranch, by_heads, on_grid
 from lpn.models.adapters.pooled import FixedWeights, MapCells, PooledTokens
+from lpn.models.adapters.published import has
 from lpn.models.backbones import Bottleneck, ResNet
 from lpn.models.partition import Partition
 
@@ -106,7 +107,7 @@ def build_branch(entries: Entries, heads: Entries, size: tuple[int, int]) -> tup
     Raises:
         ModelFileError: if entries are missing or have wrong shapes, or SDPL takes no pictures of that size.
     """
-    if "shift_blocks.0.weight" in entries.state:
+    if has(entries, "shift_blocks."):
         if size[0] != size[1] or size[0] % SIDE_STEP or size[0] < SMALLEST:
             raise ModelFileError(
                 f"The opts.yaml beside {entries.name} says {size[0]} x {size[1]} pixels; SDPL takes squares of a multiple of "

@@ -202,8 +202,8 @@ def test_forms_of_a_convnext_are_read_off_its_entries(form: dict[str, Any], tmp_
         check(model, "drone", pictures, network(torch.from_numpy(pictures))[:, None], None)
 
 
-@pytest.mark.parametrize("kind", ["camp", "dac"])
-def test_camp_and_dac(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["camp", "dac", "dmnil"])
+def test_the_mean_of_a_convnext(kind: str, tmp_path: Path) -> None:
     state, pictures = small_vector(kind), seeded.pictures(8, 1, 64, 96)
     model = opened(state, tmp_path, "h: 64\nw: 96\n")
     assert model.contract.method == kind.upper()

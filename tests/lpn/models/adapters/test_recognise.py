@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,7 @@ METHODS: dict[str, tuple[Recognised, Collection[str]]] = {
     "CAMP": ("camp", small_vector("camp")),
     "DAC": ("dac", small_vector("dac")),
     "MEAN": ("mean", small_vector("mean")),
+    "DMNIL": ("dmnil", small_vector("dmnil")),
     "DenseUAV": ("denseuav", small_denseuav(3)),
     "QDFL": (
         "qdfl",
@@ -85,7 +87,7 @@ METHODS: dict[str, tuple[Recognised, Collection[str]]] = {
     "DINOv2": ("vit", ["dino.patch_embed.proj.weight", "dino.blocks.0.ls1.gamma", "dino.mask_token"]),
 }
 # A method that is built on another has its names.
-BUILT_ON = {"SDPL": "LPN", "DAC": "MCCG", "CAMP": "MCCG"}
+BUILT_ON = {"SDPL": ["LPN"], "DAC": ["MCCG", "DMNIL"], "CAMP": ["MCCG", "DMNIL"], "MEAN": ["DMNIL"]}
 
 
 @pytest.mark.parametrize("first", METHODS)
@@ -94,8 +96,12 @@ def test_a_file_of_two_methods_is_of_neither(first: str) -> None:
     assert recognise(names, "net.pth") == kind
     for second, (other, others) in METHODS.items():
         both = [*names, *others]
-        if first == second or BUILT_ON.get(first) == second or BUILT_ON.get(second) == first:
-            assert recognise(both, "net.pth") == (other if BUILT_ON.get(second) == first else kind)
+        if first == second or second in BUILT_ON.get(first, []) or first in BUILT_ON.get(second, []):
+            assert recognise(both, "net.pth") == (other if first in BUILT_ON.get(second, []) else kind)
+        elif {first, second} == {"MCCG", "DMNIL"}:
+            # What DAC and CAMP have in common.
+            with pytest.raises(ModelFileError, match="nothing that distinguishes DAC from CAMP"):
+                recognise(both, "net.pth")
         elif kind == other:
             with pytest.raises(ModelFileError, match="holds several vision transformers"):
                 vit_prefix(Entries("net.pth", dict.fromkeys(both, torch.zeros(1))))
@@ -212,8 +218,8 @@ def test_a_kind_that_is_named_must_exist_and_fit(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "lpn"])
 def test_a_kind_that_does_not_fit_is_refused_in_one_sentence(kind: Kind) -> None:
     for own, state in {"mccg": small_mccg(2), "denseuav": small_denseuav(3)}.items():
-        # DAC, CAMP, and MEAN need nothing that MCCG lacks.
-        if kind != own and not (own == "mccg" and kind in ("dac", "camp", "mean")):
+        # DAC, CAMP, MEAN, and DMNIL need nothing that MCCG lacks.
+        if kind != own and not (own == "mccg" and kind in ("dac", "camp", "mean", "dmnil")):
             with pytest.raises(ModelFileError) as caught:
                 build(kind, Entries("net.pth", state))
             assert "\n" not in str(caught.value)
@@ -326,6 +332,29 @@ def test_a_lost_entry_makes_no_smaller_model(state: State, lost: str, message: s
     _opened(state, tmp_path)
     with pytest.raises(ModelFileError, match=message):
         _opened({key: value for key, value in state.items() if key != lost}, tmp_path)
+
+
+def _hollow(shapes: Mapping[str, list[int]]) -> State:
+    """Entries without memory of their own, for a network at its full size."""
+    return {key: torch.zeros(()).expand(shape) for key, shape in shapes.items()}
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        "model_1.shift_blocks.0.weight",
+        "model_2.shift_blocks.8.bias",
+        "model_2.model.layer4.2.bn3.running_var",
+        "classifier4.add_block.0.weight",
+        "classifier9.add_block.1.weight",
+    ],
+)
+def test_sdpl_without_one_entry_is_no_baseline_of_its_code(lost: str) -> None:
+    state = _hollow(published_models.shapes_of("sdpl_resnet50_512"))
+    for entry in ({}, {lost: torch.zeros(3, 3, 3)}):
+        changed = {key: value for key, value in state.items() if key != lost} | entry
+        with pytest.raises(ModelFileError, match=re.escape(lost)):
+            build("sdpl", Entries("net.pth", changed))
 
 
 def test_entries_of_a_method_that_is_built_on_a_known_one_are_named(
