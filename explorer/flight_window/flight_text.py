@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from explorer.flight_window.service import FlightView
 from explorer.web.coordinates import describe_point
 from lpn.core.files import printable
 from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
 from lpn.locate.belief import TAG_RADIUS, Disagreement
 from lpn.locate.camera_pose import CameraPose
@@ -28,6 +31,8 @@ EVIDENCE = (
 WORST = (
     "Metres between a photo's place on the map and its GPS tag, or its correction by hand: the error of both together."
 )
+# Fewer places of a photo tell nothing of the rest.
+_FEW_PLACES = 3
 _ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 
 
@@ -83,6 +88,27 @@ def reason(view: FlightView, frame: int) -> str:
             f"The place lies {error:.1f} m from {'the correction by hand' if located.by_hand else 'its GPS tag'}."
         )
     return " ".join([*sentences, *map(apart, against)])
+
+
+def agreement(found: MapAgreement) -> str:
+    """Say how far places of a photo lie from where the map has them; "" where too few are found to tell."""
+    if len(found.metres) < _FEW_PLACES:
+        return ""
+    farthest = int(found.metres.argmax())
+    return (
+        f"Beside its middle, {len(found.metres)} places of the photo were found on the map one by one: they lie "
+        f"{np.median(found.metres):.1f} m from where the photo has them in the median, and {found.metres[farthest]:.1f} m at "
+        f"most, {_side(*found.places[farthest].tolist())}."
+    )
+
+
+def _side(across: float, down: float) -> str:
+    """Return where in a picture a place lies, given as shares of its width and height."""
+    row = "upper" if down < 1 / 3 else "lower" if down > 2 / 3 else ""
+    column = "left" if across < 1 / 3 else "right" if across > 2 / 3 else ""
+    if row and column:
+        return f"at the {row} {column}"
+    return f"at the {column or {'upper': 'top', 'lower': 'bottom'}[row]}" if row or column else "near the middle"
 
 
 def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:

@@ -19,6 +19,7 @@ from lpn.core.arrays import FloatingArray
 from lpn.core.files import printable
 from lpn.drawing import overlays, score_map, theme
 from lpn.drawing.words import plain, say
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import StageRecord
 from lpn.locate.summary import PLACED, describe_flight
 from lpn.maps import Window
@@ -126,11 +127,18 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     return track
 
 
-def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = False) -> str:
+def card(
+    view: FlightView,
+    frame: int,
+    address: str,
+    retrieval_failed: bool = False,
+    agreement: MapAgreement | None = None,
+) -> str:
     """Return the query, the answer, and the verdict for the chosen frame.
 
     Args:
         retrieval_failed: the page's other panels call the answer of retrieval wrong.
+        agreement: of places of the photo with the map; None until it is measured.
     """
     located = view.flight.frames[frame]
     verdict = view.beliefs[frame]
@@ -151,6 +159,7 @@ def card(view: FlightView, frame: int, address: str, retrieval_failed: bool = Fa
         reason=flight_text.reason(view, frame),
         refusals=flight_text.refusals(located),
         drone=flight_text.drone(view.flight, located),
+        agreement="" if agreement is None else flight_text.agreement(agreement),
         place=place,
         at=at,
         ground=ground,
@@ -182,19 +191,24 @@ def _verdict_colour(sign: bool | None) -> str:
 
 
 def chosen(
-    view: FlightView, frame: int, address: str, saves: int = 0, retrieval_failed: bool = False
+    view: FlightView,
+    frame: int,
+    address: str,
+    saves: int = 0,
+    retrieval_failed: bool = False,
+    agreement: MapAgreement | None = None,
 ) -> dict[str, Any]:
     """Return what the script draws of the chosen frame.
 
     Args:
         saves: how many corrections of the page are saved; the page keeps its tie points until the number changes.
-        retrieval_failed: see `card`.
+        retrieval_failed, agreement: see `card`.
     """
     located = view.flight.frames[frame]
     laid = view.homography(frame)
     return {
         "frame": frame,
-        "card": card(view, frame, address, retrieval_failed),
+        "card": card(view, frame, address, retrieval_failed, agreement),
         "homography": None if laid is None else laid.ravel().tolist(),
         "corrected": view.corrected(frame) is not None,
         "size": [located.frame.width, located.frame.height],

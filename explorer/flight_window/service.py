@@ -10,16 +10,21 @@ import numpy as np
 
 from explorer.compute.watchers import Watchers
 from explorer.workspace import Workspace
+from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
-from lpn.core.errors import LPNError
+from lpn.core.errors import DataError, LPNError
 from lpn.locate import corrections
+from lpn.locate.agreement import MapAgreement, map_agreement
 from lpn.locate.belief import Belief, Disagreement, beliefs, best_track, disagreements
 from lpn.locate.corrections import Correction
 from lpn.locate.coverage import Outline, outline
 from lpn.locate.located import LocatedFlight
 from lpn.locate.tags import enter_corrections
 from lpn.locate.tracks import track_bytes
+
+# Longer side in pixels of a photo that is compared with the map.
+_COMPARED = 960
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +83,7 @@ class FlightService:
         self._workspace, self._lock = workspace, threading.RLock()
         self.watchers = Watchers()
         self._view: FlightView | None = None
+        self._agreements: dict[tuple[int, bytes], MapAgreement | None] = {}
 
     @property
     def corrections_file(self) -> Path:
@@ -114,6 +120,26 @@ class FlightService:
             kept = corrections.set_correction(self.corrections_file, name, correction)
             self._view = replace(view, corrections=kept, corrections_error="")
         self.watchers.tell()
+
+    def agreement(self, frame: int, compute: bool) -> MapAgreement | None:
+        """Return how well places of a frame's photo agree with the map where it is laid; None if it is not laid or not readable.
+
+        Args:
+            compute: measure it, which takes about 0.1 s; otherwise None until it has been.
+        """
+        view = self.view()
+        located, matrix = view.flight.frames[frame].frame, view.homography(frame)
+        if matrix is None:
+            return None
+        key = frame, matrix.tobytes()
+        if compute and key not in self._agreements:
+            try:
+                photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
+                size = located.width, located.height
+                self._agreements[key] = map_agreement(view.flight.basemap, photo, matrix, size)
+            except DataError:  # the notes name a file that is damaged
+                self._agreements[key] = None
+        return self._agreements.get(key)
 
     def positions(self, suffix: str) -> bytes:
         """Return one position a photo, that of its correction or of the stage that counts, as a track's file with a suffix."""

@@ -38,6 +38,8 @@ _FRAME_HEIGHT = 52
 _INTERVAL = 1.0
 # Seconds for which the window tells what a correction led to.
 _SHOWN = 15.0
+# Seconds on one frame after which its photo is compared with the map; a flight that plays is not held up.
+_REST = 0.7
 _NO_PLACE = "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
 
 
@@ -98,6 +100,8 @@ class FlightWindow:
         self._resized = False
         self._message: _Message | None = None
         self._saves = 0
+        # The frame that is shown, and since when; only the worker uses it.
+        self._standing: tuple[int | None, float] | None = None
         # The newest message to the page about the frame that it shows, and its number.
         self._followed: dict[str, Any] = {}
         self._sequence = 0
@@ -223,6 +227,8 @@ class FlightWindow:
         frame = None if state.upload or state.query >= len(view.flight.frames) else state.query
         failed = analysis.matches[0].true is False
         message = self._message_of(frame)
+        rest = self._rest_of(frame)
+        agreement = None if frame is None else self._service.agreement(frame, compute=rest <= 0)
         self._progress.show(
             page.calls(
                 {
@@ -234,7 +240,9 @@ class FlightWindow:
         )
         followed = {
             "address": self._pictures.address,
-            "frame": None if frame is None else page.chosen(view, frame, self._pictures.address, saves, failed),
+            "frame": None
+            if frame is None
+            else page.chosen(view, frame, self._pictures.address, saves, failed, agreement),
             "answer": page.answer_window(view, analysis),
             "scores": page.painting(view, analysis, choices.painted, names),
         }
@@ -247,7 +255,16 @@ class FlightWindow:
             self._spot.show(page.calls({"spot": {"spot": choices.spot, "frames": frames, "html": html}}))
         if running:
             return _INTERVAL
-        return None if message is None else max(message.until - time.monotonic(), 0.0)
+        waits = [rest] if rest > 0 else []
+        if message is not None:
+            waits.append(max(message.until - time.monotonic(), 0.0))
+        return min(waits, default=None)
+
+    def _rest_of(self, frame: int | None) -> float:
+        """Return the seconds until the window has stood on a frame for long enough to compare its photo with the map."""
+        if self._standing is None or self._standing[0] != frame:
+            self._standing = frame, time.monotonic()
+        return max(self._standing[1] + _REST - time.monotonic(), 0.0)
 
     @property
     def _panel_height(self) -> int:

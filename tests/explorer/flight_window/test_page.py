@@ -22,6 +22,7 @@ from explorer.flight_window.service import FlightService, FlightView
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.errors import DataError
 from lpn.drawing.words import Vocabulary, speaking
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
 from lpn.locate.belief import Belief
 from lpn.locate.camera_pose import CameraPose
@@ -119,6 +120,20 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
 def plainly() -> Iterator[None]:
     with speaking(Vocabulary(plain=True)):
         yield
+
+
+def test_places_beside_the_middle_say_how_far_off_they_are_and_where_most() -> None:
+    def said(*metres: float) -> str:
+        places = np.array([(0.5, 0.5), (0.1, 0.2), (0.5, 0.9)])[: len(metres)]
+        return flight_text.agreement(MapAgreement(places, np.array(metres), 9.0))
+
+    assert said(0.4, 5.2, 1.0) == (
+        "Beside its middle, 3 places of the photo were found on the map one by one: they lie 1.0 m from where the photo has "
+        "them in the median, and 5.2 m at most, at the upper left."
+    )
+    assert said(0.4, 0.2, 1.0).endswith("1.0 m at most, at the bottom.")
+    assert said(2.4, 0.2, 1.0).endswith("2.4 m at most, near the middle.")
+    assert said(0.4, 5.2) == ""
 
 
 @pytest.mark.usefixtures("plainly")

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from explorer.flight_window import page
+from explorer.flight_window import service as service_module
 from explorer.flight_window.service import FlightService
 from lpn.core.errors import InputError
 from lpn.locate import corrections
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.corrections import NAME
 from lpn.locate.located import LocatedFlight
 
@@ -48,6 +50,25 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightSe
     service.correct(2, None)
     assert service.view().homography(2) is None
     assert "corrected" not in page.data(service.view(), "x/")["tracks"]
+
+
+def test_a_photo_is_compared_once_and_again_where_it_is_laid_anew(
+    service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    laid: list[Any] = []
+    monkeypatch.setattr(
+        service_module, "map_agreement", lambda *given: laid.append(given) or MapAgreement(*[np.zeros(0)] * 2, 9.0)
+    )
+    assert service.agreement(0, compute=False) is None
+    first = service.agreement(0, compute=True)
+    assert first is not None
+    assert service.agreement(0, compute=True) is first
+    assert service.agreement(2, compute=True) is None, "it is not laid over the map"
+    service.correct(0, CORNERS)
+    assert service.agreement(0, compute=False) is None
+    assert service.agreement(0, compute=True) is not first
+    assert len(laid) == 2
+    assert laid[0][3] == (flight.frames[0].frame.width, flight.frames[0].frame.height)
 
 
 def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:

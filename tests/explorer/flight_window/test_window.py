@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 
 from explorer.flight_window import window as window_module
@@ -20,6 +21,7 @@ from explorer.flight_window.window import FlightWindow
 from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
 from explorer.web.messages import Receivers
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFlight
 
 SQUARE = [[0, 30], [40, 30], [40, 0], [0, 0]]
@@ -116,7 +118,7 @@ def test_what_a_correction_led_to_is_told_for_some_seconds_or_until_the_next_fra
     page.send("flight-correct", [0, SQUARE])
     left = page.work()
     assert left is not None
-    page.clock += left
+    page.clock += 15.0
     assert page.work() is None
     assert "Saved in" not in page.text
     page.send("flight-correct", [0, SQUARE])
@@ -132,6 +134,23 @@ def test_a_correction_wakes_the_windows_of_all_browsers_that_are_there(make: Cal
     before = first.woken, second.woken, gone.woken
     first.send("flight-correct", [0, SQUARE])
     assert (first.woken > before[0], second.woken > before[1], gone.woken > before[2]) == (True, True, False)
+
+
+def test_a_photo_is_compared_with_the_map_once_the_window_stands_on_it(
+    make: Callable[[], WindowOf], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agreement = MapAgreement(np.full((3, 2), 0.5), np.ones(3), 9.0)
+    monkeypatch.setattr(FlightService, "agreement", lambda *_, compute: agreement if compute else None)
+    page = make()
+    assert "places of the photo were found" not in page.text
+    left = page.work()
+    assert left is not None
+    assert left > 0
+    page.clock += left
+    assert page.work() is None
+    assert "places of the photo were found on the map one by one" in page.text
+    page.show(1)
+    assert "places of the photo were found" not in page.text
 
 
 def test_positions_are_saved_as_a_file_named_for_the_flight(make: Callable[[], WindowOf]) -> None:

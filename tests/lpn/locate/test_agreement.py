@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from lpn.core.arrays import UInt8Array
+from lpn.locate.agreement import MapAgreement, map_agreement
+from lpn.maps import Map, Window, open_map
+from tests.lpn.maps.small_maps import EAST, NORTH, write_geotiff
+
+# Pixels of a photo that shows 80 m of ground, and metres per pixel.
+SIZE, SCALE = 320, 0.25
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    """A map of 200 by 200 m in pixels of 0.25 m."""
+    pytest.importorskip("rasterio")
+    grains = np.random.default_rng(0).integers(20, 230, (160, 160, 3), dtype=np.uint8)
+    ground = cv2.resize(grains, (800, 800), interpolation=cv2.INTER_CUBIC)
+    file = tmp_path_factory.mktemp("town") / "town.tif"
+    return open_map(write_geotiff(file, ground, matrix=(SCALE, 0, EAST, 0, -SCALE, NORTH)))
+
+
+def compared(town: Map, photo: UInt8Array, east: float = 0.0) -> MapAgreement:
+    """Compare a north-up photo about the map's middle, laid some metres to the east of there."""
+    half = SCALE * (SIZE - 1) / 2
+    return map_agreement(town, photo, np.array([[SCALE, 0, east - half], [0, -SCALE, half], [0, 0, 1.0]]), (SIZE, SIZE))
+
+
+def photographed(town: Map) -> UInt8Array:
+    return town.read(Window(0.0, 0.0, SIZE * SCALE), SIZE)[0]
+
+
+def test_a_part_of_a_photo_that_the_map_has_elsewhere_is_measured_there(town: Map) -> None:
+    photo = photographed(town)
+    agreeing = compared(town, photo)
+    assert len(agreeing.metres) >= 9
+    assert agreeing.metres.max() < 0.5
+    bent = photo.copy()
+    bent[:, : SIZE // 2] = np.roll(photo, 12, axis=0)[:, : SIZE // 2]  # 3 m to the south
+    found = compared(town, bent)
+    left, right = found.metres[found.places[:, 0] < 0.35], found.metres[found.places[:, 0] > 0.65]
+    assert len(left) >= 3
+    assert len(right) >= 3
+    np.testing.assert_allclose(left, 3.0, atol=0.5)
+    assert right.max() < 0.5
+
+
+def test_a_photo_of_another_place_or_without_contrast_agrees_nowhere(town: Map) -> None:
+    photo = photographed(town)
+    assert len(compared(town, np.random.default_rng(1).permutation(photo)).metres) == 0
+    assert len(compared(town, np.full_like(photo, 90)).metres) == 0
+    assert len(compared(town, photo, east=90.0).metres) == 0, "half of it is off the map, and the rest is elsewhere"
+
+
+def test_a_photo_may_be_given_smaller_than_it_is(town: Map) -> None:
+    half = SCALE * (SIZE - 1) / 2
+    matrix = np.array([[SCALE / 2, 0, -half], [0, -SCALE / 2, half], [0, 0, 1.0]])
+    found = map_agreement(town, photographed(town), matrix, (2 * SIZE, 2 * SIZE))
+    assert len(found.metres) >= 9
+    assert found.metres.max() < 0.5
