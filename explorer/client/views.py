@@ -107,7 +107,7 @@ class ClientViews:
         self.panels.navigation.order = self.lab.order
         self.panels.query.compare_models = self.explain_window.compare_models
         self.stage_controls = StageControls(workspace, self.panels.navigation, change)
-        self.glossary = Glossary(client.gui)
+        self.glossary = Glossary(client.gui, lambda: state().plain)
         own = self.panels.query.own
         self.first_screen = FirstScreen(
             client.gui,

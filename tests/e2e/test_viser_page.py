@@ -34,7 +34,7 @@ AFTER = {
     "notification": "lpn.send('story-play', 'no such story')",
 }
 # Each of them comes with the one above.
-WITH = {"dialog": ("dialogTitle", "dialogHeader", "dialogButton"), "notification": ("notificationText",)}
+WITH = {"dialog": ("dialogTitle", "dialogHeader", "dialogBody", "dialogButton"), "notification": ("notificationText",)}
 ALWAYS = (
     *("app", "canvas", "stageFrame", "shade", "window", "folderHead", "unfolded", "scrollRoot", "scrolled", "upload"),
     *("tab", "softwareNotice"),

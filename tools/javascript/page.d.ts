@@ -70,7 +70,7 @@ interface Lpn {
   viser: {
     SELECTORS: Record<
       | "app" | "canvas" | "stageFrame" | "shade" | "window" | "folderHead" | "unfolded" | "sheet" | "scrollRoot" | "scrolled" | "dialog"
-      | "dialogTitle" | "dialogHeader" | "dialogButton" | "palette" | "notification" | "notificationText" | "softwareNotice" | "upload" | "tab",
+      | "dialogTitle" | "dialogHeader" | "dialogBody" | "dialogButton" | "palette" | "notification" | "notificationText" | "softwareNotice" | "upload" | "tab",
       string
     >;
     UPLOADED: string;

@@ -19,6 +19,7 @@
     dialog: ".mantine-Modal-content",
     dialogTitle: ".mantine-Modal-title",
     dialogHeader: ".mantine-Modal-header",
+    dialogBody: ".mantine-Modal-body",
     dialogButton: ".mantine-Modal-body button",
     palette: ".mantine-Spotlight-content",
     notification: ".mantine-Notification-root",
