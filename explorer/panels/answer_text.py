@@ -209,11 +209,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
             nearest = distance(float(np.nanmin(analysis.errors_m)))
             off = f"Its details fit {where}, and its GPS tag lies {nearest} from the nearest piece"
             return None, "Not on this map", f"{off}. {merely}"
-        return (
-            None,
-            f"Its details fit {where}, so only its GPS tag says that your picture is of this place",
-            f"{merely} {_beside_tag(analysis, workspace, 'it')}.",
-        )
+        return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
     sign = belief(own.located, disagreements([own.located])).sign
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m"
     if (error := own.located.error("registration")) is not None:
@@ -378,7 +374,7 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     own = state.upload is not None
     if own and workspace.own_photos is not None and (_compared(analysis) or analysis.registered is not None):
         elsewhere, here = trials(workspace)
-        return f"{elsewhere}; {here}." if here else ""
+        return f"o{elsewhere[1:]}; {here}." if here else ""
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
         return ""
     if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):

@@ -293,7 +293,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             "On this map by its details, elsewhere by its GPS tag",
             "km from there, more than the errors of both",
         ),
-        (refused, 0.0, None, "only its GPS tag says that your picture is of this place", "Its GPS tag lies "),
+        (refused, 0.0, None, "only its GPS tag says that your picture is of this place", "merely the most similar"),
         (refused, 2e6, None, "Not on this map", "and its GPS tag lies 2,000 km from the nearest piece"),
     ):
         assert shown_before.registered is not None
