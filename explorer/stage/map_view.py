@@ -328,7 +328,7 @@ class GalleryMap:
     def _show_lines(
         self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
     ) -> None:
-        """Draw a line to the compared tile, and frame the positive, and the ground of an own picture that is registered.
+        """Draw a line to the compared tile, and frame the positive, and the ground of a photo that is registered.
 
         The line begins at the query's camera, at the middle of that ground, at the marked GPS tag of the user's own picture,
         or without any of them at the positive.
@@ -342,7 +342,7 @@ class GalleryMap:
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
             segments += _outline([np.add(truth, (x * half, y * half, 0.0)) for x, y in signs], theme.TRUE_COLOUR)
         start, own = camera if camera is not None else truth, analysis.state.upload
-        located = None if own is None else self._workspace.located(analysis)
+        located = self._workspace.located(analysis)
         ground = None if located is None else outline(located)
         if ground is not None and ground.registered:
             points = self._from_map(np.vstack([ground.corners, crossing(ground.corners)]), places)
@@ -390,14 +390,10 @@ class GalleryMap:
         draw.text((412, 222), tile, palette.dim, captions.font(size), anchor="rm")
         if analysis.errors_m is not None and np.isfinite(analysis.errors_m[chosen.index]):
             colour = palette.ink(theme.verdict_colour(chosen.true))
-            off = "off" if analysis.state.upload is None else "from its tag"
-            draw.text(
-                (228, 126),
-                f"{distance(float(analysis.errors_m[chosen.index]))} {off}",
-                colour,
-                captions.font(max(40, size)),
-                anchor="mm",
-            )
+            off, large = distance(float(analysis.errors_m[chosen.index])), max(40, size)
+            text = f"{off} off" if analysis.state.upload is None else f"{off} from its tag"
+            text = captions.fitted(draw, text, large, 440, off)
+            draw.text((228, 126), text, colour, captions.font(large), anchor="mm")
         return np.asarray(image)
 
     def _clicked(self, slot: int, on_select: Callable[[SessionState, int], None]) -> Callable[[Any], None]:
