@@ -184,6 +184,16 @@ class OwnPictures:
                 return None
             return own_query(state, self._open((index + by) % len(self._held)))
 
+    @property
+    def held(self) -> int:
+        """The number of pictures held."""
+        return len(self._held)
+
+    def reopen(self, state: SessionState) -> SessionState | None:
+        """Return the state of the picture that was opened last; None if none is held."""
+        with self._lock:
+            return own_query(state, self._open(max(self._opened[1], 0))) if self._held else None
+
     def find(self, key: str) -> OwnPicture | None:
         """Return the picture that addresses name by a key, decoded; None if it is not held."""
         with self._lock:

@@ -115,7 +115,7 @@ class ClientViews:
             self.panels.navigation,
             change,
             self.lab.restore,
-            (lambda _: None) if own is None else own.position,
+            own,
         )
         of_views: dict[type[Any], Callable[[Any], None]] = {
             ExplainMessage: self.explain_window.receive,

@@ -117,7 +117,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         elsewhere, text = _elsewhere(analysis), f"This is the most similar of {pictures}."
         if _compared(analysis):
             beside = elsewhere or _beside_tag(analysis, workspace, "this one")
-            return None, "Not known yet", f"{text} {beside}." if beside else text
+            return None, "Being compared with the map", f"{text} {beside}." if beside else text
         if elsewhere:
             return (
                 None,
@@ -147,33 +147,23 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
 
 def flight_verdict(
     analysis: StateAnalysis, workspace: Workspace, look: tuple[bool | None, str, str]
-) -> tuple[bool | None, str, str]:
-    """Return the verdict on a photo of a flight by all stages, as the flight window has it, from that on its look alone.
+) -> tuple[tuple[bool | None, str, str], tuple[bool | None, str, str] | None]:
+    """Return two verdicts on a photo of a flight: on its look, and by all methods, see `lpn.locate.belief`.
 
-    A photo of no flight, of unknown truth, or not yet registered keeps the verdict on its look.
+    A photo of no flight, or of unknown truth, keeps the verdict on its look. The second verdict is None there, and before the
+    photo is registered.
     """
     right, _, sentence = look
     if workspace.flight is None or analysis.state.upload is not None or right is None:
-        return look
+        return look, None
+    headline = f"{'Right' if right else 'Wrong'} by its look"
+    look = (None, "Not graded", sentence) if _no_right_answer(analysis, workspace) else (right, headline, sentence)
     located = workspace.flight.frames[analysis.state.query]
     if "registration" not in located.stages:
-        return look
+        return look, None
     verdict = belief(located, disagreements([located]))
-    if right and verdict.sign:
-        return look
-    by_look = f"{sentence[:1].lower()}{sentence[1:]}"
-    ungraded = bool(_no_right_answer(analysis, workspace))
-    if verdict.stage == "registration":
-        doubt = "its neighbours disagree" if located.tag is None else "its GPS tag disagrees"
-        headline = "Placed by its details" if verdict.sign else f"Placed by its details, but {doubt}"
-        return (
-            verdict.sign,
-            headline,
-            sentence if ungraded else f"Its look alone {'is right' if right else 'errs'}: {by_look}",
-        )
-    headline = "Placed by its neighbours only" if verdict.stage == "sequence" else "Not placed"
-    graded = "" if ungraded else f", which is {'right' if right else 'wrong'}"
-    return verdict.sign, headline, f"Its details fit nowhere for sure, so its look is a guess{graded}: {by_look}"
+    guess = "" if verdict.stage == "registration" else "Its details fit nowhere for sure."
+    return look, (verdict.sign, verdict.headline, guess)
 
 
 def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
@@ -208,7 +198,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         if not _tag_on_map(own, workspace):
             nearest = distance(float(np.nanmin(analysis.errors_m)))
             off = f"Its details fit {where}, and its GPS tag lies {nearest} from the nearest piece"
-            return None, "Not on this map", f"{off}. {merely}"
+            return False, "Not on this map", f"{off}. {merely}"
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
     sign = belief(own.located, disagreements([own.located])).sign
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m"
@@ -216,10 +206,13 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         fits += f"; its GPS tag lies {distance(error)} from there"
     against = "" if sign else ", more than the errors of both allow, so one of the two is wrong"
     headline = "On this map" if sign else "On this map by its details, elsewhere by its GPS tag"
-    off_answer = answer_off(analysis, own.located)
-    look = ""
-    if off_answer is not None:
-        look = f" Its look alone {'agrees' if off_answer <= 0 else f'would be wrong by {distance(off_answer)}'}."
+    off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
+    look = " Its look alone agrees."
+    if off_answer is None or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
+        look = ""
+    elif off_answer > 0:
+        metres = distance(math.hypot(answer.x - cut.window.x, answer.y - cut.window.y))
+        look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
     return sign, headline, f"{fits}{against}.{look}{details}"
 
 
@@ -247,7 +240,8 @@ def comparing(job: BackgroundJob[OwnPhoto]) -> str:
         return "" if job.cancelled else f"Its details could not be compared with the map: {job.error}"
     if job.value is not None:
         return ""
-    return f"Its details are compared with the map …{f' {job.done} of {job.total} tries' if job.total else ''}"
+    tries = f": {job.done} of {job.total} tries" if job.total else ""
+    return f"Its details are compared with the map, which can take a minute …{tries}"
 
 
 def own_windows(analysis: StateAnalysis) -> list[Window]:

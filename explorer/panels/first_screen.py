@@ -13,6 +13,7 @@ import viser
 from numpy.typing import NDArray
 
 from explorer import lab_choices, session_state
+from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text
 from explorer.panels.navigation import Navigation
@@ -23,7 +24,6 @@ from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
@@ -39,6 +39,7 @@ from lpn.locate.belief import belief, disagreements
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame
 from lpn.locate.retrieval import heading_is_certain
+from lpn.locate.summary import PLACED_BY_TAGS
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
 from lpn.retrieval import DescribedPicture
@@ -53,8 +54,8 @@ _DISPUTED = {
 }
 # The commands for a place of one's own.
 _BRING = """\
-lpn map --from-flight photos-of-the-place/ --out maps/here
-lpn explore flight --map maps/here --flight photos-to-place/ --model city-lpn"""
+lpn map ortho.tif --out maps/here
+lpn explore flight --map maps/here --flight photos/ --model city-lpn"""
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.
@@ -78,7 +79,8 @@ class LaidPhoto:
         offset: where the place lies on the map, in words.
         coordinate: the place; None on a rendered map.
         camera: whether the place is the camera's, and not that of the picture's middle.
-        sentence: how well it fits; "" for an own photo, whose verdict says it.
+        by_tags: whether the map's own place on earth is that of the GPS tags of photos.
+        sentence: how far its GPS tag lies from there; "" without one, and for an own photo, whose verdict says it.
     """
 
     picture: str
@@ -86,6 +88,7 @@ class LaidPhoto:
     offset: str
     coordinate: MapCoordinate | None
     camera: bool
+    by_tags: bool
     sentence: str
 
 
@@ -95,7 +98,7 @@ class FirstScreen:
     Args:
         change: updates the browser's state with a function.
         show_lab: has the laboratory show what a state says of it.
-        own_position: returns the position of an own picture among those held, and their number; None if it is none of them.
+        own: the user's own pictures; None where there is no model to describe them.
     """
 
     def __init__(
@@ -105,13 +108,14 @@ class FirstScreen:
         navigation: Navigation,
         change: Callable[[StateChange], None],
         show_lab: Callable[[SessionState], None],
-        own_position: Callable[[OwnPicture | None], tuple[int, int] | None],
+        own: OwnPictures | None,
     ) -> None:
         self._workspace, self._change = workspace, change
-        self._show_lab, self._own_position = show_lab, own_position
+        self._show_lab, self._own = show_lab, own
         self._html = Html(gui)
         self._actions: dict[str, StateChange] = {
             "next": navigation.random,
+            "own": lambda state: None if own is None else own.reopen(state),
             "own-previous": navigation.previous,
             "own-next": navigation.next,
             "failure": navigation.next_failure,
@@ -138,7 +142,8 @@ class FirstScreen:
         state = analysis.state
         content = ""
         if state.first_screen:
-            content = page(analysis, self._workspace, stories, self._own_position(state.upload))
+            position, held = (None, 0) if self._own is None else (self._own.position(state.upload), self._own.held)
+            content = page(analysis, self._workspace, stories, position, held)
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
         self._html.show(run(call("first", content, not elsewhere, not state.upload)))
 
@@ -159,21 +164,23 @@ def page(
     workspace: Workspace,
     stories: Sequence[str] = (),
     own_position: tuple[int, int] | None = None,
+    own_held: int = 0,
 ) -> str:
     """Return the screen's content as HTML.
 
     Args:
         own_position: of the own picture that is shown, and the number of those held; None without one.
+        own_held: number of own pictures held.
     """
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
-    right, headline, sentence = answer_text.plain_verdict(analysis, workspace)
-    disputed = right is not None and _lies_on_answer(analysis, workspace) is (not right)
+    look = answer_text.plain_verdict(analysis, workspace)
+    disputed = look[0] is not None and _lies_on_answer(analysis, workspace) is (not look[0])
+    look_errs = look[0] is False and not disputed
+    look, by_details = answer_text.flight_verdict(analysis, workspace, look)
     if disputed:
-        headline, sentence, right = "Its GPS tag and the map disagree", _DISPUTED[bool(right)], None
-    look_errs = right is False
-    if not disputed:
-        right, headline, sentence = answer_text.flight_verdict(analysis, workspace, (right, headline, sentence))
+        look = None, "Its GPS tag and the map disagree", _DISPUTED[look[0] is True]
+    right, headline, sentence = look
     lead = answer_text.lead(analysis) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
@@ -208,6 +215,7 @@ def page(
         right=right,
         look_errs=look_errs,
         headline=headline,
+        by_details=by_details,
         sentence=sentence,
         lead=lead,
         because=because,
@@ -226,6 +234,7 @@ def page(
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,
         own_position=own_position,
+        own_held=own_held,
         elsewhere=state.upload is not None
         and (headline in answer_text.ELSEWHERE or (own is not None and not own.answer.accepted)),
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
@@ -401,21 +410,23 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         cv2.polylines(drawn, [pixels(ground.corners)], True, colour, thickness, cv2.LINE_AA)
     sign = belief(located, disagreements([located])).sign
     at = answer.x, answer.y
-    sentence = f"By its details, the photo fits the map where the frame is, to ± {answer.radius or 0:.1f} m on it"
+    sentence = ""
     if located.tag is not None:
         place, tag = pixels(np.array([at, located.tag]))
         cv2.line(drawn, place.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
-        sentence += f"; its GPS tag, the white circle, lies {distance(located.error('registration') or 0.0)} from there"
+        sentence = f"Its GPS tag, the white circle, lies {distance(located.error('registration') or 0.0)} from there"
         if sign is None:
             sentence += ", more than the errors of both allow"
+        sentence += "."
     return LaidPhoto(
         overlays.data_uri(drawn, 85),
         sign,
         describe_offset(*at),
         None if shows_rendered(workspace.root) else MapCoordinate.on(basemap, at),
         answer.camera,
-        "" if own else f"{sentence}.",
+        any(PLACED_BY_TAGS in note for note in basemap.notes),
+        "" if own else sentence,
     )
 
 

@@ -267,7 +267,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert job is not None
         waiting = replace(analysis, own_photo=job)
         said = answer_text.plain_verdict(waiting, workspace)
-        assert job.value is not None or (said[0], said[1]) == (None, "Not known yet")
+        assert job.value is not None or (said[0], said[1]) == (None, "Being compared with the map")
         assert job.wait(60)
         assert changed.wait(60)
         return waiting, first_screen.page(waiting, workspace)
@@ -294,7 +294,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             "km from there, more than the errors of both",
         ),
         (refused, 0.0, None, "only its GPS tag says that your picture is of this place", "merely the most similar"),
-        (refused, 2e6, None, "Not on this map", "and its GPS tag lies 2,000 km from the nearest piece"),
+        (refused, 2e6, False, "Not on this map", "and its GPS tag lies 2,000 km from the nearest piece"),
     ):
         assert shown_before.registered is not None
         tag = np.array([10.0, -20.0 + north])

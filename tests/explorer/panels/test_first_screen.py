@@ -286,7 +286,7 @@ def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
         shown.append(function(state))
 
     restored: list[SessionState] = []
-    screen = first_screen.FirstScreen(gui, workspace, navigation, change, restored.append, lambda _: None)  # type: ignore[arg-type]
+    screen = first_screen.FirstScreen(gui, workspace, navigation, change, restored.append, None)  # type: ignore[arg-type]
     for action, tab in (("fails", "breakdown"), ("lab", "table")):
         screen.act(action)
         assert shown[-1] == restored[-1]
@@ -508,11 +508,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     page = first_screen.page(analyse(workspace, state), workspace)
     said = text(page)
     assert "a place that the model was not trained on" in said
-    assert "Right." in said
+    assert "✓ Right by its look." in said
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
-        "By its details, the photo fits the map where the frame is, to ± 1.0 m on it; its GPS tag, the white "
-        "circle, lies 16 m from there. The photo's middle lies at 30.171" in said
+        "✓ Placed by its details, ± 1.0 m on this map. Its GPS tag, the white circle, lies 16 m from there. The photo's middle "
+        "lies at 30.171" in said
     )
     assert page.count("data:image/jpeg") == 3
     assert "On the map, by" not in text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
@@ -537,32 +537,32 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     placed = next(i for i in errs if beliefs[i].sign)
     doubted = next(i for i in errs if beliefs[i].sign is None)
     for index, sign, headline in (
-        (placed, "✓", "Placed by its details."),
-        (doubted, "?", "Placed by its details, but its GPS tag disagrees."),
+        (placed, "✓", "Placed by its details, ± 1.0 m on this map."),
+        (doubted, "?", "Placed by its details, ± 1.0 m on this map, but its GPS tag disagrees."),
     ):
         for why in (False, True):
             said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))
-            assert (
-                f"{sign} {headline} Its look alone errs: the model compared 224 pieces of the map and chose a place "
-                in said
-            )
-            assert "✗ Wrong" not in said
+            assert "✗ Wrong by its look. The model compared 224 pieces of the map and chose a place " in said
+            assert f"{sign} {headline}" in said
+            assert ("GPS tag, the white circle, lies " in said) != why
     before = flight.frames[placed].stages["registration"]
     flight.frames[placed].stages["registration"] = StageRecord("refused", "Few agree.")
     flight.frames[placed].stages.pop("sequence", None)
     said = text(first_screen.page(analyse(workspace, replace(state, query=placed)), workspace))
-    assert "? Not placed. Its details fit nowhere for sure, so its look is a guess, which is wrong: the model" in said
+    assert "? Not placed, a best guess only. Its details fit nowhere for sure." in said
+    assert "✗ Wrong by its look." in said
     assert "The right one" in said
     # A photo that is graded by a place off all pieces.
     off = replace(analyse(workspace, replace(state, query=placed)), positive=None)
     nowhere = (
-        "the place that the photo is graded by lies on none of the 224 pieces of the map, so no answer counts as right."
+        "The place that the photo is graded by lies on none of the 224 pieces of the map, so no answer counts as right."
     )
     said = text(first_screen.page(off, workspace))
-    assert f"? Not placed. Its details fit nowhere for sure, so its look is a guess: {nowhere}" in said
+    assert f"? Not graded. {nowhere}" in said
     flight.frames[placed].stages["registration"] = before
     said = text(first_screen.page(off, workspace))
-    assert f"✓ Placed by its details. T{nowhere[1:]}" in said
+    assert f"? Not graded. {nowhere}" in said
+    assert "✓ Placed by its details" in said
     for query, sentence in ((right.index(True), "it lies elsewhere"), (right.index(False), "it lies on this piece")):
         shown = analyse(workspace, replace(state, query=query))
         assert "the map disagree" not in text(first_screen.page(shown, workspace))

@@ -34,8 +34,8 @@ def test_a_real_place_has_a_coordinate_and_a_day() -> None:
     workspace = workspace_of(DEMO_PLACE)
     html = place_text.place(workspace)
     assert text(html).startswith(
-        "The place is Caliterra in Dripping Springs, Texas (latitude 30.17117, longitude -98.08956: OpenStreetMap). "
-        "Map and photos are of 19 October 2014. The map is 186 m by 166 m"
+        "The program looks for it on one map of Caliterra in Dripping Springs, Texas, 186 m by 166 m, and knows no other "
+        "ground. The map's middle lies at latitude 30.17117, longitude -98.08956 (OpenStreetMap). Map and photos are of 19 Oct"
     )
     links = re.findall(r'<a href="(https://www\.openstreetmap[^"]*)" target="_blank" rel="noopener noreferrer"', html)
     assert links == ["https://www.openstreetmap.org/?mlat=30.171165&amp;mlon=-98.089561#map=18/30.171165/-98.089561"]
@@ -44,9 +44,8 @@ def test_a_real_place_has_a_coordinate_and_a_day() -> None:
 def test_a_rendered_place_has_no_coordinate() -> None:
     workspace = workspace_of(DEMO_FLIGHT)
     said = text(place_text.place(workspace))
-    assert said.startswith(
-        "This is no real place: map and photos are rendered. The map is of spring and the photos are of 14"
-    )
+    assert said.startswith("The program looks for it on one map, 720 m by 720 m, and knows no other ground.")
+    assert "This is no real place: map and photos are rendered. The map is of spring and the photos are of 14" in said
     assert "latitude" not in said
     assert place_text.place(cast(Any, SimpleNamespace(flight=None, basemap=None))) == ""
 
@@ -75,12 +74,13 @@ def test_the_judge_of_right_answers_is_named() -> None:
 
     same = workspace_of(DEMO_PLACE)
     same.flight.retrieval, same.choices = SimpleNamespace(sizes=np.array([26.0, 99.6])), place.choices
-    same.flight.late_tags = SimpleNamespace(lag=2.71)
+    same.flight.late_tags = SimpleNamespace(lag=2.71, median=15.2)
     same.opened = lambda: {"other": place}
     assert place_text.criterion(same, task) == (
-        "Right is a piece, 26 to 100 m wide, on which the photo's middle lies. GPS tags here lag by 2.7 s, so the judge is the "
-        "program's second method, which lays the photo's details over the map; nobody measured the places. Map and photos are "
-        "of the same day; where they are of different seasons (an autumn), the first answer is right 17 of 40 times."
+        "Right is a piece, 26 to 100 m wide, on which the photo's middle lies. GPS tags here lie 15 m off in the median, some of "
+        "which a lag of 2.7 s explains, so the judge is the program's second method, which lays the photo's details over the "
+        "map. "
+        "Where map and photos are of different seasons (an autumn), the first answer is right 17 of 40 times."
     )
 
 
