@@ -29,6 +29,7 @@ _SCRIPT = ";".join(
         "page.js",
         "viewport.js",
         "focus.js",
+        "enlarged.js",
         "glossary.js",
         "straighten.js",
         "stage.js",

@@ -188,6 +188,13 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     first.get_by_text("Another picture").tap()
     expect(first.locator(".pair")).not_to_have_attribute("data-query", before)
     expect(query).to_be_in_viewport(ratio=0.99)
+    large = page.locator("#lpn-large")
+    for close_large in (lambda: page.keyboard.press("Escape"), large.locator("img").tap, page.go_back):
+        query.tap()
+        expect(large.locator("img")).to_be_in_viewport(ratio=1)
+        close_large()
+        expect(large).to_have_count(0)
+        expect(query).to_be_focused()
     first.get_by_role("button", name="Glossary").tap()
     close = page.locator("#lpn-glossary button")
     expect(close).to_be_in_viewport(ratio=1)

@@ -113,6 +113,8 @@ interface Lpn {
   // Panels and windows, each in a file of its name.
   glossary: { open(): boolean };
   backClosesGlossary(): boolean;
+  enlargeable(picture: HTMLImageElement): void;
+  backClosesPicture(): boolean;
   straighten(): void;
   list(id: string, data: any, tries?: number): void;
   note(element: HTMLElement): void;

@@ -53,6 +53,7 @@
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
     const restoreFocus = keptFocus(page), restoreDetails = keptDetails(page);
     page.innerHTML = html;
+    for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img"))) lpn.enlargeable(picture);
     page.onclick = (event) => {
       const pressed = event.target.closest("[data-act]");
       if (!pressed || AT_ONCE.includes(pressed.dataset.act)) return;

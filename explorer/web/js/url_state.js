@@ -44,7 +44,7 @@
     waiting = null;
     actsAtBack = acts;
     search = location.search;
-    if (!quiet && !lpn.backClosesGlossary() && !lpn.backEndsStory()) lpn.send("back", search);
+    if (!quiet && !lpn.backClosesGlossary() && !lpn.backClosesPicture() && !lpn.backEndsStory()) lpn.send("back", search);
     quiet = false;
   });
   lpn.backQuietly = () => {

@@ -106,7 +106,7 @@
   });
 
   document.documentElement.addEventListener("keydown", (event) => {
-    if (!["Enter", " "].includes(event.key) || !event.target.matches?.('[role="button"]:is([onclick], [data-lpn-folder], [data-list])')) return;
+    if (!["Enter", " "].includes(event.key) || !event.target.matches?.('[role="button"]:is([onclick], [data-lpn-folder], [data-list], [data-large])')) return;
     event.preventDefault();
     event.stopPropagation();
     event.target.click();
