@@ -303,6 +303,13 @@ def resize_linear(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     return cast(UInt8Array, cv2.resize(picture, (width, height), interpolation=cv2.INTER_LINEAR_EXACT))
 
 
+def resize_bilinear(picture: UInt8Array, height: int, width: int) -> UInt8Array:
+    """Bilinear resize with anti-aliasing to (height, width, 3): Pillow's."""
+    if picture.shape[:2] == (height, width):
+        return picture
+    return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BILINEAR))
+
+
 def resize_area(picture: UInt8Array, height: int, width: int) -> UInt8Array:
     """Resize to (height, width, 3) by the mean over the area of each pixel: OpenCV's INTER_AREA, bilinear where it enlarges."""
     if picture.shape[:2] == (height, width):

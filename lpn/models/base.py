@@ -20,7 +20,12 @@ from lpn.models.contract import Contract, ForwardPass, Heads, Role, check_parts
 from lpn.models.spec import ModelSpec
 
 _CHUNK = 16
-_RESIZES = {"bicubic": pictures.resize, "linear": pictures.resize_linear, "area": pictures.resize_area}
+_RESIZES = {
+    "bicubic": pictures.resize,
+    "linear": pictures.resize_linear,
+    "area": pictures.resize_area,
+    "bilinear": pictures.resize_bilinear,
+}
 Floats = TypeVar("Floats", Float32Array, Float64Array)
 
 

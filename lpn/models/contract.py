@@ -24,7 +24,7 @@ from lpn.core.views import VIEWS, View
 from lpn.models.partition import Partition
 
 AccountLevel = Literal["exact", "exact, with held", "parts only", "one vector"]
-Resize = Literal["bicubic", "linear", "area"]
+Resize = Literal["bicubic", "linear", "area", "bilinear"]
 Mirror = Literal["sum", "none"]
 # Pixels of a side, and parts, numbers of a part, height, and width, far beyond any sensible network; a file that claims more
 # would take all memory.
@@ -51,8 +51,8 @@ class Contract:
         groups: the views that share weights; by default all in one group, or each in its own if branches have roles.
         roles: "view" if the view chooses the branch. "role" if one branch describes queries and the other the gallery, see
             `Model.for_task`; there are two views then.
-        resize: "bicubic" (Pillow's, anti-aliased), "linear" (OpenCV's INTER_LINEAR_EXACT, not anti-aliased), or "area" (OpenCV's
-            INTER_AREA, the mean over each pixel's area).
+        resize: "bicubic" (Pillow's, anti-aliased), "linear" (OpenCV's INTER_LINEAR_EXACT, not anti-aliased), "area" (OpenCV's
+            INTER_AREA, the mean over each pixel's area), or "bilinear" (Pillow's, anti-aliased).
         mean, std: of red, green, and blue, for values 0 .. 1.
         mirror: "sum" if the raw parts of the mirrored picture are added before normalisation.
         normalisation: "parts": each part has norm 1/sqrt(n), which is plain L2 for n = 1.

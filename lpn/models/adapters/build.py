@@ -40,6 +40,7 @@ from lpn.models.adapters.published import (
 )
 from lpn.models.adapters.qdfl import build_qdfl
 from lpn.models.adapters.recognise import Kind
+from lpn.models.adapters.salad import build_salad
 from lpn.models.adapters.sues import build_sues
 from lpn.models.contract import AccountLevel
 
@@ -290,5 +291,6 @@ _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "qdfl": build_qdfl,
     "mfrgn": build_mfrgn,
     "infogeo": build_infogeo,
+    "salad": build_salad,
     **{kind: partial(_one_vector, *of) for kind, of in _VECTORS.items()},
 }

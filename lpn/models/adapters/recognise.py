@@ -29,6 +29,7 @@ Kind = Literal[
     "mfrgn",
     "infogeo",
     "dmnil",
+    "salad",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 # A vision transformer has no parts of its own: a pooling by name makes them, see `lpn.models.token_pooling`.
@@ -86,6 +87,14 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
             "InfoGeo",
             (r"model\.backbone\.dino_model\.blocks\.", r"slot_mixvpr\.mix\.0\.", r"slot_mixvpr\.row_proj\.weight$"),
         ),
+    ),
+    (
+        "salad",
+        Signature("SALAD", (r"backbone\.model\.blocks\.", r"aggregator\.dust_bin$", r"aggregator\.cluster_features\.")),
+    ),
+    (
+        "salad",
+        Signature("MegaLoc", (r"backbone\.blocks\.", r"aggregator\.agg\.dust_bin$", r"aggregator\.linear\.weight$")),
     ),
     ("camp", Signature("CAMP", (r"model_1\.convnext\.", r"model_1\.pos_embed$"))),
     ("dac", Signature("DAC", (r"model_1\.convnext\.", r"model_1\.proj\.mlp\.0\.weight$"))),
@@ -151,6 +160,7 @@ _MARKS: tuple[tuple[str, tuple[Recognised, ...]], ...] = (
     (r"components\.(AQEU|classifier\d)\.", ("qdfl",)),
     (r"(transformer_H|proj_gl|proj_local)\.", ("mfrgn",)),
     (r"slot_mixvpr\.", ("infogeo",)),
+    (r"aggregator\.(agg\.)?(dust_bin$|cluster_features\.)", ("salad",)),
     (r"(.*\.)?(embeddings\.patch_embeddings?\.(projection\.)?weight|class_embedding)$", ("vit",)),
     (r"(?!(model[_\d]*|backbone)\.)(.*\.)?blocks\.0\.ls1\.gamma$", ("vit",)),
 )
@@ -276,7 +286,8 @@ def _refuse_mixed(keys: Collection[str], name: str) -> None:
     own = {kind: {key for key, kinds in marks if kind in kinds} for kind, _ in _fitting(keys)}
     # A kind that another one is built on is no second one.
     whole = [kind for kind, names in own.items() if not any(names < others for others in own.values())]
-    titles = {kind: signature.title for kind, signature in SIGNATURES} | {"vit": "a vision transformer"}
+    titles = {kind: signature.title for kind, signature in (*reversed(SIGNATURES), *_fitting(keys))}
+    titles["vit"] = "a vision transformer"
     shown = {kind: titles[kind] for kind in whole}
     for key, kinds in marks:
         if not set(kinds) & set(whole):

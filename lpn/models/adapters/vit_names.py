@@ -210,7 +210,7 @@ def read_vit(entries: Entries) -> VitTensors:
             state[key] = state[key].reshape(1, -1, state[key].shape[-1])
     if "reg_token" in state and not state["reg_token"].shape[1]:
         del state["reg_token"]
-    named = Entries(entries.name, state, entries.options, prefix, entries.read)
+    named = Entries(entries.name, state, entries.options, entries.prefix + prefix, entries.read)
     width = named.shape("patch_embed.proj.weight", 4)[0]
     if "pos_embed" not in state:
         if not form.rotary:

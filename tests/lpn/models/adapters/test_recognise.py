@@ -77,6 +77,10 @@ METHODS: dict[str, tuple[Recognised, Collection[str]]] = {
     ),
     "MFRGN": ("mfrgn", published_models.shapes_of("mfrgn_small")),
     "InfoGeo": ("infogeo", published_models.shapes_of("infogeo_small")),
+    "SALAD": (
+        "salad",
+        ["backbone.model.blocks.0.ls1.gamma", "aggregator.dust_bin", "aggregator.cluster_features.0.weight"],
+    ),
     "SDPL": ("sdpl", _names("model_1.model.conv1.weight", "model_1.shift_blocks.0.weight", heads="classifier0")),
     "LPN": ("lpn", _names("model_1.model.conv1.weight", "model_3.model.conv1.weight", heads="classifier0")),
     "SUES-200": ("sues200", _names("model_1.conv1.weight", "model_2.conv1.weight", heads="classifier", layers="0")),

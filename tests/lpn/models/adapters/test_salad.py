@@ -1,0 +1,127 @@
+"""SALAD and MegaLoc: their vector beside a reference in double precision, and its account."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+import lpn
+from lpn.core import images
+from lpn.core.errors import ModelFileError
+from lpn.models.export import export
+from lpn.models.trace import Trace
+from tools.fixtures import seeded
+from tools.fixtures.published_models import State, relative
+from tools.fixtures.small_vits import HEADS, PATCH, SMALL_VITS, WIDTH
+
+VIT = SMALL_VITS["DINOv2 of torch.hub"]
+HIDDEN, CLUSTERS, NUMBERS, TOKEN, OUT = 24, 5, 6, 7, 16
+SIZE = (6 * PATCH, 4 * PATCH)
+METHODS = {"SALAD": ("backbone.model.", "aggregator."), "MegaLoc": ("backbone.", "aggregator.agg.")}
+
+
+def checkpoint(method: str) -> State:
+    """A checkpoint of five clusters of six numbers; MegaLoc's linear layer gives 16 numbers."""
+    trunk, own = METHODS[method]
+    shapes: dict[str, list[int]] = {}
+    for name, second, out, ones in (
+        ("token_features", "2", TOKEN, []),
+        ("cluster_features", "3", NUMBERS, [1, 1]),
+        ("score", "3", CLUSTERS, [1, 1]),
+    ):
+        shapes |= {f"{own}{name}.0.weight": [HIDDEN, WIDTH, *ones], f"{own}{name}.0.bias": [HIDDEN]}
+        shapes |= {f"{own}{name}.{second}.weight": [out, HIDDEN, *ones], f"{own}{name}.{second}.bias": [out]}
+    if method == "MegaLoc":
+        shapes |= {"aggregator.linear.weight": [OUT, TOKEN + NUMBERS * CLUSTERS], "aggregator.linear.bias": [OUT]}
+    vit = {trunk + key: value for key, value in VIT.rename(VIT.tensors()).items()}
+    return vit | seeded.entries(shapes) | {f"{own}dust_bin": torch.tensor(0.7)}
+
+
+def reference(method: str, pictures: np.ndarray) -> Tensor:
+    """The vector of length 1, (B, D)."""
+    state, own = {key: value.double() for key, value in checkpoint(method).items()}, METHODS[method][1]
+    cells, token = VIT.answers(torch.from_numpy(pictures))
+    assert token is not None
+
+    def layers(name: str, second: str, values: Tensor) -> Tensor:
+        for number in ("0", second):
+            values = F.relu(values) if number == second else values
+            weight = state[f"{own}{name}.{number}.weight"].flatten(1)
+            values = values @ weight.T + state[f"{own}{name}.{number}.bias"]
+        return values
+
+    values, scores = layers("cluster_features", "3", cells), layers("score", "3", cells)
+    count = cells.shape[1]
+    kernel = torch.exp(torch.cat([scores, state[f"{own}dust_bin"].expand(len(pictures), count, 1)], 2))
+    mass = torch.tensor([1.0] * CLUSTERS + [count - CLUSTERS], dtype=torch.float64) / (count + CLUSTERS)
+    of_cells = torch.ones(len(pictures), count, dtype=torch.float64)
+    for _ in range(3):
+        of_clusters = mass / torch.einsum("bnm,bn->bm", kernel, of_cells)
+        of_cells = 1 / (count + CLUSTERS) / torch.einsum("bnm,bm->bn", kernel, of_clusters)
+    plan = (kernel * of_cells[:, :, None] * of_clusters[:, None] * (count + CLUSTERS))[:, :, :CLUSTERS]
+    clusters = F.normalize(torch.einsum("bnm,bnl->blm", plan, values), dim=1).flatten(1)
+    vector = F.normalize(torch.cat([F.normalize(layers("token_features", "2", token), dim=1), clusters], 1), dim=1)
+    if method == "MegaLoc":
+        vector = F.normalize(vector @ state["aggregator.linear.weight"].T + state["aggregator.linear.bias"], dim=1)
+    return vector
+
+
+def opened(folder: Path, state: State, size: tuple[int, int] = SIZE) -> lpn.Model:
+    (folder / "opts.yaml").write_text(f"h: {size[0]}\nw: {size[1]}\nheads: {HEADS}\n")
+    torch.save(state, folder / "model.ckpt")
+    return lpn.load(folder / "model.ckpt", "cpu")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_vector_is_that_of_the_equations_and_its_account_adds_up(method: str, tmp_path: Path) -> None:
+    model, pictures = opened(tmp_path, checkpoint(method)), seeded.pictures(40, 2, *SIZE)
+    contract = model.contract
+    assert (contract.method, contract.mirror, contract.resize) == (method, "none", "bilinear")
+    assert contract.claim == "exact, with the clusters' shares of each cell, and the lengths of the clusters held"
+    assert relative(model.descriptors(pictures, "drone")[:, 0], reference(method, pictures)) < 2e-5
+    for picture in pictures:
+        assert Trace.from_pass(model, model.run(picture[None], "drone"), "drone").errors().max() < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_an_export_gives_the_same_vector_and_account(method: str, tmp_path: Path) -> None:
+    opened(tmp_path, checkpoint(method))
+    export(tmp_path / "model.ckpt", tmp_path / "model.onnx")
+    exported, pictures = lpn.load(tmp_path / "model.onnx"), seeded.pictures(41, 2, *SIZE)
+    assert exported.contract.resize == "bilinear"
+    assert relative(exported.descriptors(pictures, "drone")[:, 0], reference(method, pictures)) < 2e-5
+    assert Trace.from_pass(exported, exported.run(pictures[:1], "drone"), "drone").errors().max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    ("lost", "message"),
+    [
+        ("aggregator.agg.score.3.bias", r"lacks aggregator\.agg\.score\.3\.bias"),
+        ("aggregator.agg.dust_bin", "entries of a method"),
+        ("aggregator.linear.bias", r"lacks aggregator\.linear\.bias"),
+        ("backbone.norm.bias", r"backbone\.norm\.bias"),
+    ],
+)
+def test_a_lost_entry_is_told(lost: str, message: str, tmp_path: Path) -> None:
+    state = {key: value for key, value in checkpoint("MegaLoc").items() if key != lost}
+    with pytest.raises(ModelFileError, match=message):
+        opened(tmp_path, state)
+
+
+def test_pictures_need_more_cells_than_there_are_clusters(tmp_path: Path) -> None:
+    with pytest.raises(ModelFileError, match="has 5 clusters, and pictures of 8 x 8 have 4 cells; set h and w"):
+        opened(tmp_path, checkpoint("SALAD"), (2 * PATCH, 2 * PATCH))
+
+
+def test_the_resize_is_pillows_with_anti_aliasing() -> None:
+    picture = np.zeros((4, 4, 3), np.uint8)
+    picture[:, 0] = 240
+    # Each new column weighs the three old ones around it by the triangle of twice the width.
+    assert images.resize_bilinear(picture, 2, 2)[0, :, 0].tolist() == [103, 0]
+    assert images.resize_bilinear(picture, 4, 4) is picture
