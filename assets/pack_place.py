@@ -57,7 +57,7 @@ def main() -> None:
         file = part / map_name / f"{map_name}.tif"
         write_atomic(file, small_map(Path(folder) / "map" / "map.tif"))
         place = replace(PLACE, photographed=large.place.photographed)
-        write_own_map(file, file.parent, large.notes, place=place).close()
+        write_own_map(file, file.parent, large.notes, place=place, error=large.error).close()
         for file in files[1::2]:
             write_atomic(part / photos_name / f"{file.stem}.webp", small_photo(file))
         shutil.copyfile(licence, part / licence.name)

@@ -14,7 +14,7 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import TAG_RADIUS, Disagreement
+from lpn.locate.belief import TAG_RADIUS, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import RIGHT_CALIBRATION
@@ -120,9 +120,12 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
     for i, (located, verdict) in enumerate(zip(view.flight.frames, view.beliefs, strict=True)):
         if verdict.stage is None:
             continue
-        error, radius = located.error(verdict.stage), located.stages[verdict.stage].radius
+        answer = located.stages[verdict.stage]
+        error, radius = located.error(verdict.stage), answer.radius
         words = [] if error is None else [f"{error:.1f} m"]
-        words.append(say(verdict.stage) + (", not verified" if radius is None else f", ± {radius:.1f} m on this map"))
+        words.append(
+            say(verdict.stage) + (", not verified" if radius is None else f", ± {radius:.1f} m {on_what(answer)}")
+        )
         if not verdict.sign and verdict.stage == "registration":
             words.append("contradicted")
         order = -math.inf if error is None else error, radius or 0.0
@@ -177,17 +180,22 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
         lines.append(AccuracyLine("GPS tags", f"{audit.median:.1f} m", _tags(audit)))
     if (radii := _radii(view.flight, known)) is not None:
         lines.append(radii)
+    if known.place_error is not None:
+        return f"± {known.radius:.1f} m on earth, as far as the map’s tags do not all err alike.", lines
     return f"± {known.radius:.1f} m on this map; {on_earth}.", lines
 
 
 def _on_map(known: FlightAccuracy) -> AccuracyLine:
-    source = f"1-sigma radius, the median of {known.photos} photos."
+    source, radius = f"1-sigma radius, the median of {known.photos} photos.", known.radius
     if known.details is not None and known.map_error:
+        assumed = math.sqrt(known.map_error**2 - (known.place_error or 0.0) ** 2)
         source += (
-            f" The scatter of the details gives ± {known.details:.1f} m, and ± {known.map_error:.1f} m are assumed for the "
+            f" The scatter of the details gives ± {known.details:.1f} m, and ± {assumed:.1f} m are assumed for the "
             "map, whose places nobody measured."
         )
-    return AccuracyLine("On this map", f"± {known.radius:.1f} m", source)
+        if known.place_error is not None:
+            radius = math.hypot(known.details, assumed)
+    return AccuracyLine("On this map", f"± {radius:.1f} m", source)
 
 
 def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, AccuracyLine]:
@@ -197,9 +205,10 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
             "The map itself", "", "It is rendered, and shows no real place."
         )
     if known.map_source:
+        value = "" if known.place_error is None else f"± {known.place_error:.1f} m"
         return (
             "on earth no better than the GPS tags that the map was made by",
-            AccuracyLine("The map itself", "", known.map_source),
+            AccuracyLine("The map itself", value, known.map_source),
         )
     return (
         "on earth as good as the map’s georeference, which nothing here checks",

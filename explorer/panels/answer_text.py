@@ -15,7 +15,7 @@ from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
-from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements
+from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements, on_what
 from lpn.locate.located import LocatedFrame
 from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
@@ -201,7 +201,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
             return False, "Not on this map", f"{off}. {merely}"
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
     sign = belief(own.located, disagreements([own.located])).sign
-    fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m"
+    fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         fits += f"; its GPS tag lies {distance(error)} from there"
     against = "" if sign else ", more than the errors of both allow, so one of the two is wrong"

@@ -79,7 +79,7 @@ class LaidPhoto:
         offset: where the place lies on the map, in words.
         coordinate: the place; None on a rendered map.
         camera: whether the place is the camera's, and not that of the picture's middle.
-        by_tags: whether the map's own place on earth is that of the GPS tags of photos.
+        by_tags: whether the map's own place on earth is that of the GPS tags of photos, whose error is not known.
         sentence: how far its GPS tag lies from there; "" without one, and for an own photo, whose verdict says it.
     """
 
@@ -425,7 +425,7 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         describe_offset(*at),
         None if shows_rendered(workspace.root) else MapCoordinate.on(basemap, at),
         answer.camera,
-        any(PLACED_BY_TAGS in note for note in basemap.notes),
+        not answer.on_earth and any(PLACED_BY_TAGS in note for note in basemap.notes),
         "" if own else sentence,
     )
 

@@ -269,7 +269,8 @@ class EvaluationOfFlight:
     prior: float | None = None
     """Metres around each frame's own position that it is registered in without --model; by default the whole map."""
     map_error: float | None = None
-    """1-sigma error of the map's places in metres, part of the radii; by default 3 pixels, at least 1 m."""
+    """1-sigma error of the map's places in metres, part of the radii; by default 3 pixels, at least 1 m, and
+    what the map tells of itself."""
     tags: Literal["told", "corrected"] = "told"
     """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds."""
     register: bool = True

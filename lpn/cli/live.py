@@ -53,7 +53,8 @@ class LiveInput:
     speed: float = 10.0
     """Metres a second that the flight moves, one standard deviation."""
     map_error: float | None = None
-    """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at least 1 m."""
+    """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at
+    least 1 m, and what the map tells of itself."""
     fov: float | None = None
     """Horizontal field of view in degrees, for frames of videos, cameras, and streams."""
     idle: float | None = None

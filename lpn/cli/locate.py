@@ -54,7 +54,8 @@ class LocateCommand:
     prior: float | None = None
     """Metres around each frame's own position that registration searches without a model; by default the whole map."""
     map_error: float | None = None
-    """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at least 1 m."""
+    """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at
+    least 1 m, and what the map tells of itself."""
     size: tuple[float, ...] | None = None
     """Sides of the map's windows in metres; by default chosen from heights and fields of view."""
     speed: float | None = None

@@ -122,7 +122,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
     registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
     why = "" if registration is None else registration.sentence
     if registration is not None and registration.accepted:
-        headline = f"Placed by its details, ± {registration.radius or 0:.1f} m on this map"
+        headline = f"Placed by its details, ± {registration.radius or 0:.1f} m {on_what(registration)}"
         error = located.error("registration")
         beside = "" if error is None else f" It lies {error:.1f} m from the tag."
         against = {one.other: one for one in contradictions if one.one == "registration"}
@@ -145,6 +145,11 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
         refused = _first_refusal(registration, sequence)
         return Belief(None, "Not placed, a best guess only", refused or retrieval.sentence, "retrieval")
     return Belief(False, "Not located", _first_refusal(registration, sequence, retrieval) or "No stage has an answer.")
+
+
+def on_what(answer: StageRecord) -> str:
+    """Return what the radius of an answer refers to: this map, or earth, where the map tells the error of its place."""
+    return "on earth" if answer.on_earth else "on this map"
 
 
 def _first_refusal(*answers: StageRecord | None) -> str:

@@ -59,6 +59,7 @@ class StageRecord(msgspec.Struct, frozen=True):
         homography: from pixels to metres, 9 numbers by rows.
         unverified: whether it is refused for one reason alone: nothing shows that the map is of this place.
         pose: of the camera; None where the matches do not tell it.
+        on_earth: whether the radius holds the error of the map's place on earth, as the map tells it.
     """
 
     state: State
@@ -74,6 +75,7 @@ class StageRecord(msgspec.Struct, frozen=True):
     homography: list[float] | None = None
     unverified: bool = False
     pose: CameraPose | None = None
+    on_earth: bool = False
 
     @property
     def accepted(self) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.flights import ground_width
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame
 
 # Share of the views that fit a map of another place by chance, and the log odds that exceed it.
 _CHANCE, _EVIDENCE = 0.2, 4.0
@@ -27,7 +27,9 @@ _FEWEST = 5
 _APART = 0.25
 
 
-def refuse_unproven(frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float]) -> list[str]:
+def refuse_unproven(
+    frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float], map_error: float = 0.0
+) -> list[str]:
     """Refuse the accepted registrations of a flight unless something shows that the map is of its place; return a sentence.
 
     It is shown by tags of half of the frames on the map, by a correction, by an accepted answer of the sequence, by the number
@@ -36,11 +38,12 @@ def refuse_unproven(frames: Sequence[LocatedFrame], bounds: tuple[float, float, 
     Args:
         frames: their registrations are replaced.
         bounds: x0, y0, x1, y1 of the map in metres.
+        map_error: 1-sigma error of the map in metres that the radii hold; it moves all photos alike.
     """
     registered = [located for located in frames if _registered(located)]
     if len(frames) < _FEWEST or not registered or _known(frames, bounds):
         return []
-    views = _views(frames)
+    views = _views(frames, map_error)
     # Further photos of a view are no further chances.
     chances = len(frames) - len(registered) + len(views)
     if -_log_chance(len(views), chances) >= _EVIDENCE:
@@ -100,21 +103,20 @@ def _middle(located: LocatedFrame) -> Float64Array:
     return np.array([answer.x, answer.y]) if answer.homography is None else located.middle(answer)
 
 
-def _views(frames: Sequence[LocatedFrame]) -> list[int]:
+def _views(frames: Sequence[LocatedFrame], map_error: float) -> list[int]:
     """Return the numbers of registered frames that show a view which no earlier one of them does."""
-    views: list[tuple[int, Float64Array, StageRecord]] = []
+    views: list[tuple[int, Float64Array, float, float]] = []
     for i, located in enumerate(frames):
         if not _registered(located):
             continue
         middle, answer = _middle(located), located.stages["registration"]
-        if all(np.linalg.norm(middle - other) > _least_apart(answer, seen) for _, other, seen in views):
-            views.append((i, middle, answer))
+        width, radius = answer.width or 0.0, math.sqrt(max((answer.radius or 0.0) ** 2 - map_error**2, 0.0))
+        if all(
+            np.linalg.norm(middle - place) > max(_APART * max(width, wide), radius + wrong)
+            for _, place, wide, wrong in views
+        ):
+            views.append((i, middle, width, radius))
     return [i for i, *_ in views]
-
-
-def _least_apart(one: StageRecord, other: StageRecord) -> float:
-    """Return the metres between middles up to which two pictures are of one view."""
-    return max(_APART * max(one.width or 0.0, other.width or 0.0), (one.radius or 0.0) + (other.radius or 0.0))
 
 
 def _log_chance(count: int, chances: int) -> float:

@@ -78,5 +78,5 @@ def register_own_photo(
     search = PhotoSearch(
         basemap, features, located, plain, LocateOptions(), side=side, on_progress=on_progress, anywhere=True
     )
-    located.stages["registration"] = with_map_error(register_photo(search), map_error)
+    located.stages["registration"] = with_map_error(register_photo(search), map_error, basemap.tells(map_error))
     return OwnPhoto(located, whole_map)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -141,7 +142,7 @@ def registered(
     )
     if located.retrieval is not None:
         confirm_sequence(frames, float(np.median(located.retrieval.sizes)), located.basemap.bounds)
-    notes += refuse_unproven(frames, located.basemap.bounds)
+    notes += refuse_unproven(frames, located.basemap.bounds, map_error)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
@@ -149,7 +150,10 @@ def registered(
     tags = tag_positions(frames)
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
     if any(answer.accepted and answer.radius is not None for answer in answers):
-        notes.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself.")
+        by_tags = (
+            f", {located.basemap.error:.1f} m by the tags that place it" if located.basemap.tells(map_error) else ""
+        )
+        notes.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself{by_tags}.")
     moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
     if options.tags == "corrected":
         notes.append(
@@ -169,8 +173,11 @@ def registered(
 
 
 def default_map_error(basemap: Map) -> float:
-    """Return the 1-sigma error in metres along each axis that a map's places count with: 3 pixels, and at least 1 m."""
-    return max(_MAP_METRES, _MAP_PIXELS * basemap.resolution)
+    """Return the 1-sigma error in metres along each axis that a map's places count with.
+
+    It is 3 pixels, and at least 1 m; the error that the map tells of itself is added in quadrature.
+    """
+    return math.hypot(max(_MAP_METRES, _MAP_PIXELS * basemap.resolution), basemap.error or 0.0)
 
 
 def _corrected_note(audit: TagAudit) -> str:

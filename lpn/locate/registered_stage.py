@@ -104,7 +104,8 @@ def register_frames(
             answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading)
             records.append(trail, answer)
         answers.append(answer)
-        located.stages["registration"] = with_map_error(answer, options.map_error or 0.0)
+        map_error = options.map_error or 0.0
+        located.stages["registration"] = with_map_error(answer, map_error, basemap.tells(map_error))
         if answer.accepted and answer.width is not None:
             heading = answer.heading
             widths.append(answer.width)
@@ -157,7 +158,8 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
             continue
         for (located, answer, *_), spread, height in zip(of_cameras, spreads, heights, strict=True):
             radius = math.hypot(spread, height * math.tan(math.radians(degrees)))
-            located.stages["registration"] = with_map_error(msgspec.structs.replace(answer, radius=radius), map_error)
+            changed, on_earth = msgspec.structs.replace(answer, radius=radius), located.stages["registration"].on_earth
+            located.stages["registration"] = with_map_error(changed, map_error, on_earth)
         notes.append(
             f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "
             f"{COMMON * told:.2g} degrees for an error that frames have in common, which scatter does not show, radii count with "
@@ -166,8 +168,12 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
     return notes
 
 
-def with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
-    """Add the map's error to an answer's radius, and tell the radius of an accepted one."""
+def with_map_error(answer: StageRecord, map_error: float, on_earth: bool) -> StageRecord:
+    """Add the map's error to an answer's radius, and tell the radius of an accepted one.
+
+    Args:
+        on_earth: see `Map.tells`.
+    """
     if answer.radius is None:
         return answer
     radius = math.hypot(answer.radius, map_error)
@@ -176,7 +182,7 @@ def with_map_error(answer: StageRecord, map_error: float) -> StageRecord:
         place = "camera's place" if answer.camera else "picture's middle"
         sentence += f" The error of the {place} on the map is ± {radius:.1f} m (1 sigma)"
         sentence += f", with ± {map_error:.1f} m for the map itself." if map_error else "."
-    return msgspec.structs.replace(answer, radius=radius, sentence=sentence)
+    return msgspec.structs.replace(answer, radius=radius, sentence=sentence, on_earth=on_earth)
 
 
 def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:

@@ -24,10 +24,11 @@ class FlightAccuracy:
 
     Attributes:
         photos: placed ones, whose stage tells a radius.
-        radius: median of their 1-sigma radii in metres, on this map.
+        radius: median of their 1-sigma radii in metres; on earth if there is a `place_error`, else on this map.
         details: median of the radii in metres that the scatter of the details alone gives, without the map's error; None where
             no photo is registered, or the map's error is not known.
         map_error: 1-sigma error in metres that counts for the map's own places; None where it is not known.
+        place_error: the part of it that the map tells of its place on earth; None if it does not, or radii do not hold it.
         map_source: sentence of the map about the GPS tags that its georeference comes from; "" if it comes from elsewhere.
     """
 
@@ -35,6 +36,7 @@ class FlightAccuracy:
     radius: float
     details: float | None
     map_error: float | None
+    place_error: float | None
     map_source: str
 
 
@@ -59,6 +61,7 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
         median(radii),
         median(details) if details else None,
         flight.map_error,
+        flight.basemap.error if flight.map_error is not None and flight.basemap.tells(flight.map_error) else None,
         source[source.find(PLACED_BY_TAGS) :],
     )
 

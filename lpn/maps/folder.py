@@ -11,6 +11,7 @@ Other sheets are read where they are: map.json names them relative to its own fo
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Callable, Sequence
@@ -94,6 +95,7 @@ class MapRecord(msgspec.Struct, frozen=True):
         elevation: of `sheets/elevation.tif`; None without one.
         place: what is known about the place beyond its georeference.
         trials: of single photos on the map; None without.
+        error: see `Map`.
     """
 
     format: str
@@ -105,6 +107,7 @@ class MapRecord(msgspec.Struct, frozen=True):
     elevation: ElevationRecord | None = None
     place: MapPlace | None = None
     trials: SinglePhotoTrials | None = None
+    error: float | None = None
 
 
 def build_map(
@@ -151,6 +154,7 @@ def write_own_map(
     on_progress: Callable[[str], None] = lambda _: None,
     heights: ElevationSource | None = None,
     place: MapPlace | None = None,
+    error: float | None = None,
 ) -> Map:
     """Write the folder of a map whose one sheet lies in the folder itself, and return the map.
 
@@ -159,13 +163,14 @@ def write_own_map(
         notes: sentences about how the sheet was made, which commands that read the map print.
         heights: of the map's ground; they are copied into the folder.
         place: what is known about the map's place; it is checked.
+        error: see `Map`.
 
     Raises:
         DataError: if the file cannot be read, or has no valid pixel, or the heights cover less than half of what it shows.
         OutputError: if the folder cannot be written.
     """
     place = None if place is None else checked_place(place)
-    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes, heights, place)
+    return _build([file], out, MapOptions(keep_borders=True), set(), on_progress, notes, heights, place, error)
 
 
 def _build(
@@ -177,6 +182,7 @@ def _build(
     notes: Sequence[str] = (),
     heights: ElevationSource | None = None,
     map_place: MapPlace | None = None,
+    error: float | None = None,
 ) -> Map:
     """Write the folder of a map whose place is checked; `earlier` are the names in `sheets/` that it may replace."""
     places = [None if is_tile_set(file) else georeference(file, options) for file in files]
@@ -205,7 +211,7 @@ def _build(
         kept.add(_ELEVATION)
     for name in (earlier | planned) - kept:
         (out / _SHEETS / name).unlink(missing_ok=True)
-    whole = Map(files[0].stem, sheets, place=map_place)
+    whole = Map(files[0].stem, sheets, place=map_place, error=error)
     on_progress("Looking where the map has data.")
     if not whole.coverage().any():
         raise DataError(f"{printable(whole.name)} has no valid pixel; expected a map.")
@@ -222,7 +228,12 @@ def _build(
     records = [_record(sheet, out) for sheet in whole.sheets]
     written = sorted(name for name in kept if (out / _SHEETS / name).exists())
     frame = whole.frame
-    _write(out, MapRecord(FORMAT, whole.name, frame.latitude, frame.longitude, records, written, elevation, map_place))
+    _write(
+        out,
+        MapRecord(
+            FORMAT, whole.name, frame.latitude, frame.longitude, records, written, elevation, map_place, error=error
+        ),
+    )
     return whole
 
 
@@ -245,7 +256,8 @@ def open_folder(folder: Path) -> Map:
         raise DataError(f"{file_name} is damaged: {error}") from error
     if record.trials is not None and not record.trials.possible:
         raise DataError(f"{file_name} is damaged: its trials accepted more photos than were tried.")
-    return Map(record.name, sheets, frame, shares, _opened_elevation(folder, record.elevation), place, record.trials)
+    elevation = _opened_elevation(folder, record.elevation)
+    return Map(record.name, sheets, frame, shares, elevation, place, record.trials, record.error)
 
 
 def add_trials(folder: Path, trials: SinglePhotoTrials) -> None:
@@ -268,7 +280,8 @@ def _read(folder: Path) -> MapRecord:
         raise DataError(
             f"{file_name} is damaged, or no map; write the map again with lpn map, in a new folder."
         ) from error
-    if not (abs(record.latitude) <= 90 and abs(record.longitude) <= 180):
+    placed = abs(record.latitude) <= 90 and abs(record.longitude) <= 180
+    if not placed or not 0 <= (record.error or 0.0) < math.inf:
         raise DataError(f"{file_name} is damaged; write the map again with lpn map, in a new folder.")
     return record
 

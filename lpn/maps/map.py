@@ -63,6 +63,7 @@ class Map:
         elevation: as given.
         place: as given; empty for None.
         trials: as given.
+        error: 1-sigma error of its places in metres along each axis, as far as the map itself tells it; None if it does not.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -77,8 +78,10 @@ class Map:
         elevation: Elevation | None = None,
         place: MapPlace | None = None,
         trials: SinglePhotoTrials | None = None,
+        error: float | None = None,
     ) -> None:
-        self.name, self.elevation, self.place, self.trials = name, elevation, place or MapPlace(), trials
+        self.name, self.elevation, self.place = name, elevation, place or MapPlace()
+        self.trials, self.error = trials, error
         self.frame = frame or _frame_of(sheets)
         for sheet in sheets:
             sheet.locate(self.frame)
@@ -117,6 +120,10 @@ class Map:
         """Sentences about how the sheets and the elevation are read."""
         notes = [note for sheet in self.sheets for note in sheet.raster.notes]
         return notes + ([] if self.elevation is None else self.elevation.notes)
+
+    def tells(self, error: float) -> bool:
+        """Return whether an error of the map in metres, 1 sigma, holds that of its place on earth, as the map tells it."""
+        return self.error is not None and error >= self.error
 
     def heights(self, xy: Float64Array) -> Float64Array:
         """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).

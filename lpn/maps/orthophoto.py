@@ -1,7 +1,8 @@
 """A map from a flight's own photos: an orthophoto by pyOrthomosaic (the extra `orthophoto`), in the folder of a map.
 
 Photos are laid side by side as if the ground were a plane. Place, turn, and scale are fitted to the GPS tags, so the map is as
-good as these are together, and no better: an error that all tags share is one of the map.
+good as these are together, and no better: an error that all tags share is one of the map. `place_error` is the part that they do
+not share.
 """
 
 from __future__ import annotations
@@ -31,6 +32,9 @@ from lpn.maps.place import MapPlace, checked_place
 
 # Photos that a map needs at least, and the names that a sentence lists.
 _LEAST, _NAMED = 3, 5
+# Groups of consecutive photos that are left out by turns, and residuals of tags that count: up to so many metres, or multiples of
+# the median, as the library has it.
+_BLOCKS, _FAR, _OUTLIER = 5, 9.0, 4.45
 # Side of the coarsest overview in pixels.
 _COARSEST = 512
 # Lines of the library's log that tell how far it is, by their beginnings, and the sentence for each.
@@ -53,7 +57,7 @@ def build_from_photos(
     """Make an orthophoto of photos that look straight down, write it as the folder of a map, and return the map.
 
     Args:
-        photos: files with GPS tags in their EXIF.
+        photos: files with GPS tags in their EXIF, in the order of the flight.
         tags: latitude and longitude of each in degrees, (N, 2); NaN without one.
         out: the folder, which must not be there; it appears when all is written.
         on_progress: called with a sentence at each step, which has its number.
@@ -89,8 +93,10 @@ def build_from_photos(
         file.with_name(f"{name}_report.json").unlink()
         on_progress(f"Making overviews of {printable(file.name)}.")
         _make_overviews(file)
-        notes = [*_left_out(report), _limits(report, photos, tags)]
-        write_own_map(file, part, notes, on_progress, heights, place).close()
+        middles, known = _middles_and_tags(report, photos, tags)
+        own = place_error(middles, known)
+        notes = [*_left_out(report), _limits(report["images_used"], middles, known, own)]
+        write_own_map(file, part, notes, on_progress, heights, place, own).close()
         try:
             os.replace(part, out)
         except OSError as error:
@@ -194,8 +200,10 @@ def _left_out(report: dict[str, Any]) -> list[str]:
     ]
 
 
-def _limits(report: dict[str, Any], photos: Sequence[Path], tags: Float64Array) -> str:
-    """Say how far the map can be relied on: the metres from each photo's tag to its middle on the map."""
+def _middles_and_tags(
+    report: dict[str, Any], photos: Sequence[Path], tags: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return the middles of the map's photos and their tags, (N, 2) each, in metres of its coordinate reference system."""
     middles, places = [], []
     library = _gdal.rasterio()
     for photo, tag in zip(photos, tags, strict=True):
@@ -209,12 +217,51 @@ def _limits(report: dict[str, Any], photos: Sequence[Path], tags: Float64Array) 
         middles.append(np.array(camera["affine"]) @ [(width - 1) / 2, (height - 1) / 2, 1.0])
         places.append(tag)
     latitudes, longitudes = np.array(places).T
-    metres = np.stack(
-        library.warp.transform("EPSG:4326", f"EPSG:{report['epsg']}", longitudes.tolist(), latitudes.tolist()), axis=1
+    metres = library.warp.transform("EPSG:4326", f"EPSG:{report['epsg']}", longitudes.tolist(), latitudes.tolist())
+    return np.array(middles), np.stack(metres, axis=1)
+
+
+def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
+    """Return how far the tags leave the places of a map open: the 1-sigma error in metres along each axis.
+
+    A similarity takes the middles to the tags. It is fitted again without each of five groups of consecutive photos, and the
+    places that it gives then scatter (jackknife of blocks; Kuensch, 1989). Blocks keep the errors together that tags next to
+    each other share, such as those of a receiver that lags along a leg. An error that all tags share is not seen.
+
+    Args:
+        middles: of the photos on the map in the order of the flight, metres, (N, 2).
+        tags: of the same photos, metres, (N, 2). One far off the others' residuals does not count.
+
+    Returns:
+        The root mean square over the middles; None with fewer than five tags, or where all are of one place.
+    """
+    residuals = np.hypot(*(tags - middles).T)
+    kept = residuals <= max(_FAR, _OUTLIER * float(np.median(residuals)))
+    z, w = ((places[kept] @ (1, 1j)) for places in (middles, tags))
+    if len(z) < _BLOCKS:
+        return None
+    placed = []
+    for block in np.array_split(np.arange(len(z)), _BLOCKS):
+        p, q = np.delete(z, block), np.delete(w, block)
+        spread = (np.abs(p - p.mean()) ** 2).sum()
+        if spread == 0:
+            return None
+        turn = (np.conj(p - p.mean()) * (q - q.mean())).sum() / spread
+        placed.append(q.mean() + turn * (z - p.mean()))
+    off = np.array(placed) - np.mean(placed, axis=0)
+    return float(np.sqrt((_BLOCKS - 1) / _BLOCKS * (np.abs(off) ** 2).sum(axis=0).mean() / 2))
+
+
+def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float | None) -> str:
+    """Say how far the map can be relied on: the metres from each photo's tag to its middle on the map, and its error."""
+    off = np.hypot(*(middles - tags).T)
+    open_places = (
+        "These are too few to tell its error."
+        if error is None
+        else f"Without a fifth of them its places move: their error is ± {error:.1f} m (1 sigma) along each axis."
     )
-    off = np.hypot(*(np.array(middles) - metres).T)
     return (
-        f"The map is made of {report['images_used']} photos as if the ground were flat, so what stands on it leans. Place and "
+        f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. Place and "
         f"scale are those of the GPS tags, which lie {np.median(off):.1f} m from the photos' middles on it in the median, "
-        f"{off.max():.1f} m at most."
+        f"{off.max():.1f} m at most. {open_places}"
     )

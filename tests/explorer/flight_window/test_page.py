@@ -171,6 +171,12 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     assert known[0].endswith("on earth no better than the GPS tags that the map was made by.")
     assert known[1][1].source == "Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
     assert PLACED_BY_TAGS in (DEMO_PLACE[0] / "map.json").read_text("utf-8")
+    monkeypatch.setattr(flight.basemap, "error", 0.6)
+    known = flight_text.accuracy(view_of(replace(flight, map_error=0.8)))
+    assert known is not None
+    assert known[0] == "± 1.0 m on earth, as far as the map’s tags do not all err alike."
+    assert [line.figure for line in known[1][:2]] == ["± 0.8 m", "± 0.6 m"]
+    assert "details gives ± 0.6 m, and ± 0.5 m are assumed for the map" in known[1][0].source
 
 
 @pytest.mark.usefixtures("plainly")

@@ -511,7 +511,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "✓ Right by its look." in said
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
-        "✓ Placed by its details, ± 1.0 m on this map. Its GPS tag, the white circle, lies 16 m from there. The photo's middle "
+        "✓ Placed by its details, ± 6.1 m on earth. Its GPS tag, the white circle, lies 16 m from there. The photo's middle "
         "lies at 30.171" in said
     )
     assert page.count("data:image/jpeg") == 3
@@ -532,13 +532,15 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "and nobody measured where they really are. Of 68 photos of other places, none was placed on this map." in said
     )
     # The first screen, its reasons, and the flight window say the same of each photo.
+    placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
+    of_doubted = flight.frames[doubted]
+    assert of_doubted.tag is not None
+    of_doubted.tag = of_doubted.tag + 100
     beliefs = FlightView.of(flight, {}, "").beliefs
-    errs = [i for i, was_right in enumerate(right) if not was_right]
-    placed = next(i for i in errs if beliefs[i].sign)
-    doubted = next(i for i in errs if beliefs[i].sign is None)
+    assert (beliefs[placed].sign, beliefs[doubted].sign) == (True, None)
     for index, sign, headline in (
-        (placed, "✓", "Placed by its details, ± 1.0 m on this map."),
-        (doubted, "?", "Placed by its details, ± 1.0 m on this map, but its GPS tag disagrees."),
+        (placed, "✓", "Placed by its details, ± 6.1 m on earth."),
+        (doubted, "?", "Placed by its details, ± 6.1 m on earth, but its GPS tag disagrees."),
     ):
         for why in (False, True):
             said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))

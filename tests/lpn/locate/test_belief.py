@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -56,6 +57,8 @@ def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
     assert belief(good).sign is True
     assert belief(good).headline == "Placed by its details, ± 1.0 m on this map"
     assert belief(good).reason == "Matches agree. It lies 3.0 m from the tag."
+    told = msgspec.structs.replace(registration(3.0), on_earth=True)
+    assert belief(located(registration=told)).headline == "Placed by its details, ± 1.0 m on earth"
     bad = located(registration=registration(60.0), sequence=sequence(50.0))
     found = belief(bad, disagreements([bad]))
     assert found.sign is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from dataclasses import replace
@@ -14,10 +15,12 @@ from PIL import Image
 
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
+from lpn.core.errors import DataError
 from lpn.flights import photos_of
 from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import locate
+from lpn.locate.pipeline import default_map_error, locate
 from lpn.maps import LocalFrame, Window, open_map
+from lpn.maps.orthophoto import place_error
 from tests.lpn.maps.small_maps import write_geotiff
 from tools.fixtures.photos import exif, write_photo
 
@@ -75,7 +78,14 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     assert list((tmp_path / "maps").iterdir()) == [out]
     made = open_map(out)
     assert made.resolution == pytest.approx(PIXEL, rel=0.02)
-    assert any("Place and scale are those of the GPS tags" in note for note in made.notes)
+    assert made.error is not None
+    assert made.error < 0.2
+    assert any(f"their error is ± {made.error:.1f} m (1 sigma)" in note for note in made.notes)
+    assert default_map_error(made) == pytest.approx(math.hypot(1.0, made.error))
+    record = (out / "map.json").read_text()
+    (out / "map.json").write_text(record.replace(f'"error": {made.error}', '"error": -1'))
+    with pytest.raises(DataError, match="is damaged"):
+        open_map(out)
     east, north = made.frame.xy([48.0], [9.0])[0]
     np.testing.assert_allclose(made.heights(made.frame.xy([48.0, 48.0], [9.0, 9.0005])), [309.95, 310.45], atol=0.01)
     read, valid = made.read(Window(float(east), float(north), 60.0), 300)
@@ -83,6 +93,34 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     shown = picture[300:600, 300:600, 0].astype(float)
     agreement = np.corrcoef(cv2.GaussianBlur(shown, (0, 0), 3).ravel(), read[..., 0].astype(float).ravel())[0, 1]
     assert agreement > 0.8
+
+
+@pytest.mark.parametrize("lag", [0.0, 6.0])
+def test_the_error_of_a_map_is_that_of_its_place_by_the_tags(lag: float) -> None:
+    """A flight of six legs there and back, 300 times, with tags that err by themselves, and by the same along each leg."""
+    rng = np.random.default_rng(3)
+    leg, step = np.divmod(np.arange(48), 8)
+    truth = np.stack([20.0 * np.where(leg % 2, 7 - step, step), 25.0 * leg], axis=1)
+    wrong, told = [], []
+    for _ in range(300):
+        tags = truth + rng.normal(0, 3, truth.shape) + lag * rng.normal(size=(6, 2))[leg]
+        z, w = truth @ (1, 1j), tags @ (1, 1j)
+        turn = (np.conj(z - z.mean()) * (w - w.mean())).sum() / (np.abs(z - z.mean()) ** 2).sum()
+        placed = w.mean() + turn * (z - z.mean())
+        wrong.append((np.abs(placed - z) ** 2).mean() / 2)
+        error = place_error(np.stack([placed.real, placed.imag], axis=1), tags)
+        assert error is not None
+        told.append(error**2)
+    assert 0.7 < np.mean(told) / np.mean(wrong) < 1.6
+
+
+def test_few_tags_and_tags_of_one_place_tell_no_error_and_one_far_off_does_not_count() -> None:
+    places = np.array([[20.0 * i, 3.0 * (i % 2)] for i in range(10)])
+    assert place_error(places[:4], places[:4]) is None
+    assert place_error(np.zeros((9, 2)), places[:9]) is None
+    far = places.copy()
+    far[3] += 1000
+    assert place_error(places, far) == pytest.approx(0, abs=1e-6)
 
 
 def test_a_map_that_is_there_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
