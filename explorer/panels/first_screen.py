@@ -303,6 +303,9 @@ def _because(
     whose = "your picture" if analysis.state.upload else "the picture"
     tiles = [(_ANSWER, analysis.chosen.index), (lead.other, lead.index)]
     sentences = []
+    own = analysis.registered
+    if own is not None and not own.answer.accepted:
+        sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
     for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
         terms, places = side * lead.terms, side * cells.sum(axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import RLock
 
 import numpy as np
@@ -26,10 +26,13 @@ from lpn.drawing import overlays, theme
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.theme import Palette
 from lpn.explain import Evidence
+from lpn.models.partition import PartBox
 from lpn.retrieval import DescribedPicture
 
 # Distance between the parts of an exploded picture relative to its height: side by side, and stacked.
 _LIFT, _STEP = 0.15, 0.08
+# Parts whose middle is nearer to the picture's than this share of its height are rings.
+_CENTRED = 1e-6
 # Pixels of the frame that says whether the compared tile is true.
 _FRAME = 6
 # Shifts of an exploded picture towards the other one and away from the camera, relative to its width.
@@ -111,17 +114,15 @@ class StagePicture:
         Args:
             side: for pictures side by side, the left (-1) or the right (1) border; for stacked ones, the lower or the upper one.
         """
-        left, top, right, bottom = (0.0, 0.0, 1.0, 1.0) if self._areas is None else self._areas.boxes[part]
+        left, _, right, _ = (0.0, 0.0, 1.0, 1.0) if self._areas is None else self._areas.boxes[part]
         width, height = self._box[1]
         z, angle = self.depth(part, True) + 0.01, math.radians(self._angle)
         if self._stacked:
             x, y = ((left + right) / 2 - 0.5) * width, side * height / 2
             y, z = y * math.cos(angle) + z * math.sin(angle), z * math.cos(angle) - y * math.sin(angle)
         else:
-            # The lines of different parts lie one below the other.
-            along = (0.5 - (part + 0.5) / self._n) * height
             x = ((right if side > 0 else left) - 0.5) * width
-            y = min(max(along, (0.52 - bottom) * height), (0.48 - top) * height)
+            y = _line_height(part, self._n, [] if self._areas is None else self._areas.boxes) * height
             x, z = x * math.cos(angle) + side * z * math.sin(angle), -side * x * math.sin(angle) + z * math.cos(angle)
         centre = self._group.position
         return float(centre[0]) + x, float(centre[1]) + y, float(centre[2]) + z
@@ -360,3 +361,19 @@ def _about_y(angle: float) -> Rotation:
 
 def _about_x(angle: float) -> Rotation:
     return math.cos(angle / 2), math.sin(angle / 2), 0.0, 0.0
+
+
+def _line_height(part: int, n: int, boxes: Sequence[PartBox]) -> float:
+    """Return how far above the middle the line of a part begins, as a share of the height, so that no two lines meet.
+
+    The lines of rings lie in the bands between a ring and the next inner one, above and below by turns.
+
+    Args:
+        boxes: left, top, right, and bottom of each part in shares of the picture; none if it is not known where they are.
+    """
+    rings = sorted({round(bottom - top, 6) for _, top, _, bottom in boxes if abs(top + bottom - 1) < _CENTRED})
+    _, top, _, bottom = boxes[part] if boxes else (0.0, 0.0, 1.0, 1.0)
+    if len(rings) == n > 1:
+        order = rings.index(round(bottom - top, 6))
+        return (-1) ** order * (rings[order] + rings[order - 1]) / 4 if order else 0.0
+    return min(max(0.5 - (part + 0.5) / n, 0.52 - bottom), 0.48 - top)

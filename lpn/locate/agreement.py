@@ -7,6 +7,7 @@ photo are matched with the map around them by normalised cross-correlation, and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import cv2
 import numpy as np
@@ -59,7 +60,7 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
     half = (_SIDE - 1) / 2
     to_square = np.array([[scale, 0, half - scale * middle[0]], [0, -scale, half + scale * middle[1]], [0, 0, 1]])
     lay = to_square @ homography @ own
-    laid = _edges(cv2.warpPerspective(photo, lay, (_SIDE, _SIDE), flags=cv2.INTER_AREA))
+    laid = _edges(cast(UInt8Array, cv2.warpPerspective(photo, lay, (_SIDE, _SIDE), flags=cv2.INTER_AREA)))
     seen = cv2.warpPerspective(np.full((height, width), 255, np.uint8), lay, (_SIDE, _SIDE)) == 255
     picture, valid = basemap.read(Window(float(middle[0]), float(middle[1]), side), _SIDE)
     ground = _edges(picture)

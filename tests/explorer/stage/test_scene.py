@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from explorer.app import App
 from explorer.opening import open_model
+from explorer.stage import scene
 from tools.fixtures.websocket_client import WebSocketClient
 
 
@@ -49,3 +51,14 @@ def test_a_turn_around_the_pulled_rings_ends_with_them(page: WebSocketClient) ->
     page.tell("back", "?screen=all")
     page.wait(lambda: len(page.camera_positions) > known)
     assert page.camera_positions[-1][:2] == (0.0, 0.0)
+
+
+def test_no_two_lines_between_pulled_parts_meet() -> None:
+    rings = [(0.5 - half, 0.5 - half, 0.5 + half, 0.5 + half) for half in (0.125, 0.25, 0.375, 0.5)]
+    rows = [(0.0, top, 1.0, top + 0.25) for top in (0.0, 0.25, 0.5, 0.75)]
+    for boxes in (rings, rings[::-1], rows, []):
+        heights = sorted(scene._line_height(part, 4, boxes) for part in range(4))
+        assert np.diff(heights).min() > 0.1
+        for part, (_, top, _, bottom) in enumerate(boxes):
+            assert 0.5 - bottom < scene._line_height(part, 4, boxes) < 0.5 - top
+    assert scene._line_height(0, 1, [(0.0, 0.0, 1.0, 1.0)]) == 0
