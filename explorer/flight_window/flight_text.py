@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -168,13 +169,17 @@ def _error(value: float, unit: str, digits: int = 1) -> str:
     return f"(±\N{NO-BREAK SPACE}{value:.{digits}f}{unit})"
 
 
-def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
-    """Return how accurate the places of a flight are, in one line and source by source; None if no photo is placed."""
+def accuracy(view: FlightView, agreements: Sequence[MapAgreement] = ()) -> tuple[str, list[AccuracyLine]] | None:
+    """Return how accurate the places of a flight are, in one line and source by source; None if no photo is placed.
+
+    Args:
+        agreements: of photos with the map, as far as they are compared.
+    """
     known = flight_accuracy(view.flight, view.beliefs)
     if known is None:
         return None
     on_earth, earth = _on_earth(view.flight, known)
-    lines = [_on_map(known), earth]
+    lines = [_on_map(known), *_whole_photos(agreements), earth]
     audit = view.flight.audit
     if audit is not None and audit.frames:
         lines.append(AccuracyLine("GPS tags", f"{audit.median:.1f} m", _tags(audit)))
@@ -196,6 +201,19 @@ def _on_map(known: FlightAccuracy) -> AccuracyLine:
         if known.place_error is not None:
             radius = math.hypot(known.details, assumed)
     return AccuracyLine("On this map", f"± {radius:.1f} m", source)
+
+
+def _whole_photos(agreements: Sequence[MapAgreement]) -> list[AccuracyLine]:
+    """Return how far places of the photos lie from where the map has them; nothing where too few are found."""
+    metres = np.concatenate([found.metres for found in agreements]) if agreements else np.zeros(0)
+    if len(metres) < _FEW_PLACES:
+        return []
+    photos = sum(len(found.metres) > 0 for found in agreements)
+    source = (
+        f"Median of {len(metres)} places of {photos} photos that were found on the map one by one, {metres.max():.1f} m at most: "
+        "what one transformation of a photo leaves, where the map or the ground is uneven. The radius is that of its middle."
+    )
+    return [AccuracyLine("All of a photo", f"{np.median(metres):.1f} m", source)]
 
 
 def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, AccuracyLine]:

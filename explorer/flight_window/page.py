@@ -236,9 +236,9 @@ def sentence(view: FlightView, running: bool) -> str:
     return f"{describe_flight(view.flight.frames, view.beliefs)}{more}"
 
 
-def accuracy(view: FlightView) -> str:
-    """Return how accurate the flight's places are, and where each figure comes from."""
-    return render("flight/accuracy", known=flight_text.accuracy(view))
+def accuracy(view: FlightView, agreements: Sequence[MapAgreement]) -> str:
+    """Return how accurate the flight's places are, and where each figure comes from; see `flight_text.accuracy`."""
+    return render("flight/accuracy", known=flight_text.accuracy(view, agreements))
 
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:

@@ -25,6 +25,8 @@ from lpn.locate.tracks import track_bytes
 
 # Longer side in pixels of a photo that is compared with the map.
 _COMPARED = 960
+# Photos of a flight that are compared with the map for its accuracy, at most.
+_MOST_COMPARED = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +142,32 @@ class FlightService:
             except DataError:  # the notes name a file that is damaged
                 self._agreements[key] = None
         return self._agreements.get(key)
+
+    def compare_next(self) -> bool:
+        """Compare one more photo with the map; return False where those of `agreements` are all compared."""
+        if (frame := self._next_compared()) is None:
+            return False
+        self.agreement(frame, compute=True)
+        return True
+
+    def agreements(self) -> list[MapAgreement]:
+        """Return how photos of the flight, laid ones at even steps, agree with the map; none before all of them are compared."""
+        if self._next_compared() is not None:
+            return []
+        found = (self.agreement(frame, compute=False) for frame in self._compared_frames())
+        return [agreement for agreement in found if agreement is not None]
+
+    def _next_compared(self) -> int | None:
+        for frame in self._compared_frames():
+            matrix = self.view().homography(frame)
+            if matrix is not None and (frame, matrix.tobytes()) not in self._agreements:
+                return frame
+        return None
+
+    def _compared_frames(self) -> list[int]:
+        view = self.view()
+        laid = [i for i in range(len(view.flight.frames)) if view.homography(i) is not None]
+        return laid[:: -(-len(laid) // _MOST_COMPARED) or 1]
 
     def positions(self, suffix: str) -> bytes:
         """Return one position a photo, that of its correction or of the stage that counts, as a track's file with a suffix."""

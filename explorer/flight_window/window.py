@@ -233,7 +233,7 @@ class FlightWindow:
             page.calls(
                 {
                     "sentence": page.sentence(view, running),
-                    "accuracy": page.accuracy(view),
+                    "accuracy": page.accuracy(view, self._service.agreements()),
                     "status": (message and message.text) or page.progress(job, len(view.flight.frames)),
                 }
             )
@@ -255,7 +255,8 @@ class FlightWindow:
             self._spot.show(page.calls({"spot": {"spot": choices.spot, "frames": frames, "html": html}}))
         if running:
             return _INTERVAL
-        waits = [rest] if rest > 0 else []
+        # While the window stands still, the flight's other photos are compared one by one.
+        waits = [rest] if rest > 0 else [0.0] if self._service.compare_next() else []
         if message is not None:
             waits.append(max(message.until - time.monotonic(), 0.0))
         return min(waits, default=None)

@@ -18,6 +18,8 @@ from lpn.maps import Map, Window
 
 # Pixels of the square of ground that is compared, of a place's side, and of how far from its place it is looked for.
 _SIDE, _PLACE, _REACH = 480, 56, 32
+# Side of the largest square of ground in metres.
+_LARGEST = 5000.0
 # Standard deviation of the blur, in pixels, that is taken out: light and season differ more than edges do.
 _BLUR = 8.0
 # A place counts if its correlation is so high, stands out so much from all that is more pixels away, and leads back so near.
@@ -53,6 +55,8 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
     corners = apply_homography(homography, corner_pixels(*size))
     middle = apply_homography(homography, middle_pixel(*size))
     side = 2.1 * float(np.abs(corners - middle).max())
+    if not side <= _LARGEST:  # a border of the photo looks above the horizon, or nearly so
+        return MapAgreement(np.zeros((0, 2)), np.zeros(0), 0.0)
     scale = _SIDE / side
     # From pixels of the photo as it is given to those of its own size, to metres, to pixels of the square of ground.
     zoom = np.array([size[0] / width, size[1] / height])

@@ -120,7 +120,9 @@
     if (!root) return;
     if (sentence) find(".sentence").textContent = sentence;
     find(".status").textContent = status;
+    const unfolded = find(".accuracy details")?.open;
     fill(find(".accuracy"), html.accuracy);
+    if (unfolded) find(".accuracy details")?.setAttribute("open", "");
     if (!flight.whole()) return;
     flight.fillLegend();
     fill(find(".lists"), html.counts);

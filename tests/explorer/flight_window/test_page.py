@@ -158,7 +158,14 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     assert "explains a part: 10.5 m remain in the median" in of["GPS tags"]
     unplaced = [replace(frame, stages={}) for frame in flight.frames]
     assert flight_text.accuracy(view_of(replace(flight, frames=unplaced))) is None
-    assert page.accuracy(view_of(replace(flight, frames=unplaced))).strip() == ""
+    assert page.accuracy(view_of(replace(flight, frames=unplaced)), []).strip() == ""
+    agreement = MapAgreement(np.full((2, 2), 0.5), np.array([0.5, 4.0]), 9.0)
+    known = flight_text.accuracy(view_of(flight), [agreement, agreement])
+    assert known is not None
+    assert known[1][1].figure == "2.2 m"
+    assert known[1][1].source.startswith(
+        "Median of 4 places of 2 photos that were found on the map one by one, 4.0 m at most"
+    )
 
 
 def test_a_map_made_of_photos_names_the_tags_that_place_it(

@@ -56,9 +56,12 @@ def test_a_photo_is_compared_once_and_again_where_it_is_laid_anew(
     service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     laid: list[Any] = []
-    monkeypatch.setattr(
-        service_module, "map_agreement", lambda *given: laid.append(given) or MapAgreement(*[np.zeros(0)] * 2, 9.0)
-    )
+
+    def compare(*given: Any) -> MapAgreement:
+        laid.append(given)
+        return MapAgreement(np.zeros((0, 2)), np.zeros(0), 9.0)
+
+    monkeypatch.setattr(service_module, "map_agreement", compare)
     assert service.agreement(0, compute=False) is None
     first = service.agreement(0, compute=True)
     assert first is not None
@@ -69,6 +72,16 @@ def test_a_photo_is_compared_once_and_again_where_it_is_laid_anew(
     assert service.agreement(0, compute=True) is not first
     assert len(laid) == 2
     assert laid[0][3] == (flight.frames[0].frame.width, flight.frames[0].frame.height)
+
+
+def test_all_laid_photos_are_compared_one_by_one(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:
+    agreement = MapAgreement(np.full((2, 2), 0.5), np.ones(2), 9.0)
+    monkeypatch.setattr(service_module, "map_agreement", lambda *_: agreement)
+    assert service.agreements() == []
+    assert service.compare_next()
+    assert service.agreements() == [], "not all of them are compared"
+    assert [service.compare_next() for _ in range(2)] == [True, False]
+    assert service.agreements() == [agreement, agreement]
 
 
 def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:

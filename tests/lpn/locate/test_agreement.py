@@ -55,6 +55,11 @@ def test_a_photo_of_another_place_or_without_contrast_agrees_nowhere(town: Map) 
     assert len(compared(town, photo, east=90.0).metres) == 0, "half of it is off the map, and the rest is elsewhere"
 
 
+def test_a_photo_that_reaches_the_horizon_is_not_compared(town: Map) -> None:
+    tilted = np.array([[SCALE, 0, 0], [0, -SCALE, 0], [0, -1 / SIZE, 1.0]])
+    assert len(map_agreement(town, photographed(town), tilted, (SIZE, SIZE)).metres) == 0
+
+
 def test_a_photo_may_be_given_smaller_than_it_is(town: Map) -> None:
     half = SCALE * (SIZE - 1) / 2
     matrix = np.array([[SCALE / 2, 0, -half], [0, -SCALE / 2, half], [0, 0, 1.0]])
