@@ -186,7 +186,8 @@ def accuracy(view: FlightView, agreements: Sequence[MapAgreement] = ()) -> tuple
     if (radii := _radii(view.flight, known)) is not None:
         lines.append(radii)
     if known.place_error is not None:
-        return f"± {known.radius:.1f} m on earth, as far as the map’s tags do not all err alike.", lines
+        on_earth = f"± {known.radius:.1f} m on earth, as far as the tags of the map do not all err alike"
+        return f"{lines[0].figure} on this map; {on_earth}.", lines
     return f"± {known.radius:.1f} m on this map; {on_earth}.", lines
 
 
@@ -258,6 +259,11 @@ def _radii(flight: LocatedFlight, known: FlightAccuracy) -> AccuracyLine | None:
     right = ", ".join(f"{share:.0f}" for share in RIGHT_CALIBRATION.values())
     if summary.calibration[3] >= _RIGHT_SHARE:
         verdict = "Radii and tags agree."
+    elif flight.audit is not None and flight.audit.has_lag:
+        verdict = (
+            "A part is the lag of the tags or the direction of the camera, which no radius holds, so this does not tell if the "
+            "radii fail."
+        )
     elif known.radius < TAG_RADIUS:
         verdict = (
             f"GPS tags alone err by some {TAG_RADIUS:.0f} m, more than these radii, so this does not tell which of the two "

@@ -156,6 +156,7 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     _, of = lines(audit=late)
     assert "are 2.8 s (± 0.5 s) late, or that the camera looks 8.6 m ahead" in of["GPS tags"]
     assert "explains a part: 10.5 m remain in the median" in of["GPS tags"]
+    assert of["Check of the radii"].endswith("does not tell if the radii fail.")
     unplaced = [replace(frame, stages={}) for frame in flight.frames]
     assert flight_text.accuracy(view_of(replace(flight, frames=unplaced))) is None
     assert page.accuracy(view_of(replace(flight, frames=unplaced)), []).strip() == ""
@@ -181,7 +182,7 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     monkeypatch.setattr(flight.basemap, "error", 0.6)
     known = flight_text.accuracy(view_of(replace(flight, map_error=0.8)))
     assert known is not None
-    assert known[0] == "± 1.0 m on earth, as far as the map’s tags do not all err alike."
+    assert known[0] == "± 0.8 m on this map; ± 1.0 m on earth, as far as the tags of the map do not all err alike."
     assert [line.figure for line in known[1][:2]] == ["± 0.8 m", "± 0.6 m"]
     assert "details gives ± 0.6 m, and ± 0.5 m are assumed for the map" in known[1][0].source
 
