@@ -39,9 +39,9 @@ from lpn.locate.belief import belief, disagreements
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame
 from lpn.locate.retrieval import heading_is_certain
-from lpn.locate.summary import PLACED_BY_TAGS
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
+from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
@@ -428,7 +428,7 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         describe_offset(*at),
         None if shows_rendered(workspace.root) else MapCoordinate.on(basemap, at),
         answer.camera,
-        not answer.on_earth and any(PLACED_BY_TAGS in note for note in basemap.notes),
+        not answer.on_earth and bool(placing_sentence(basemap.notes)),
         "" if own else sentence,
     )
 

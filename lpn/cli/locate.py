@@ -73,7 +73,7 @@ class LocateCommand:
 
     def run(self) -> None:
         from lpn.core.consoles import wide_console
-        from lpn.locate.belief import best_track
+        from lpn.locate.belief import best_track, full_track
         from lpn.locate.tracks import check_suffix, write_track
 
         check_suffix(self.out)
@@ -93,7 +93,7 @@ class LocateCommand:
             self.index,
             self.pooling,
         )
-        write_track(self.out, located.flight.name, best_track(located) if self.best else located.track())
+        write_track(self.out, located.flight.name, best_track(located) if self.best else full_track(located))
         for frame in located.frames:
             console.print(
                 f"{printable(frame.frame.name)}  {frame.sentence}", highlight=False, soft_wrap=True, markup=False

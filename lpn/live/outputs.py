@@ -74,7 +74,7 @@ class LiveFix:
         return math.hypot(self.answer.radius, height * math.tan(math.radians(tilt)))
 
     def feature(self) -> dict[str, Any]:
-        """Return the fix as a feature of GeoJSON (RFC 7946), with properties as in the tracks of `lpn locate`."""
+        """Return the fix as a feature of GeoJSON (RFC 7946), see docs/live.md."""
         answer = self.answer
         geometry = None
         if self.latitude is not None and self.longitude is not None:

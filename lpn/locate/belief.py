@@ -94,21 +94,51 @@ def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreemen
     return [belief(located, of_frame.get(i, ())) for i, located in enumerate(frames)]
 
 
+def full_track(flight: LocatedFlight) -> list[TrackPoint]:
+    """Return the points of all stages, each with the answers that contradict it."""
+    doubts = _doubts(flight.frames, disagreements(flight.frames))
+    numbers = {located.frame.name: i for i, located in enumerate(flight.frames)}
+    return [replace(point, doubt=doubts.get((numbers[point.frame], point.stage), ())) for point in flight.track()]
+
+
 def best_track(flight: LocatedFlight) -> list[TrackPoint]:
     """Return one point a frame: its correction by hand, or the answer of the stage that counts.
 
-    The reason is that of the verdict, and a frame without a position has none.
+    State and reason are those of the verdict: a registration that it doubts is "contradicted". A frame without a position has
+    none.
     """
     points = []
-    for located, verdict in zip(flight.frames, beliefs(flight.frames, disagreements(flight.frames)), strict=True):
+    contradictions = disagreements(flight.frames)
+    doubts = _doubts(flight.frames, contradictions)
+    for i, (located, verdict) in enumerate(zip(flight.frames, beliefs(flight.frames, contradictions), strict=True)):
         if located.by_hand is not None:
             points.append(flight.point(located, BY_HAND, located.by_hand))
             continue
         stage, answer = flight.stages[-1], StageRecord("refused", verdict.reason)
         if verdict.stage is not None:
             stage, answer = verdict.stage, located.stages[verdict.stage]
-        points.append(replace(flight.point(located, stage, answer), reason=f"{verdict.headline}. {verdict.reason}"))
+        point = flight.point(located, stage, answer)
+        points.append(
+            replace(
+                point,
+                state="contradicted" if verdict.sign is None and stage == "registration" else point.state,
+                doubt=doubts.get((i, stage), ()),
+                reason=f"{verdict.headline}. {verdict.reason}",
+            )
+        )
     return points
+
+
+def _doubts(
+    frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]
+) -> dict[tuple[int, str], tuple[str, ...]]:
+    """Return the answers that contradict a stage's, by the frame's number and the stage; a correction settles its frame."""
+    doubts: dict[tuple[int, str], tuple[str, ...]] = {}
+    for one in contradictions:
+        if frames[one.frame].by_hand is None:
+            for stage, other in ((one.one, one.other), (one.other, one.one)):
+                doubts[one.frame, stage] = (*doubts.get((one.frame, stage), ()), other)
+    return doubts
 
 
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -> Belief:

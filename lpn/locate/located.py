@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,6 +22,7 @@ from lpn.locate.options import TOP
 from lpn.locate.retrieval import MapRetrieval
 from lpn.locate.tracks import POSE_AXES, State, TrackPoint
 from lpn.maps import Map
+from lpn.maps.tag_placed import metres_to_tags
 from lpn.retrieval import field_metrics
 
 STAGES = ("retrieval", "sequence", "registration")
@@ -211,6 +213,11 @@ class LocatedFlight:
         return bool(self.frames) and is_rendered_flight(self.frames[0].frame.file.parent)
 
     @cached_property
+    def map_to_tags(self) -> float | None:
+        """The median of the metres between the map and the GPS tags that place it; None for a map with another georeference."""
+        return metres_to_tags(self.basemap.notes)
+
+    @cached_property
     def late_tags(self) -> TagAudit | None:
         """The audit of the tags against the registrations that ship with the flight; None unless these show a constant lag."""
         answers = [self.shipped.get(located.frame.name) for located in self.frames]
@@ -262,7 +269,8 @@ class LocatedFlight:
             answer.camera,
             answer.radius,
             answer.heading,
-            located.error(stage),
+            None if located.tag is None or answer.x is None else answer.distance(located.tag),
+            self.map_to_tags,
             **_of_pose(answer.pose),
         )
 
@@ -333,7 +341,7 @@ class LocatedFlight:
         return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
 
 
-def _of_pose(pose: CameraPose | None) -> dict[str, float | None]:
+def _of_pose(pose: CameraPose | None) -> dict[str, Any]:
     """Return the entries of a track's point that a pose has."""
     if pose is None:
         return {}

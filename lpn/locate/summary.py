@@ -11,9 +11,8 @@ from lpn.core.numbers import distance
 from lpn.drawing.words import plain
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.maps.tag_placed import placing_sentence
 
-# The beginning of a sentence of a map that `lpn map --from-flight` made, about the tags that its georeference comes from.
-PLACED_BY_TAGS = "Place and scale are those of the GPS tags"
 # The stages whose answers are accepted, in the words for everybody and in the field's.
 PLACED = {"registration": ("by their details", "by registration"), "sequence": ("by their neighbours", "by sequence")}
 
@@ -55,14 +54,13 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
             details.append(math.sqrt(max(radius**2 - flight.map_error**2, 0.0)))
     if not radii:
         return None
-    source = next((note for note in flight.basemap.notes if PLACED_BY_TAGS in note), "")
     return FlightAccuracy(
         len(radii),
         median(radii),
         median(details) if details else None,
         flight.map_error,
         flight.basemap.error if flight.map_error is not None and flight.basemap.tells(flight.map_error) else None,
-        source[source.find(PLACED_BY_TAGS) :],
+        placing_sentence(flight.basemap.notes),
     )
 
 

@@ -1,4 +1,8 @@
-"""Tracks of located frames as GeoJSON, GPX, KML, or CSV, each written whole or not at all."""
+"""Tracks of located frames as GeoJSON, GPX, KML, or CSV, each written whole or not at all.
+
+A CSV has a column for each property of a GeoJSON's point, and latitude and longitude; docs/flights.md tells what they mean.
+Those of the camera's pose are there where some frame has one.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +30,8 @@ _KML = "http://www.opengis.net/kml/2.2"
 POSE_AXES = ("east", "north", "up", "yaw", "pitch", "roll")
 # "not verified" is a position that nothing has checked against the picture: the best guess of the retrieval.
 State = Literal["accepted", "refused", "not verified"]
+# "contradicted" is an accepted position that lies too far from the frame's tag, or from its neighbours' answer, for their errors.
+TrackState = State | Literal["contradicted"]
 
 
 @dataclass(frozen=True)
@@ -35,14 +41,18 @@ class TrackPoint:
     Attributes:
         frame: name of the frame.
         stage: "retrieval", "sequence", "registration", or "by hand" for a person's correction.
-        state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
+        state: "accepted" if the position may be used, "contradicted" if the verdict of all stages doubts it, "refused" if it may
+            not be used, "not verified" if the stage cannot tell.
         reason: a sentence: why it was refused, or what is to be known about it.
         time: seconds, UTC epoch where known; None if unknown.
         latitude, longitude: WGS 84 degrees; None without a position.
         camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
         radius: 1-sigma radius in metres; None if unknown.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
-        error: metres to the frame's correction, or to its tag if it has none. None without both, and in the stage "by hand".
+        metres_from_tag: metres from the position to the frame's tag; None without one of them.
+        map_to_tags: median of the metres between the map and the GPS tags that place it; None for a map with another
+            georeference.
+        doubt: the answers that contradict this one, "tag" or stages.
         altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
         height: of the camera by its pose, metres above ground; None where that is unknown.
         yaw, pitch, roll: of the camera by its pose, in degrees; -90 of pitch looks straight down.
@@ -53,7 +63,7 @@ class TrackPoint:
 
     frame: str
     stage: str
-    state: State
+    state: TrackState
     reason: str
     time: float | None = None
     latitude: float | None = None
@@ -61,7 +71,9 @@ class TrackPoint:
     camera: bool = False
     radius: float | None = None
     heading: float | None = None
-    error: float | None = None
+    metres_from_tag: float | None = None
+    map_to_tags: float | None = None
+    doubt: tuple[str, ...] = ()
     altitude: float | None = None
     height: float | None = None
     yaw: float | None = None
@@ -76,7 +88,17 @@ class TrackPoint:
     sigma_roll: float | None = None
 
 
-_COLUMNS = tuple(TrackPoint.__dataclass_fields__)
+# The entries of a pose by their columns, and the digits behind the point.
+_POSE_COLUMNS = {
+    "altitude": ("altitude_m", 2),
+    "height": ("height_m", 2),
+    "yaw": ("yaw_deg", 2),
+    "pitch": ("pitch_deg", 2),
+    "roll": ("roll_deg", 2),
+    "fov": ("fov_deg", 2),
+    **{f"sigma_{axis}": (f"sigma_{axis}_m", 2) for axis in POSE_AXES[:3]},
+    **{f"sigma_{axis}": (f"sigma_{axis}_deg", 3) for axis in POSE_AXES[3:]},
+}
 
 
 def check_suffix(path: Path) -> None:
@@ -113,8 +135,10 @@ def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a FeatureCollection (RFC 7946): a point per frame and stage, and a line per stage and state but "refused"."""
     features: list[dict[str, Any]] = []
+    posed = _posed(points)
     for point in points:
-        properties = {key: getattr(point, key) for key in _COLUMNS if key not in ("latitude", "longitude")}
+        properties = _row(point, posed)
+        del properties["latitude"], properties["longitude"]
         geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     for (stage, state), chosen in _lines(points).items():
@@ -199,20 +223,55 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
 def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a table with a row per frame and stage; unknown values are empty."""
     del name
-    values = ([portable(getattr(point, key)) for key in _COLUMNS] for point in points)
-    return csv_bytes([_COLUMNS, *values])
+    posed = _posed(points)
+    header = list(_row(TrackPoint("", "", "refused", ""), posed))
+    return csv_bytes([header, *([portable(value) for value in _row(point, posed).values()] for point in points)])
 
 
-def _lines(points: Sequence[TrackPoint]) -> dict[tuple[str, State], list[TrackPoint]]:
+def _posed(points: Sequence[TrackPoint]) -> bool:
+    return any(getattr(point, name) is not None for point in points for name in _POSE_COLUMNS)
+
+
+def _row(point: TrackPoint, posed: bool) -> dict[str, Any]:
+    """Return a point by the columns of the files; `posed` adds those of the camera's pose."""
+    known = point.latitude is not None
+    longitude, latitude = _position(point) if known else (None, None)
+    moment = _moment(point.time)
+    row = {
+        "frame": point.frame,
+        "stage": point.stage,
+        "state": point.state,
+        "doubt": ", ".join(point.doubt),
+        "point": ("camera" if point.camera else "ground") if known else "",
+        "latitude": latitude,
+        "longitude": longitude,
+        "crs": "EPSG:4326" if known else "",
+        "radius_on_map_m": _rounded(point.radius, 2),
+        "map_to_its_tags_m": _rounded(point.map_to_tags, 1),
+        "metres_from_tag": _rounded(point.metres_from_tag, 1),
+        "time_utc": moment or "",
+        "seconds": None if moment else _rounded(point.time, 3),
+        "heading_deg": _rounded(point.heading, 1),
+    }
+    if posed:
+        row |= {column: _rounded(getattr(point, name), digits) for name, (column, digits) in _POSE_COLUMNS.items()}
+    return row | {"reason": point.reason}
+
+
+def _rounded(value: float | None, digits: int) -> float | None:
+    return None if value is None or not math.isfinite(value) else round(value, digits)
+
+
+def _lines(points: Sequence[TrackPoint]) -> dict[tuple[str, TrackState], list[TrackPoint]]:
     """Return the points with a position that was not refused, by stage and state."""
-    lines: dict[tuple[str, State], list[TrackPoint]] = {}
+    lines: dict[tuple[str, TrackState], list[TrackPoint]] = {}
     for point in points:
         if point.state != "refused" and point.latitude is not None:
             lines.setdefault((point.stage, point.state), []).append(point)
     return lines
 
 
-def _remark(state: State) -> str:
+def _remark(state: TrackState) -> str:
     return "" if state == "accepted" else f" ({state})"
 
 
@@ -232,7 +291,7 @@ def _figures(point: TrackPoint) -> str:
 def _position(point: TrackPoint) -> tuple[float, float]:
     assert point.longitude is not None
     assert point.latitude is not None
-    return round(point.longitude, 8), round(point.latitude, 8)
+    return round(point.longitude, 7), round(point.latitude, 7)
 
 
 def _coordinates(point: TrackPoint) -> str:
@@ -242,7 +301,7 @@ def _coordinates(point: TrackPoint) -> str:
 
 def _decimal(degrees: float) -> str:
     """Return degrees without an exponent, which the schemas of GPX and KML do not allow."""
-    return f"{degrees:.8f}".rstrip("0").rstrip(".")
+    return f"{degrees:.7f}".rstrip("0").rstrip(".")
 
 
 def _moment(time: float | None) -> str | None:

@@ -29,6 +29,7 @@ from lpn.maps.folder import open_folder, write_own_map
 from lpn.maps.frame import LocalFrame
 from lpn.maps.map import Map
 from lpn.maps.place import MapPlace, checked_place
+from lpn.maps.tag_placed import describe_placing
 
 # Photos that a map needs at least, and the names that a sentence lists.
 _LEAST, _NAMED = 3, 5
@@ -261,7 +262,6 @@ def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float |
         else f"Without a fifth of them its places move: their error is ± {error:.1f} m (1 sigma) along each axis."
     )
     return (
-        f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. Place and "
-        f"scale are those of the GPS tags, which lie {np.median(off):.1f} m from the photos' middles on it in the median, "
-        f"{off.max():.1f} m at most. {open_places}"
+        f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. "
+        f"{describe_placing(float(np.median(off)), float(off.max()))} {open_places}"
     )

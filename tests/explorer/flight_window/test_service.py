@@ -85,13 +85,15 @@ def test_all_laid_photos_are_compared_one_by_one(service: FlightService, monkeyp
 
 
 def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:
-    def stages() -> list[str]:
+    def column(name: str) -> list[str]:
         rows = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
-        return [row["stage"] for row in rows]
+        return [row[name] for row in rows]
 
-    assert stages() == ["registration", "registration", "sequence"]
+    assert column("stage") == ["registration", "registration", "sequence"]
+    assert column("state") == ["accepted", "contradicted", "accepted"]
+    assert column("doubt")[1] == "sequence, tag"
     service.correct(2, CORNERS)
-    assert stages() == ["registration", "registration", "by hand"]
+    assert column("stage") == ["registration", "registration", "by hand"]
     assert json.loads(service.positions(".geojson"))["type"] == "FeatureCollection"
 
 

@@ -108,7 +108,7 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     assert (summary.frames, summary.answered, summary.coverage_at_zero) == (4, 4, 100)
     points = found.track()
     assert points[0].latitude == pytest.approx(flight.frames[0].latitude, abs=1e-5)
-    assert points[0].error is not None
+    assert points[0].metres_from_tag is not None
 
 
 def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -175,7 +175,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
         "3.png": "by hand",
     }
     by_hand = found.track()[-2]
-    assert by_hand.error is None
+    assert by_hand.metres_from_tag is not None
     assert by_hand.reason.startswith("A person laid the photo by hand. The tag lies ")
     assert by_hand.reason.endswith("The registration lies 18.1 m from there.")
     best = best_track(found)
@@ -727,7 +727,7 @@ def test_the_commands_write_a_track_and_measures(
     assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
     features = json.loads(track.read_text())["features"]
     assert [entry["properties"]["state"] for entry in features] == ["accepted"]
-    assert features[0]["properties"]["camera"] is True
+    assert features[0]["properties"]["point"] == "camera"
     assert "details matched by SIFT agree" in capsys.readouterr().out
     kept = {"0.png": Correction.of(_corners((5.0, 5.0), 90.0), town.frame)}
     set_correction(tmp_path / "flight" / "corrections.csv", "0.png", kept["0.png"])

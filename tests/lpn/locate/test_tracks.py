@@ -28,13 +28,14 @@ def test_geojson_has_a_point_a_frame_and_a_line_a_stage(tmp_path: Path) -> None:
     *points, line, guessed = found["features"]
     states = ["accepted", "refused", "accepted", "not verified", "not verified"]
     assert [point["properties"]["state"] for point in points] == states
-    assert [point["properties"]["camera"] for point in points] == [True, False, False, False, False]
+    assert [point["properties"]["point"] for point in points] == ["camera", "", "ground", "ground", "ground"]
+    assert {point["properties"]["crs"] for point in points} == {"EPSG:4326", ""}
     assert guessed["properties"] == {"stage": "retrieval", "state": "not verified", "frames": 2}
     assert points[0]["geometry"] == {"type": "Point", "coordinates": [-91.25, 46.5]}
-    assert points[0]["properties"]["radius"] == 1.5
+    assert points[0]["properties"]["radius_on_map_m"] == 1.5
     assert points[1]["geometry"] is None
     assert points[1]["properties"]["reason"].startswith("Only 4")
-    assert points[2]["properties"]["radius"] is None
+    assert points[2]["properties"]["radius_on_map_m"] is None
     assert line["geometry"]["coordinates"] == [[-91.25, 46.5], [-91.2501, 46.5001]]
 
 
@@ -77,10 +78,26 @@ def test_csv_is_empty_where_nothing_is_known(tmp_path: Path) -> None:
     with (tmp_path / "track.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [row["state"] for row in rows] == ["accepted", "refused", "accepted", "not verified", "not verified"]
-    assert [row["camera"] for row in rows] == ["True", "False", "False", "False", "False"]
+    assert [row["point"] for row in rows] == ["camera", "", "ground", "ground", "ground"]
+    assert [row["time_utc"] for row in rows[:2]] == ["2014-05-13T16:53:20.000Z", "2014-05-13T16:53:22.500Z"]
+    assert [row["seconds"] for row in rows] == ["", "", "", "12.0", "13.0"], "seconds of a video are no time of day"
+    assert "pitch_deg" not in rows[0], "no frame has a pose"
     assert rows[1]["latitude"] == ""
     assert float(rows[0]["longitude"]) == -91.25
-    assert rows[2]["radius"] == ""
+    assert rows[2]["radius_on_map_m"] == ""
+
+
+def test_a_doubt_stands_in_state_and_column_and_degrees_have_seven_decimals(tmp_path: Path) -> None:
+    point = TrackPoint(
+        "a.jpg", "registration", "contradicted", "", None, 46.123456789, 7.0, radius=1.024, heading=3.0, metres_from_tag=33.41,
+        map_to_tags=13.2, doubt=("tag", "sequence"), pitch=-88.0,
+    )  # fmt: skip
+    write_track(tmp_path / "track.csv", "monday", [point])
+    with (tmp_path / "track.csv").open(newline="", encoding="utf-8-sig") as file:
+        (row,) = csv.DictReader(file)
+    figures = ("radius_on_map_m", "map_to_its_tags_m", "metres_from_tag", "heading_deg", "pitch_deg")
+    assert (row["state"], row["doubt"], row["latitude"]) == ("contradicted", "tag, sequence", "46.1234568")
+    assert [float(row[name]) for name in figures] == [1.02, 13.2, 33.4, 3.0, -88.0]
 
 
 def test_another_suffix_is_refused_and_nothing_is_left_behind(tmp_path: Path) -> None:

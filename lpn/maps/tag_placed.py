@@ -1,0 +1,28 @@
+"""The sentence in a map's notes that GPS tags place it, as it is written and read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+
+_BEGINNING = "Place and scale are those of the GPS tags"
+_MEDIAN = re.compile(rf"{_BEGINNING}, which lie (\d+(?:\.\d+)?) m ")
+
+
+def describe_placing(median: float, largest: float) -> str:
+    """Say that GPS tags place a map, and how many metres they lie from the middles of its photos."""
+    return (
+        f"{_BEGINNING}, which lie {median:.1f} m from the photos' middles on it in the median, {largest:.1f} m at most."
+    )
+
+
+def placing_sentence(notes: Iterable[str]) -> str:
+    """Return the sentence of a map's notes from `describe_placing`; "" without one."""
+    note = next((note for note in notes if _BEGINNING in note), "")
+    return note[note.find(_BEGINNING) :]
+
+
+def metres_to_tags(notes: Iterable[str]) -> float | None:
+    """Return the median in metres of that sentence; None without one."""
+    match = _MEDIAN.match(placing_sentence(notes))
+    return None if match is None else float(match[1])
