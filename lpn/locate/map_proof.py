@@ -43,7 +43,7 @@ def refuse_unproven(
     registered = [located for located in frames if _registered(located)]
     if len(frames) < _FEWEST or not registered or _known(frames, bounds):
         return []
-    views = _views(frames, map_error)
+    views = new_views(frames, map_error)
     # Further photos of a view are no further chances.
     chances = len(frames) - len(registered) + len(views)
     if -_log_chance(len(views), chances) >= _EVIDENCE:
@@ -103,8 +103,8 @@ def _middle(located: LocatedFrame) -> Float64Array:
     return np.array([answer.x, answer.y]) if answer.homography is None else located.middle(answer)
 
 
-def _views(frames: Sequence[LocatedFrame], map_error: float) -> list[int]:
-    """Return the numbers of registered frames that show a view which no earlier one of them does."""
+def new_views(frames: Sequence[LocatedFrame], map_error: float) -> list[int]:
+    """Return the numbers of registered frames that show a view which no earlier one of them does; `map_error` as above."""
     views: list[tuple[int, Float64Array, float, float]] = []
     for i, located in enumerate(frames):
         if not _registered(located):

@@ -141,7 +141,7 @@ def registered(
         located.basemap, located.flight, frames, options, model, located.retrieval, report, located.shipped
     )
     if located.retrieval is not None:
-        confirm_sequence(frames, float(np.median(located.retrieval.sizes)), located.basemap.bounds)
+        confirm_sequence(frames, float(np.median(located.retrieval.sizes)), located.basemap.bounds, map_error)
     notes += refuse_unproven(frames, located.basemap.bounds, map_error)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(

@@ -11,6 +11,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.flights import Flight
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
+from lpn.locate.map_proof import new_views
 from lpn.locate.options import LocateOptions
 from lpn.locate.registered_stage import AROUND
 from lpn.locate.retrieval import MapRetrieval
@@ -168,23 +169,27 @@ def enter_sequence(
     ]
 
 
-def confirm_sequence(frames: Sequence[LocatedFrame], side: float, bounds: tuple[float, float, float, float]) -> None:
+def confirm_sequence(
+    frames: Sequence[LocatedFrame], side: float, bounds: tuple[float, float, float, float], map_error: float = 0.0
+) -> None:
     """Accept the answers that were refused because nothing showed that the map is of this place, where registrations do.
 
     The registration searches about the sequence's own answer, so a false one may agree by chance. It does so with a
     probability of p, the share of the searched ground that counts as agreement; on the right map 0.9 agree. The log odds,
     log(0.9 / p) of one that agrees and log(0.1 / (1 - p)) of another one, are added up and have to reach 4. False ones whose
     places are independent reach it with a probability of exp(-4) at most (Markov's inequality). Where p is above 0.9, as on a
-    map that is hardly larger than a window, a registration tells nothing.
+    map that is hardly larger than a window, a registration tells nothing. Photos of one view are not independent, and count once.
 
     Args:
         side: of the windows in metres. A registration agrees within three quarters of it.
         bounds: of the map: west, south, east, north in metres.
+        map_error: 1-sigma error of the map in metres that the radii of registrations hold.
     """
     evidence = 0.0
-    for located in frames:
+    for i in new_views(frames, map_error):
+        located = frames[i]
         sequence, registration = located.stages.get("sequence"), located.stages["registration"]
-        if sequence is None or not sequence.unverified or not registration.accepted:
+        if sequence is None or not sequence.unverified:
             continue
         chance = chance_to_agree(np.array(located.likely_places()), side, registration.width or side, bounds)
         if chance < AGREEING:

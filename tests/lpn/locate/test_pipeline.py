@@ -592,6 +592,19 @@ def test_steps_that_do_not_follow_the_headings_are_told(
     assert not any("Nothing shows" in frame.stages["sequence"].sentence for frame in located)
 
 
+def test_a_drone_that_hovers_confirms_the_sequence_by_one_registration_only(flight: Flight) -> None:
+    elsewhere = [WindowRecord(x, -300.0, 50.0, 0.0, 0.0, [], []) for x in (-300.0, 300.0)]
+    for apart, confirmed in ((0.0, False), (20.0, True)):
+        located = []
+        for i in range(6):
+            frame = LocatedFrame(flight.frames[0], None, windows=elsewhere)
+            frame.stages["sequence"] = StageRecord("refused", "Near.", apart * i, 0.0, unverified=True)
+            frame.stages["registration"] = StageRecord("accepted", "It agrees.", apart * i, 5.0, radius=0.5, width=50.0)
+            located.append(frame)
+        confirm_sequence(located, 50.0, (-400.0, -400.0, 400.0, 400.0))
+        assert located[0].stages["sequence"].accepted == confirmed
+
+
 @pytest.mark.parametrize(("map_side", "most"), [(60.0, 0), (400.0, 1)])
 def test_false_registrations_about_the_sequence_s_answers_hardly_ever_confirm_it(
     flight: Flight, map_side: float, most: int
