@@ -15,12 +15,13 @@ from explorer.flight_window.service import FlightView
 from explorer.web.coordinates import MapCoordinate, describe_point
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis
-from lpn.core.arrays import FloatingArray
+from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.files import printable
+from lpn.core.homography import apply_homography
 from lpn.drawing import overlays, score_map, theme
 from lpn.drawing.words import plain, say
 from lpn.locate.agreement import MapAgreement
-from lpn.locate.located import StageRecord
+from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.summary import PLACED, describe_flight
 from lpn.maps import Window
 from lpn.maps.named_window import describe_offset
@@ -210,10 +211,17 @@ def chosen(
         "frame": frame,
         "card": card(view, frame, address, retrieval_failed, agreement),
         "homography": None if laid is None else laid.ravel().tolist(),
+        "offsets": [] if laid is None or agreement is None else _offsets(laid, located, agreement),
         "corrected": view.corrected(frame) is not None,
         "size": [located.frame.width, located.frame.height],
         "saves": saves,
     }
+
+
+def _offsets(laid: Float64Array, located: LocatedFrame, agreement: MapAgreement) -> list[list[float]]:
+    """Return where a laid photo has its compared places, and from there to where the map has them: metres east and north."""
+    pixels = agreement.places * (located.frame.width, located.frame.height) - 0.5
+    return _rounded(np.hstack([apply_homography(laid, pixels), agreement.offsets]))
 
 
 def progress(registration: BackgroundJob[None] | None, frames: int) -> str:

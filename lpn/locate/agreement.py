@@ -34,13 +34,18 @@ class MapAgreement:
 
     Attributes:
         places: as shares of the photo's width and height, (N, 2).
-        metres: (N,).
+        offsets: from where the photo has them to where the map has them, metres east and north, (N, 2).
         reach: metres east, west, north, and south up to which a place was looked for.
     """
 
     places: Float64Array
-    metres: Float64Array
+    offsets: Float64Array
     reach: float
+
+    @property
+    def metres(self) -> Float64Array:
+        """The lengths of `offsets`, (N,)."""
+        return cast(Float64Array, np.hypot(*self.offsets.T))
 
 
 def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, size: tuple[int, int]) -> MapAgreement:
@@ -56,7 +61,7 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
     middle = apply_homography(homography, middle_pixel(*size))
     side = 2.1 * float(np.abs(corners - middle).max())
     if not side <= _LARGEST:  # a border of the photo looks above the horizon, or nearly so
-        return MapAgreement(np.zeros((0, 2)), np.zeros(0), 0.0)
+        return MapAgreement(np.zeros((0, 2)), np.zeros((0, 2)), 0.0)
     scale = _SIDE / side
     # From pixels of the photo as it is given to those of its own size, to metres, to pixels of the square of ground.
     zoom = np.array([size[0] / width, size[1] / height])
@@ -68,7 +73,7 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
     seen = cv2.warpPerspective(np.full((height, width), 255, np.uint8), lay, (_SIDE, _SIDE)) == 255
     picture, valid = basemap.read(Window(float(middle[0]), float(middle[1]), side), _SIDE)
     ground = _edges(picture)
-    found, metres = [], []
+    found, offsets = [], []
     first = _REACH + _PLACE // 2
     for y in range(first, _SIDE - first + 1, _PLACE):
         for x in range(first, _SIDE - first + 1, _PLACE):
@@ -77,9 +82,9 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
             back = _match(ground, laid, there)
             if back is not None and np.hypot(back[0] - x, back[1] - y) <= _BACK:
                 found.append((x, y))
-                metres.append(float(np.hypot(there[0] - x, there[1] - y)) / scale)
+                offsets.append(((there[0] - x) / scale, (y - there[1]) / scale))
     pixels = apply_homography(inverse(to_square @ homography), np.array(found, np.float64).reshape(-1, 2))
-    return MapAgreement((pixels + 0.5) / size, np.array(metres, np.float64), _REACH / scale)
+    return MapAgreement((pixels + 0.5) / size, np.array(offsets, np.float64).reshape(-1, 2), _REACH / scale)
 
 
 def _edges(picture: UInt8Array) -> Float32Array:

@@ -110,6 +110,12 @@
       path(pen, [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
       stroke(pen, lpn.colour("retrieval"), 1.5, [2, 3]);
     }
+    // From where the photo has a place to where the map has it.
+    for (const [x, y, east, north] of (followed?.frame === chosen && followed.offsets) || []) {
+      path(pen, [[x, y], [x + east, y + north]]);
+      stroke(pen, lpn.colour("accent"), 2);
+      dot(pen, map.toPixels([x + east, y + north]), 3, lpn.colour("accent"), false);
+    }
     for (const [name, track] of flight.tracks()) {
       const at = place(track, chosen);
       if (!at) continue;

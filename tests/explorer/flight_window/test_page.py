@@ -126,7 +126,7 @@ def plainly() -> Iterator[None]:
 def test_places_beside_the_middle_say_how_far_off_they_are_and_where_most() -> None:
     def said(*metres: float) -> str:
         places = np.array([(0.5, 0.5), (0.1, 0.2), (0.5, 0.9)])[: len(metres)]
-        return flight_text.agreement(MapAgreement(places, np.array(metres), 9.0))
+        return flight_text.agreement(MapAgreement(places, np.array([(0.0, north) for north in metres]), 9.0))
 
     assert said(0.4, 5.2, 1.0) == (
         "Beside its middle, 3 places of the photo were found on the map one by one: they lie 1.0 m from where the photo has "
@@ -161,7 +161,10 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     unplaced = [replace(frame, stages={}) for frame in flight.frames]
     assert flight_text.accuracy(view_of(replace(flight, frames=unplaced))) is None
     assert page.accuracy(view_of(replace(flight, frames=unplaced)), []).strip() == ""
-    agreement = MapAgreement(np.full((2, 2), 0.5), np.array([0.5, 4.0]), 9.0)
+    agreement = MapAgreement(np.full((2, 2), 0.5), np.array([(0.5, 0.0), (0.0, 4.0)]), 9.0)
+    lines_of = page.chosen(view_of(flight), 0, "x/", agreement=agreement)["offsets"]
+    np.testing.assert_allclose(lines_of, [[-20.0, 1.0, 0.5, 0.0], [-20.0, 1.0, 0.0, 4.0]], atol=1e-6)
+    assert page.chosen(view_of(flight), 0, "x/")["offsets"] == []
     known = flight_text.accuracy(view_of(flight), [agreement, agreement])
     assert known is not None
     assert known[1][1].figure == "2.2 m"

@@ -59,7 +59,7 @@ def test_a_photo_is_compared_once_and_again_where_it_is_laid_anew(
 
     def compare(*given: Any) -> MapAgreement:
         laid.append(given)
-        return MapAgreement(np.zeros((0, 2)), np.zeros(0), 9.0)
+        return MapAgreement(np.zeros((0, 2)), np.zeros((0, 2)), 9.0)
 
     monkeypatch.setattr(service_module, "map_agreement", compare)
     assert service.agreement(0, compute=False) is None
@@ -75,7 +75,7 @@ def test_a_photo_is_compared_once_and_again_where_it_is_laid_anew(
 
 
 def test_all_laid_photos_are_compared_one_by_one(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:
-    agreement = MapAgreement(np.full((2, 2), 0.5), np.ones(2), 9.0)
+    agreement = MapAgreement(np.full((2, 2), 0.5), np.ones((2, 2)), 9.0)
     monkeypatch.setattr(service_module, "map_agreement", lambda *_: agreement)
     assert service.agreements() == []
     assert service.compare_next()

@@ -146,7 +146,7 @@ def test_a_correction_wakes_the_windows_of_all_browsers_that_are_there(make: Cal
 def test_a_photo_is_compared_with_the_map_once_the_window_stands_on_it(
     make: Callable[[], WindowOf], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    agreement = MapAgreement(np.full((3, 2), 0.5), np.ones(3), 9.0)
+    agreement = MapAgreement(np.full((3, 2), 0.5), np.ones((3, 2)), 9.0)
     monkeypatch.setattr(service_module, "map_agreement", lambda *_: agreement)
     page = make()
     assert "places of the photo were found" not in page.text

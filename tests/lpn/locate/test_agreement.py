@@ -45,6 +45,9 @@ def test_a_part_of_a_photo_that_the_map_has_elsewhere_is_measured_there(town: Ma
     assert len(left) >= 3
     assert len(right) >= 3
     np.testing.assert_allclose(left, 3.0, atol=0.5)
+    north = found.offsets[found.places[:, 0] < 0.35, 1]
+    # The map has it to the north of where the photo has it.
+    np.testing.assert_allclose(north, 3.0, atol=0.5)
     assert right.max() < 0.5
 
 
