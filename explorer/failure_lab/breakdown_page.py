@@ -12,6 +12,7 @@ import numpy as np
 from explorer.failure_lab import state
 from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState
+from explorer.failure_lab.table import PLAIN_VERDICTS
 from explorer.web.render import render
 from explorer.workspace import Workspace
 from lpn.analysis import breakdown, near_duplicates
@@ -24,6 +25,19 @@ from lpn.locate.task import stage_columns
 from lpn.tasks.task import Task
 
 _MAX_PAIRS, _MAX_VALUES, _MAX_TILES = 10, 10, 6
+# What a flight's columns hold, in plain words.
+_PLAIN_COLUMNS = {
+    "seconds": "time since the first photo",
+    "altitude": "height of the drone",
+    "heading": "direction that the photo's top points",
+    "pitch": "tilt of the camera",
+    "roll": "tilt of the camera to the side",
+    "heading from": "source of the direction",
+    "sequence off tag": "distance from GPS, by its neighbours",
+    "registration off tag": "distance from GPS, by its details",
+    "registration": "outcome by its details",
+    "inliers": "number of details that agree",
+}
 
 
 class _Line(NamedTuple):
@@ -212,14 +226,14 @@ def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Ra
         failed = f"{rate.failures} of {rate.queries} {say('query', rate.queries)} failed"
         hint = f"{rate.name}: {failed}; 95 % interval {low} to {high} %"
         value = [column.name, index, rate.name]
-        content = (rate.name, _rate_bar(rate, overall), rate.share)
+        word = PLAIN_VERDICTS.get(rate.name, rate.name) if column.name == "verdict" and plain() else rate.name
+        content = (word, _rate_bar(rate, overall), rate.share)
         lines.append(_Line("lab-bin", value, f"{column.name} {rate.name}" == chosen, hint, content))
+    name = _PLAIN_COLUMNS.get(column.name, column.name) if plain() else column.name
     listed = f"; {_MAX_VALUES} of {len(rates)} values" if len(rates) > _MAX_VALUES else ""
     count = sum(rate.queries for rate in rates)
     queries = f"{'all ' if count == len(findings.table) else ''}{count:,} {say('query', count)}"
-    return _Card(
-        "rate", f"{capitalised(say('failure', 2))} by {column.name}, of {queries}{listed}", lines, column.about
-    )
+    return _Card("rate", f"{capitalised(say('failure', 2))} by {name}, of {queries}{listed}", lines, column.about)
 
 
 def _rate_bar(rate: Rate, overall: float) -> _RateBar:

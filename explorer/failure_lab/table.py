@@ -36,7 +36,7 @@ _HINTS = {
     "distance": "From what the query shows to the centre of the answer",
 }
 # The verdicts on photos of a flight in plain words.
-_PLAIN_VERDICTS = {
+PLAIN_VERDICTS = {
     "registered": "placed by its details",
     "contradicted": "its GPS tag disagrees",
     "not verified": "only guessed",
@@ -323,7 +323,7 @@ def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit
             picture=feeds.thumbnail(findings.task, "tile", int(outcomes.answer[row])),
         )
     if column.name == "verdict" and words.plain():
-        return _Cell("text", _PLAIN_VERDICTS.get(text, text), title=f"In filters: {text}")
+        return _Cell("text", PLAIN_VERDICTS.get(text, text), title=f"In filters: {text}")
     if column.name == "part":
         return _Cell("text", text, swatch=int(outcomes.deciding_part[row]))
     if column.name == "margin":
