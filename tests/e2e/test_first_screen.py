@@ -204,6 +204,9 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     expect(page.locator(".lab-bar")).to_be_in_viewport(ratio=0.99)
     start = page.get_by_role("button", name="Start", exact=True)
     expect(start).to_be_in_viewport(ratio=1)
+    # A folded sheet hides neither the way back nor what is asked for next.
+    page.evaluate("document.querySelector(lpn.viser.SELECTORS.sheetHead).click()")
+    expect(page.locator("#lpn-header")).to_be_hidden()
     start.tap()
     link = context.new_page()
     link.goto(f"{app.url}/?why=1&reason=comparison")

@@ -69,7 +69,7 @@ interface Lpn {
   // viser_compat.js
   viser: {
     SELECTORS: Record<
-      | "app" | "canvas" | "stageFrame" | "shade" | "window" | "folderHead" | "unfolded" | "sheet" | "scrollRoot" | "scrolled" | "dialog"
+      | "app" | "canvas" | "stageFrame" | "shade" | "window" | "folderHead" | "unfolded" | "sheet" | "sheetHead" | "scrollRoot" | "scrolled" | "dialog"
       | "dialogTitle" | "dialogHeader" | "dialogBody" | "dialogButton" | "palette" | "notification" | "notificationText" | "softwareNotice" | "upload" | "tab",
       string
     >;
@@ -98,6 +98,7 @@ interface Lpn {
   placeStage(): void;
   folded(): boolean;
   watch(): void;
+  unfoldSheet(): void;
   fill(name: string, texts: Record<string, string>): void;
   reveal(selector: string): void;
   tab(name: string, tries?: number): void;

@@ -136,6 +136,7 @@
     const same = html === newest && document.querySelector("#lpn-first [data-query]");
     if (html) return same ? settled() : open((newest = html));
     close();
+    if (before === "first") lpn.unfoldSheet(); // what is asked for may be in it
     if (now !== before && free) lpn.reveal("#lpn-header");
     if (free && !lpn.telling()) lpn.welcome(unasked);
   };

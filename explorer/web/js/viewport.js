@@ -120,6 +120,20 @@
   const keepPanels = () => lpn.small.matches || lpn.store("local", PANELS, tabs().some((one) => one.textContent.trim() === LEFT) ? "open" : "folded");
   document.addEventListener("click", ({ isTrusted }) => isTrusted && setTimeout(keepPanels, 400), true);
 
+  // On a phone the way back to the first screen stays above the stage, however the sheet is scrolled or folded.
+  const back = document.body.appendChild(document.createElement("button"));
+  back.id = "lpn-start";
+  back.type = "button";
+  back.textContent = "‹ Start";
+  back.setAttribute("aria-label", "Start");
+  back.title = "Back to one picture and its answer";
+  back.onclick = () => lpn.send("screen", "start");
+
+  lpn.unfoldSheet = () => {
+    const header = document.getElementById("lpn-header");
+    if (phone.matches && header && !header.offsetHeight) /** @type {HTMLElement} */ (document.querySelector(SELECTORS.sheetHead))?.click();
+  };
+
   // On a phone the panels are a sheet over the page, and the stage takes the rest.
   const phone = matchMedia("(max-width: 36em)");
   const sheet = new ResizeObserver(([entry]) => {

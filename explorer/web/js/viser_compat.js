@@ -14,6 +14,7 @@
     folderHead: '.mantine-Paper-root > .mantine-Paper-root[style*="cursor: pointer"]',
     unfolded: ".tabler-icon-chevron-up",
     sheet: '.mantine-Paper-root[style*="max-height: 60%"]', // the panels of a phone
+    sheetHead: '.mantine-Paper-root[style*="max-height: 60%"] div[style="width: 20em;"] > div[style*="cursor: pointer"]',
     scrollRoot: ".mantine-ScrollArea-root",
     scrolled: ".mantine-ScrollArea-viewport",
     dialog: ".mantine-Modal-content",
