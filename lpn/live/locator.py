@@ -31,6 +31,7 @@ from lpn.flights.cameras import ground_width
 from lpn.flights.cut import CUT, cut_size, cut_square
 from lpn.locate.ground import MapFeatures
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
+from lpn.locate.map_proof import ONE_VIEW
 from lpn.locate.matchers import MatcherName, open_matcher
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import default_map_error
@@ -136,6 +137,8 @@ class _Track:
     # The last accepted registration: place, radius, time; and those since that contradict it.
     last: tuple[float, float, float, float] | None = None
     apart: list[tuple[float, float, float, float]] = field(default_factory=list)
+    # The middle of the photo that counted last as proof of the map.
+    counted: Float64Array | None = None
 
     def add(self, name: str, value: float) -> None:
         """Append a value to one of the lists, which keep the last seven."""
@@ -445,7 +448,12 @@ class LiveLocator:
         chance = chance_to_agree(
             np.array(located.likely_places()), ground.side, answer.width or ground.side, self.basemap.bounds
         )
-        if chance < AGREEING:
+        # A drone that hovers shows one view, which counts once.
+        new = track.counted is None or (
+            np.linalg.norm(middle - track.counted) > ONE_VIEW * (answer.width or ground.side)
+        )
+        if chance < AGREEING and new:
+            track.counted = middle
             agrees = sequence.distance(middle) <= OVERLAP * ground.side
             track.odds += math.log(AGREEING / chance if agrees else (1 - AGREEING) / (1 - chance))
             track.odds = min(max(track.odds, _ODDS[0]), _ODDS[1])

@@ -24,7 +24,7 @@ _CHANCE, _EVIDENCE = 0.2, 4.0
 # Flights of fewer frames tell nothing either way.
 _FEWEST = 5
 # Photos whose middles are nearer than this share of their ground width, or than their radii, are of one view.
-_APART = 0.25
+ONE_VIEW = 0.25
 
 
 def refuse_unproven(
@@ -112,7 +112,7 @@ def new_views(frames: Sequence[LocatedFrame], map_error: float) -> list[int]:
         middle, answer = _middle(located), located.stages["registration"]
         width, radius = answer.width or 0.0, math.sqrt(max((answer.radius or 0.0) ** 2 - map_error**2, 0.0))
         if all(
-            np.linalg.norm(middle - place) > max(_APART * max(width, wide), radius + wrong)
+            np.linalg.norm(middle - place) > max(ONE_VIEW * max(width, wide), radius + wrong)
             for _, place, wide, wrong in views
         ):
             views.append((i, middle, width, radius))

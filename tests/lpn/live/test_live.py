@@ -147,11 +147,13 @@ def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float] | Non
     """Registrations of frames by name, in place of matched features: where they lie, None where they are refused."""
     places: dict[str, tuple[float, float] | None] = {f"{i}.png": place for i, place in enumerate(PLACES)}
 
+    width = 50.0  # neighbours are 0.3 of it apart, and so are views of their own
+
     def register(search: PhotoSearch) -> StageRecord:
         if (place := places.get(search.located.frame.name)) is None:
             return StageRecord("refused", "It fits nowhere.")
-        matrix = np.linalg.inv(ground_to_photo(place, 90.0, WIDTH, SIZE))
-        return StageRecord("accepted", "It fits.", *place, True, 1.0, 90.0, 0.0, WIDTH, 50, matrix.ravel().tolist())
+        matrix = np.linalg.inv(ground_to_photo(place, 90.0, width, SIZE))
+        return StageRecord("accepted", "It fits.", *place, True, 1.0, 90.0, 0.0, width, 50, matrix.ravel().tolist())
 
     monkeypatch.setattr(lpn.live.locator, "register_photo", register)
     return places
@@ -174,7 +176,7 @@ def test_registrations_prove_the_map_and_a_restart_takes_the_belief_up(
     states = [
         locator.locate(frame, ArrivedPicture(frame, 0).pixels()).stages["sequence"].state for frame in flight.frames
     ]
-    assert states == ["refused"] * 4 + ["accepted"] * 2
+    assert states == ["refused"] * 5 + ["accepted"]
     assert settings.belief is not None
     locator.save(settings.belief, time.time())
     unseen = replace(flight.frames[-1], name="unregistered.png")
@@ -187,6 +189,16 @@ def test_registrations_prove_the_map_and_a_restart_takes_the_belief_up(
     assert said[0].startswith("The belief of ")
     (line,), _ = lines_of(town, [unseen])
     assert line["state"] == "refused"
+
+
+def test_a_drone_that_hovers_proves_no_map(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, float] | None]
+) -> None:
+    laid |= dict.fromkeys(laid, PLACES[0])
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    photo = ArrivedPicture(flight.frames[0], 0).pixels()
+    frames = [replace(flight.frames[0], time=float(i)) for i in range(10)]
+    assert not any(locator.locate(frame, photo).stages["sequence"].accepted for frame in frames)
 
 
 def test_a_registration_that_cannot_be_reached_is_refused_until_three_agree(
