@@ -227,7 +227,10 @@ def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
 
     A similarity takes the middles to the tags. It is fitted again without each of five groups of consecutive photos, and the
     places that it gives then scatter (jackknife of blocks; Kuensch, 1989). Blocks keep the errors together that tags next to
-    each other share, such as those of a receiver that lags along a leg. An error that all tags share is not seen.
+    each other share, such as those of a receiver that lags along a leg.
+
+    The map may bend besides. Then residuals of photos that lie next to each other are alike although they are of two groups, and
+    the mean of their products is the square of that error. An error that all tags share is not seen.
 
     Args:
         middles: of the photos on the map in the order of the flight, metres, (N, 2).
@@ -241,8 +244,8 @@ def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
     z, w = ((places[kept] @ (1, 1j)) for places in (middles, tags))
     if len(z) < _BLOCKS:
         return None
-    placed = []
-    for block in np.array_split(np.arange(len(z)), _BLOCKS):
+    placed, blocks = [], np.array_split(np.arange(len(z)), _BLOCKS)
+    for block in blocks:
         p, q = np.delete(z, block), np.delete(w, block)
         spread = (np.abs(p - p.mean()) ** 2).sum()
         if spread == 0:
@@ -250,7 +253,13 @@ def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
         turn = (np.conj(p - p.mean()) * (q - q.mean())).sum() / spread
         placed.append(q.mean() + turn * (z - p.mean()))
     off = np.array(placed) - np.mean(placed, axis=0)
-    return float(np.sqrt((_BLOCKS - 1) / _BLOCKS * (np.abs(off) ** 2).sum(axis=0).mean() / 2))
+    moved = (_BLOCKS - 1) / _BLOCKS * (np.abs(off) ** 2).sum(axis=0).mean() / 2
+    apart = np.abs(z[:, None] - z)
+    for block in blocks:
+        apart[np.ix_(block, block)] = np.inf
+    residual = w - z
+    bent = (residual * residual[apart.argmin(axis=1)].conj()).real.mean() / 2
+    return float(np.sqrt(moved + max(bent, 0.0)))
 
 
 def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float | None) -> str:
@@ -259,7 +268,7 @@ def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float |
     open_places = (
         "These are too few to tell its error."
         if error is None
-        else f"Without a fifth of them its places move: their error is ± {error:.1f} m (1 sigma) along each axis."
+        else f"By their scatter its places have an error of ± {error:.1f} m (1 sigma) along each axis."
     )
     return (
         f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. "
