@@ -75,6 +75,7 @@ interface Lpn {
     >;
     UPLOADED: string;
     EXPAND: string;
+    FOLDED: string;
     SCHEME: string;
     mend(): void;
     onRetry(tries: (goOn: () => void) => void): void;

@@ -130,8 +130,10 @@
   back.onclick = () => lpn.send("screen", "start");
 
   lpn.unfoldSheet = () => {
-    const header = document.getElementById("lpn-header");
-    if (phone.matches && header && !header.offsetHeight) /** @type {HTMLElement} */ (document.querySelector(SELECTORS.sheetHead))?.click();
+    /** @type {HTMLElement | null} */
+    const head = document.querySelector(SELECTORS.sheetHead);
+    const content = /** @type {HTMLElement | null} */ (head?.nextElementSibling);
+    if (content?.style.height === lpn.viser.FOLDED) head.click(); // while a story is told, an open sheet has no height, either
   };
 
   // On a phone the panels are a sheet over the page, and the stage takes the rest.

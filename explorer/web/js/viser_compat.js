@@ -38,6 +38,8 @@
   ];
   // viser's words: what it says when an upload is sent, and what names the button of a folded panel before the panel's name.
   const UPLOADED = "File uploaded successfully.", EXPAND = "Expand panel ";
+  // The height of what a folded sheet holds.
+  const FOLDED = "0px";
   const SCHEME = "data-mantine-color-scheme";
   const NAMELESS = `${SELECTORS.app} :is([role="slider"], input:not([type="hidden"])):is(:not([aria-label]), [aria-label=""])`;
 
@@ -81,6 +83,7 @@
     SELECTORS,
     UPLOADED,
     EXPAND,
+    FOLDED,
     SCHEME,
     mend,
     onRetry,
