@@ -50,6 +50,7 @@ _ARCHIVE = re.compile(
     r"\.(zip|7z|rar|tar|tgz|tbz2?|txz|tzst|(tar\.)?(gz|bz2|xz|zst))(\.(\d{2,3}|[a-z]{2}))?$|\.[zr]\d\d$|\.part\d+\.rar$",
     re.IGNORECASE,
 )
+_MODELS = (".pth", ".pt", ".ckpt", ".safetensors", ".onnx")
 # First bytes of zip (also empty and in parts), 7z, rar, gzip, bzip2, xz, and zstandard.
 _MAGIC = (
     b"PK\x03\x04",
@@ -68,6 +69,10 @@ Marked = Callable[[Path], object | None]
 
 def no_folder(root: Path) -> DataError:
     """Return the error about a path that is no folder: an archive, a file of a data set, or nothing."""
+    if root.is_file() and root.suffix.lower() in _MODELS:
+        return DataError(
+            f"{printable(str(root))} is a file of a model; give it with --model, and a data set's folder with --data."
+        )
     if root.is_file() and (_ARCHIVE.search(root.name) or _begins_as_archive(root)):
         return DataError(f"{printable(str(root))} is an archive; unpack it first, and give the folder that it makes.")
     if root.exists():

@@ -48,6 +48,8 @@ log = logging.getLogger(__name__)
 
 # ResNets by the blocks of their third stage.
 RESNETS = {6: "ResNet-50", 23: "ResNet-101", 36: "ResNet-152"}
+# Entries of Game4Loc's vision transformer with rotary positions, which has neither positions nor a class token.
+_ROTARY = frozenset({"reg_token", "fc_norm.weight", "fc_norm.bias", "blocks.0.attn.q_bias", "blocks.0.gamma_1"})
 # Methods of one vector, each with the prefixes of its networks of timm, see `_one_vector`.
 _VECTORS: dict[Kind, tuple[str, tuple[tuple[str, ...], ...]]] = {
     "sample4geo": ("Sample4Geo", (("model.",),)),
@@ -219,12 +221,14 @@ def _network_of_timm(entries: Entries) -> _Network:
         size = size_of(entries, (384, 384), convnext.STRIDE)
         convolutional, width = convnext.vector(entries, size), entries.shape("head.norm.weight", 1)[0]
         return _Network(convolutional, convnext.name_of(entries), width, size)
-    rotary_tokens = {"reg_token", "blocks.0.attn.q_bias", "patch_embed.proj.weight"} <= entries.state.keys()
+    # A file that lost one of these entries is of the same network.
+    without = not {"pos_embed", "cls_token"} & entries.state.keys()
+    rotary_tokens = without and len(_ROTARY & entries.state.keys()) >= len(_ROTARY) - 1
     foreign = transformers.foreign_entry(entries)
-    if not (rotary_tokens and "pos_embed" not in entries.state) and foreign is not None:
+    if not rotary_tokens and foreign is not None:
         return _named_network(entries, foreign)
     width, _, patch, _ = entries.shape("patch_embed.proj.weight", 4)
-    if "pos_embed" not in entries.state:
+    if rotary_tokens:
         size = size_of(entries, (384, 384), patch)
         rotary, published = transformers.rotary_vector(entries, size)
         name = {512: "ViT-M", 640: "ViT-Betwixt", 768: "ViT-B"}[width] + " with rotary positions"

@@ -123,6 +123,13 @@ def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
     assert open_dataset(tmp_path / "photos").kind == "folder"
 
 
+def test_a_file_of_a_model_is_no_archive(tmp_path: Path) -> None:
+    (tmp_path / "net.pth").write_bytes(b"PK\x03\x04")
+    assert refusal(tmp_path / "net.pth").endswith(
+        "is a file of a model; give it with --model, and a data set's folder with --data."
+    )
+
+
 def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path) -> None:
     def marked(folder: Path) -> None:
         raise PermissionError(13, "Permission denied", str(folder))

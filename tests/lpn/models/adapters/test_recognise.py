@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -343,22 +343,59 @@ def _hollow(shapes: Mapping[str, list[int]]) -> State:
     return {key: torch.zeros(()).expand(shape) for key, shape in shapes.items()}
 
 
+def _sues_lpn() -> State:
+    """Entries of SUES-200's LPN of four rings."""
+    timm: Any = timm_networks.import_timm()
+    with torch.device("meta"):
+        network = timm.create_model("seresnet50", pretrained=False)
+    shapes = {key: list(value.shape) for key, value in network.state_dict().items()}
+    heads = {f"classifier{ring}.add_block.0.weight": [512, 2048] for ring in range(4)}
+    heads |= {key.replace("weight", "bias"): [512] for key in heads}
+    return _hollow({f"model_{branch}.model.{key}": shape for branch in (1, 2) for key, shape in shapes.items()} | heads)
+
+
+def _two_game4locs() -> State:
+    """Entries of Game4Loc's networks for queries and gallery."""
+    one = published_models.shapes_of("game4loc_vitb_384")
+    return _hollow({key.replace("model.", f"model{branch}."): shape for branch in (1, 2) for key, shape in one.items()})
+
+
 @pytest.mark.parametrize(
-    "lost",
+    ("kind", "make", "lost"),
     [
-        "model_1.shift_blocks.0.weight",
-        "model_2.shift_blocks.8.bias",
-        "model_2.model.layer4.2.bn3.running_var",
-        "classifier4.add_block.0.weight",
-        "classifier9.add_block.1.weight",
+        (
+            "sdpl",
+            lambda: _hollow(published_models.shapes_of("sdpl_resnet50_512")),
+            [
+                "model_1.shift_blocks.0.weight",
+                "model_2.shift_blocks.8.bias",
+                "model_2.model.layer4.2.bn3.running_var",
+                "classifier9.add_block.1.weight",
+            ],
+        ),
+        pytest.param(
+            "sues200",
+            _sues_lpn,
+            ["classifier1.add_block.0.weight", "model_2.model.layer3.5.se.fc2.bias"],
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "game4loc",
+            _two_game4locs,
+            ["model2.blocks.0.attn.q_bias", "model1.fc_norm.bias"],
+            marks=pytest.mark.slow,
+        ),
     ],
 )
-def test_sdpl_without_one_entry_is_no_baseline_of_its_code(lost: str) -> None:
-    state = _hollow(published_models.shapes_of("sdpl_resnet50_512"))
-    for entry in ({}, {lost: torch.zeros(3, 3, 3)}):
-        changed = {key: value for key, value in state.items() if key != lost} | entry
-        with pytest.raises(ModelFileError, match=re.escape(lost)):
-            build("sdpl", Entries("net.pth", changed))
+def test_a_network_at_its_full_size_without_one_entry_is_no_other_one(
+    kind: Kind, make: Callable[[], State], lost: list[str]
+) -> None:
+    state = make()
+    for key in lost:
+        for entry in ({}, {key: torch.zeros(3, 3, 3)}):
+            changed = {name: value for name, value in state.items() if name != key} | entry
+            with pytest.raises(ModelFileError, match=re.escape(key)):
+                build(kind, Entries("net.pth", changed))
 
 
 def test_entries_of_a_method_that_is_built_on_a_known_one_are_named(
