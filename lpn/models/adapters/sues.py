@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, cast
 
 import torch
@@ -13,7 +14,7 @@ from lpn.models.adapters.entries import Entries
 from lpn.models.adapters.named import matching, named_vector
 from lpn.models.adapters.network import Account, MeanVector, PartBranch, by_heads
 from lpn.models.adapters.pooled import FixedWeights, MapCells, PooledTokens
-from lpn.models.adapters.published import PAIR, PublishedParts, check_option, numbered, published, size_of
+from lpn.models.adapters.published import PAIR, PublishedParts, check_option, has, numbered, published, size_of
 from lpn.models.contract import Role
 from lpn.models.partition import Partition
 from lpn.models.timm_networks import TimmMap
@@ -32,8 +33,8 @@ _NETWORKS: dict[str, tuple[str, tuple[int, ...]]] = {
 }
 
 
-# The network of its LPN, an entry of it, and the channels of its map.
-_LPN_NETWORK, _LPN_ENTRY, _LPN_CHANNELS = "seresnet50", "model.layer3.5.se.fc1.weight", 2048
+# The network of its LPN, the begin of entries of it, and the channels of its map.
+_LPN_NETWORK, _LPN_ENTRIES, _LPN_CHANNELS = "seresnet50", "model.layer3.5.se.", 2048
 
 
 class LopsidedSum(PartBranch):
@@ -77,7 +78,7 @@ def build_sues(entries: Entries) -> PublishedParts:
         InputError: if timm is needed and cannot be imported.
     """
     own = entries.under("model_1.")
-    if _LPN_ENTRY in own.state and "classifier0.add_block.0.weight" in entries.state:
+    if has(own, _LPN_ENTRIES) and any(re.match(r"classifier\d", key) for key in entries.state):
         return _lpn(entries)
     name = matching(_NETWORKS, own)
     if name is None or "classifier.add_block.0.weight" not in entries.state:

@@ -307,7 +307,7 @@ def test_the_lpn_of_sues_has_rings_under_heads_without_a_batchnorm(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sues, "_LPN_NETWORK", "test_resnet")
-    monkeypatch.setattr(sues, "_LPN_ENTRY", f"model.{_STEM[0]}")
+    monkeypatch.setattr(sues, "_LPN_ENTRIES", f"model.{_STEM[0]}")
     monkeypatch.setattr(sues, "_LPN_CHANNELS", 96)
     made, own = network("test_resnet", (160, 160))
     shapes = {f"classifier{ring}.add_block.0.weight": [512, 96] for ring in range(2)}

@@ -376,7 +376,7 @@ def _two_game4locs() -> State:
         pytest.param(
             "sues200",
             _sues_lpn,
-            ["classifier1.add_block.0.weight", "model_2.model.layer3.5.se.fc2.bias"],
+            ["classifier0.add_block.0.weight", "model_1.model.layer3.5.se.fc1.weight"],
             marks=pytest.mark.slow,
         ),
         pytest.param(
