@@ -16,7 +16,7 @@ import lpn
 from lpn.core.errors import ModelFileError
 from lpn.models.export import export
 from lpn.models.network import LPN
-from lpn.models.published_checkpoints import infer_spec, read_options
+from lpn.models.published_checkpoints import infer_backbone, infer_spec, read_options
 from lpn.models.spec import ModelSpec
 from tools.fixtures import published_network, seeded, small_worlds
 from tools.fixtures.parity import (
@@ -292,3 +292,13 @@ def test_an_option_that_is_used_and_wrong_is_one_sentence(option: str, sentence:
     with pytest.raises(ModelFileError) as caught:
         read_options(tmp_path / "opts.yaml")
     assert str(caught.value) == f"The opts.yaml beside the model {sentence}"
+
+
+def test_an_lpn_on_a_se_resnet_is_not_read_without_its_gates() -> None:
+    names = ("layer1.0.conv3.weight", "layer3.5.conv1.weight", "layer4.0.conv1.weight")
+    state = dict.fromkeys(names, torch.zeros(1))
+    assert infer_backbone(state, "net.pth") == ("resnet50", "layer4")
+    with pytest.raises(
+        ModelFileError, match=r"on a SE-ResNet \(layer1\.0\.se\.fc1\.weight\), .* `backbone: timm:seresnet50`"
+    ):
+        infer_backbone(state | {"layer1.0.se.fc1.weight": torch.zeros(1)}, "net.pth")
