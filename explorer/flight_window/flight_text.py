@@ -30,10 +30,16 @@ EVIDENCE = (
     "of them errs."
 )
 WORST = (
-    "Metres between a photo's place on the map and its GPS tag, or its correction by hand: the error of both together."
+    "Each photo by the one of its answers that lies farthest from its GPS tag, or its correction by hand: the error of both "
+    "together. The answer that counts stands behind it, where it is another one."
 )
 # Fewer places of a photo tell nothing of the rest.
 _FEW_PLACES = 3
+_METHODS = {
+    "retrieval": "the most similar piece of the map",
+    "sequence": "the path of the flight through such pieces",
+    "registration": "points of the photo matched on the map",
+}
 _ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 
 
@@ -51,6 +57,11 @@ def label(name: str) -> str:
     return "By hand" if name == "corrected" else capitalised(say(name))
 
 
+def methods(stages: Sequence[str]) -> str:
+    """Say in a line how each of the stages places a photo."""
+    return " ".join(f"{label(stage)}: {_METHODS[stage]}." for stage in stages)
+
+
 def refusal(located: LocatedFrame, stage: str) -> str | None:
     """Return that a stage's answer is refused, and why; None if it is not."""
     answer = located.stages.get(stage)
@@ -60,6 +71,11 @@ def refusal(located: LocatedFrame, stage: str) -> str | None:
 def refusals(located: LocatedFrame) -> list[str]:
     """Return the refusals of all stages."""
     return [text for stage in located.stages if (text := refusal(located, stage)) is not None]
+
+
+def judge(flight: LocatedFlight) -> str:
+    """Return what the page's other panels grade a photo's look by, see `LocatedFlight.photographed`."""
+    return "its GPS tag" if flight.late_tags is None else "its details"
 
 
 def apart(one: Disagreement) -> str:
@@ -113,26 +129,38 @@ def _side(across: float, down: float) -> str:
 
 
 def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
-    """Return frame, name, and words of each photo that has a place, the one farthest from its GPS tag first.
+    """Return frame, name, and words of each photo that has a place, by the answer that lies farthest from its GPS tag.
 
-    Photos without a tag come last, the largest radius first.
+    Answers that are refused do not count. Photos without a tag come last, the largest radius first.
     """
     placed = []
     for i, (located, verdict) in enumerate(zip(view.flight.frames, view.beliefs, strict=True)):
         if verdict.stage is None:
             continue
-        answer = located.stages[verdict.stage]
-        error, radius = located.error(verdict.stage), answer.radius
-        words = [] if error is None else [f"{error:.1f} m"]
-        words.append(
-            say(verdict.stage) + (", not verified" if radius is None else f", ± {radius:.1f} m {on_what(answer)}")
-        )
-        if not verdict.sign and verdict.stage == "registration":
-            words.append("contradicted")
-        order = -math.inf if error is None else error, radius or 0.0
-        placed.append((order, i, printable(located.frame.name), [", ".join(words)]))
+        answered = [
+            name for name, answer in located.stages.items() if answer.state != "refused" and answer.x is not None
+        ]
+        errors = {name: error for name in answered if (error := located.error(name)) is not None}
+        farthest = max(errors, key=lambda name: errors[name], default=verdict.stage)
+        if errors.get(verdict.stage) == errors.get(farthest):
+            farthest = verdict.stage
+        words = [_answered(view, i, name) for name in dict.fromkeys((farthest, verdict.stage))]
+        order = errors.get(farthest, -math.inf), located.stages[verdict.stage].radius or 0.0
+        placed.append((order, i, printable(located.frame.name), ["; ".join(words)]))
     placed.sort(key=lambda one: one[0], reverse=True)
     return [(i, name, words) for _, i, name, words in placed]
+
+
+def _answered(view: FlightView, frame: int, stage: str) -> str:
+    """Return a stage's answer in words: metres from the tag, the stage, its radius, and whether it is contradicted."""
+    located, verdict = view.flight.frames[frame], view.beliefs[frame]
+    answer, error = located.stages[stage], located.error(stage)
+    words = [] if error is None else [f"{error:.1f} m"]
+    words.append(say(stage))
+    words.append("not verified" if answer.radius is None else f"± {answer.radius:.1f} m {on_what(answer)}")
+    if stage == verdict.stage == "registration" and not verdict.sign:
+        words.append("contradicted")
+    return ", ".join(words)
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:

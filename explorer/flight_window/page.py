@@ -34,6 +34,8 @@ COLOURS = {name: theme.COLOURS[name] for name in ("tag", "retrieval", "sequence"
 }
 # Length of the lists of refused and of contradicting frames.
 _MAX_LISTED = 200
+# A frame of a list: its number, its name, and lines about it.
+_Entry = tuple[int, str, Sequence[str]]
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
@@ -77,6 +79,7 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "heights": [_number(frame.frame.flying_height, 2) for frame in frames],
         "outlines": [None if one is None else [*_rounded(one.corners), one.registered] for one in view.outlines],
         "tracks": {name: _track(view, name) for name in _tracks(view)},
+        "methods": flight_text.methods(flight.stages),
         "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
         "plain": plain(),
         "signs": [view.beliefs[i].sign for i in range(len(frames))],
@@ -132,13 +135,13 @@ def card(
     view: FlightView,
     frame: int,
     address: str,
-    retrieval_failed: bool = False,
+    retrieval_right: bool | None = None,
     agreement: MapAgreement | None = None,
 ) -> str:
     """Return the query, the answer, and the verdict for the chosen frame.
 
     Args:
-        retrieval_failed: the page's other panels call the answer of retrieval wrong.
+        retrieval_right: whether the page's other panels call the answer of retrieval right; None where they cannot tell.
         agreement: of places of the photo with the map; None until it is measured.
     """
     located = view.flight.frames[frame]
@@ -167,7 +170,8 @@ def card(
         on_map=None if ground is None else _share_on_map(view, ground),
         height=located.frame.flying_height,
         corrected=_correction(view, frame, place),
-        look_errs=retrieval_failed and stage in PLACED,
+        look_right=retrieval_right if stage in PLACED else None,
+        judge=flight_text.judge(view.flight),
     )
 
 
@@ -196,20 +200,20 @@ def chosen(
     frame: int,
     address: str,
     saves: int = 0,
-    retrieval_failed: bool = False,
+    retrieval_right: bool | None = None,
     agreement: MapAgreement | None = None,
 ) -> dict[str, Any]:
     """Return what the script draws of the chosen frame.
 
     Args:
         saves: how many corrections of the page are saved; the page keeps its tie points until the number changes.
-        retrieval_failed, agreement: see `card`.
+        retrieval_right, agreement: see `card`.
     """
     located = view.flight.frames[frame]
     laid = view.homography(frame)
     return {
         "frame": frame,
-        "card": card(view, frame, address, retrieval_failed, agreement),
+        "card": card(view, frame, address, retrieval_right, agreement),
         "homography": None if laid is None else laid.ravel().tolist(),
         "offsets": [] if laid is None or agreement is None else _offsets(laid, located, agreement),
         "corrected": view.corrected(frame) is not None,
@@ -293,6 +297,11 @@ def lists(view: FlightView) -> dict[str, str]:
         for i, located in enumerate(flight.frames)
         if view.beliefs[i].stage not in PLACED
     ]
+    partly = [
+        (i, printable(located.frame.name), texts)
+        for i, located in enumerate(flight.frames)
+        if view.beliefs[i].stage in PLACED and (texts := flight_text.refusals(located))
+    ]
     apart = [
         (one.frame, printable(flight.frames[one.frame].frame.name), [flight_text.apart(one)])
         for one in view.contradictions
@@ -306,7 +315,7 @@ def lists(view: FlightView) -> dict[str, str]:
     if plain():  # the figures stand above the map
         audit = flight_text.EVIDENCE if apart else ""
     return {
-        "refused": _list(refused, "", "Every frame is placed.", ("support", "registration") if refused else ()),
+        "refused": _list(refused, "", "Every photo is placed.", ("support", "registration") if refused else (), partly),
         "audit": _list(
             apart,
             audit,
@@ -317,7 +326,9 @@ def lists(view: FlightView) -> dict[str, str]:
         ),
         "worst": _list(flight_text.worst(view), flight_text.WORST, "No photo has a place."),
         "notes": render("flight/notes", notes=notes),
-        "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
+        "counts": render(
+            "flight/counts", refused=len(refused), partly=len(partly), apart=len({one[0] for one in apart})
+        ),
     }
 
 
@@ -337,13 +348,23 @@ def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float
 
 
 def _list(
-    entries: Sequence[tuple[int, str, Sequence[str]]], sentence: str, empty: str, terms: Sequence[str] = ()
+    entries: Sequence[_Entry],
+    sentence: str,
+    empty: str,
+    terms: Sequence[str] = (),
+    partly: Sequence[_Entry] = (),
 ) -> str:
-    """Return a list of frames; the page explains its `terms`, see `explorer.web.terms.term`."""
+    """Return a list of frames; the page explains its `terms`, see `explorer.web.terms.term`.
+
+    Args:
+        partly: placed frames of which one method's answer is refused, folded.
+    """
     return render(
         "flight/list",
         entries=entries[:_MAX_LISTED],
         total=len(entries),
+        partly=partly,
+        most=_MAX_LISTED,
         sentence=sentence,
         empty="" if entries else empty,
         terms=terms,

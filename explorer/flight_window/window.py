@@ -225,7 +225,7 @@ class FlightWindow:
         names = self._workspace.part_names
         self._shell.show(page.shell(names, self._panel_height, choices.full_height))
         frame = None if state.upload or state.query >= len(view.flight.frames) else state.query
-        failed = analysis.matches[0].true is False
+        right = analysis.matches[0].true
         message = self._message_of(frame)
         rest = self._rest_of(frame)
         agreement = None if frame is None else self._service.agreement(frame, compute=rest <= 0)
@@ -242,7 +242,7 @@ class FlightWindow:
             "address": self._pictures.address,
             "frame": None
             if frame is None
-            else page.chosen(view, frame, self._pictures.address, saves, failed, agreement),
+            else page.chosen(view, frame, self._pictures.address, saves, right, agreement),
             "answer": page.answer_window(view, analysis),
             "scores": page.painting(view, analysis, choices.painted, names),
         }

@@ -406,7 +406,7 @@ class LiveLocator:
         if radius > ground.side:
             state = "refused"
             sentence = (
-                f"The 1-sigma radius of {radius:.0f} m is larger than a window, whose side is {ground.side:.0f} m."
+                f"Its 1-sigma radius of {radius:.0f} m is larger than a piece of the map, {ground.side:.0f} m wide."
             )
         elif point.nearby < CONFIDENCE:
             state = "refused"

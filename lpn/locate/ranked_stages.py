@@ -140,7 +140,7 @@ def enter_sequence(
         elif radius > side:
             state = "refused"
             sentence = (
-                f"The 1-sigma radius of {radius:.0f} m is larger than a window, whose side is {side:.0f} m. {sentence}"
+                f"Its 1-sigma radius of {radius:.0f} m is larger than a piece of the map, {side:.0f} m wide. {sentence}"
             )
         elif track.nearby[i] < CONFIDENCE:
             state = "refused"

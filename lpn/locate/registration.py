@@ -654,11 +654,10 @@ def _covariance(
 
 def _doubt(best: _Candidate, runner_up: float) -> str:
     """Return why the support is too low for a place, as a sentence; "" if it is not."""
-    count = int((best.residuals < best.radius).sum())
     if best.support < MIN_SUPPORT:
         return (
-            f"Only {count} of {len(best.u)} matches agree on a place, a support of {best.support:.0f} where "
-            f"{MIN_SUPPORT:.0f} are needed."
+            f"Only {max(best.support, 0):.0f} of {len(best.u)} matches agree on a place beyond chance, and {MIN_SUPPORT:.0f} are "
+            "needed."
         )
     return _rivalled(best.support, runner_up)
 

@@ -112,7 +112,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it. Pins: from where the photo has a place to where the map has it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it. Pins: from where the photo has a place to where the map has it.</p>`,
     );
   };
   const refresh = () => {
@@ -139,7 +139,11 @@
     root.classList.toggle("more", more);
     flight.mark();
     flight.draw();
+    edges();
   };
+  // Mark the columns and lists whose end is out of sight.
+  const edges = () =>
+    all(".side, .upper, .listed, .accuracy").forEach((one) => one.classList.toggle("below", one.scrollHeight - one.scrollTop - one.clientHeight > 8));
   // Mark the buttons of what is chosen.
   flight.mark = () => {
     if (!flight.root) return;
@@ -165,6 +169,7 @@
       one.setAttribute("aria-pressed", flight.play.skips);
     });
     find(".view").classList.toggle("asking", flight.asking);
+    find(".scale").hidden = flight.timeline.plot === "height"; // its axis alone is even
   };
   // Ask twice more for a picture that could not be loaded: the server may have been busy.
   flight.again = (image) => {
@@ -218,6 +223,7 @@
   const resized = new ResizeObserver(() => {
     flight.map.resized();
     flight.draw();
+    edges();
   });
 
   flight.attach = () => {
@@ -226,6 +232,8 @@
     flight.root = root;
     root.addEventListener("click", onClick);
     root.addEventListener("keydown", onKey);
+    root.addEventListener("scroll", edges, { capture: true, passive: true });
+    root.addEventListener("toggle", edges, { capture: true });
     for (const part of [flight.map, flight.photo, flight.timeline]) part.attach();
     resized.disconnect();
     for (const canvas of [find(".view"), find(".time canvas")]) resized.observe(canvas);

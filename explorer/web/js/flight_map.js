@@ -154,7 +154,11 @@
     if (!map.view) fit();
     const [ground, ratio] = canvas(find(".ground"));
     ground.imageSmoothingEnabled = true;
-    box.dataset.missing = String(tiles.draw(ground, ratio, flight.data, map));
+    const missing = tiles.draw(ground, ratio, flight.data, map);
+    box.dataset.missing = String(missing);
+    box.classList.toggle("loads", missing > 0);
+    const words = missing ? "The map is loading …" : "";
+    if (find(".loading").textContent !== words) find(".loading").textContent = words;
     if (flight.painted && overlay.picture) drawScores(ground);
     const [pen] = canvas(find(".over"));
     drawTracks(pen);

@@ -37,6 +37,11 @@
             const part = SIDE / 2 ** up;
             if (found) pen.drawImage(found, (column % 2 ** up) * part, (row % 2 ** up) * part, part, part, ...box);
           }
+          // A plain square shows that something is still to come there, so that no part of a map passes for the whole.
+          if (!found) {
+            pen.fillStyle = "rgba(128,128,128,.22)";
+            pen.fillRect(box[0] + 1, box[1] + 1, box[2] - 2, box[3] - 2);
+          }
         }
       const wanted = missing.sort((one, two) => one[0] - two[0]).map((one) => one[1]);
       // The coarsest tile comes last: it may take seconds on a large map, and stands only for tiles that are not there yet.

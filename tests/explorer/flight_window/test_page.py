@@ -109,8 +109,13 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     assert "pictures/x/ground/0" in first
     assert "by its neighbours" in third
     assert "as the panel says" not in first
-    failed = page.card(view, 0, "pictures/x/", retrieval_failed=True)
+    failed = page.card(view, 0, "pictures/x/", retrieval_right=False)
     assert failed.index("Retrieval alone is wrong, as the panel says") < failed.index("Placed by its details")
+    doubted = page.card(view, 1, "pictures/x/", retrieval_right=True)
+    assert doubted.index("The panel calls retrieval right, as it goes by its GPS tag") < doubted.index(
+        "its GPS tag disagrees"
+    )
+    assert "The panel calls" not in page.card(view, 0, "pictures/x/", retrieval_right=True)
     assert "<b>photo2" not in third
     assert "<i>4" not in third
     assert third.count("Only &lt;i&gt;4&lt;/i&gt; matches agree.") == 1
@@ -244,7 +249,11 @@ def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refuse
 
 
 def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, flight: LocatedFlight) -> None:
-    assert "Not placed 0" in page.lists(view)["counts"], "its neighbours place the frame whose registration was refused"
+    placed = page.lists(view)
+    assert "Not placed 0, refused 1" in placed["counts"], (
+        "its neighbours place the frame whose registration was refused"
+    )
+    assert placed["refused"].index("Every photo is placed.") < placed["refused"].index("Registration: refused. Only")
     stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "sequence"}
     lists = page.lists(view_of(replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])))
     assert "Registration: refused. Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]
@@ -255,10 +264,10 @@ def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, fl
     order = re.findall(r"<b>(.*?)</b> <span>(.*?)</span>", lists["worst"])
     assert order == [
         ("photo1.png", "45.0 m, Registration, ± 1.0 m on this map, contradicted"),
+        ("photo0.png", "20.0 m, Retrieval, not verified; 1.0 m, Registration, ± 1.0 m on this map"),
         ("&lt;b&gt;photo2&lt;/b&gt;.png", "20.0 m, Retrieval, not verified"),
-        ("photo0.png", "1.0 m, Registration, ± 1.0 m on this map"),
     ]
-    assert "Not placed 1" in lists["counts"]
+    assert "Not placed 1<" in lists["counts"]
 
 
 def test_the_photo_is_laid_only_where_a_registration_was_accepted(view: FlightView) -> None:

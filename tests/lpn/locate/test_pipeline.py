@@ -656,7 +656,7 @@ def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: py
     assert answers[1].x == pytest.approx(0, abs=1)
     for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
         assert answer.state == "refused"
-        assert "is larger than a window, whose side is 40 m" in answer.sentence
+        assert "is larger than a piece of the map, 40 m wide" in answer.sentence
     doubtful = np.eye(25)[12] + np.eye(25)[11] * 0.97
     (answer,) = (frame.stages["sequence"] for frame in _ranked(flight, doubtful[None], {}))
     assert answer.state == "refused"
