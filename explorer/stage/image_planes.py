@@ -65,9 +65,16 @@ class Plane:
             self.handle.image = picture
 
 
-def rank_title(match: Match) -> str:
-    """Return the rank of a compared tile as a headline."""
-    return match.rank_text.upper() if match.missed else f"{'MATCH' if words.plain() else 'RANK'} {match.rank_text}"
+def rank_title(match: Match, own: bool = False) -> str:
+    """Return the rank of a compared tile as a headline.
+
+    Args:
+        own: of the user's own picture, whose place may be on none of the tiles.
+    """
+    if match.missed:
+        return match.rank_text.upper()
+    plainly = "MOST SIMILAR" if own else "MATCH"
+    return f"{plainly if words.plain() else 'RANK'} {match.rank_text}"
 
 
 def query_title() -> str:

@@ -27,12 +27,15 @@ from lpn.flights import Frame
 from lpn.flights.cameras import rotation
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.coverage import crossing, outline
+from lpn.locate.located import LocatedFrame
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Height of lines over the mosaic, in stage units.
 _LINE_HEIGHT = 0.2
 # Smallest side of a view of the city, in metres.
 _MIN_VIEW = 520.0
+# Width in pixels of other lines, and of the frame of a registered photo, which leads.
+_THIN, _THICK = 3.0, 7.0
 # Half the width of the mark of a GPS tag, in stage units.
 _TAG = 0.1
 # The view includes the query's camera up to this distance from the compared tile, in metres.
@@ -83,6 +86,7 @@ class GalleryMap:
     ) -> None:
         self._workspace = workspace
         self.eye: Eye | None = None
+        self._framed = False
         self._photo: tuple[Path | OwnPicture, UInt8Array] | None = None
         self._camera_scale = 0.5
         self._analysis: StateAnalysis | None = None
@@ -94,13 +98,17 @@ class GalleryMap:
         self._caption = Plane(scene, "/map/caption", SIGN_CAPTION, SIGN_PICTURE, _point(0, 0, 0))
         self._query = Plane(scene, "/map/query", SIGN_PICTURE, SIGN_PICTURE, _point(0, 0, 0))
         self._tile = Plane(scene, "/map/tile", SIGN_PICTURE, SIGN_PICTURE, _point(0, 0, 0))
-        self._lines = scene.add_line_segments(
-            "/map/lines",
-            np.zeros((1, 2, 3), np.float32),
-            np.zeros((1, 2, 3), np.uint8),
-            thickness=3.0,
-            thickness_units="screen",
+        self._lines, self._frame = (
+            scene.add_line_segments(
+                f"/map/{name}",
+                np.zeros((1, 2, 3), np.float32),
+                np.zeros((1, 2, 3), np.uint8),
+                thickness=thickness,
+                thickness_units="screen",
+            )
+            for name, thickness in (("lines", _THIN), ("frame", _THICK))
         )
+        self._here = scene.add_label("/map/here", "", anchor="bottom-center")
         self._tiles = [Plane(scene, f"/map/tile{slot}", 0.3, 0.3, _point(0, 0, 0), "png") for slot in range(slots)]
         for slot, tile in enumerate(self._tiles):
             tile.handle.on_click(self._clicked(slot, on_select))
@@ -130,7 +138,7 @@ class GalleryMap:
         top = model.top * self._scale if city and model is not None else None
         self._show_tiles(analysis, places, city, 0.03 if top is None else top, pixels)
         self._show_lines(analysis, places, camera, _LINE_HEIGHT if top is None else top)
-        self._lines.thickness = 5.0 if city else 3.0
+        self._lines.thickness = 5.0 if city else _THIN
         self._camera_scale = self._camera.scale = 0.5 * viewpoint.scale
         self._caption.show(self._draw_caption(analysis, lettering.sign))
         palette = analysis.state.palette
@@ -146,6 +154,7 @@ class GalleryMap:
         Lines are hidden: one begins at the camera, and would lie across the whole view.
         """
         self._camera.visible, self._camera.scale, self._lines.visible = True, _NEAR, False
+        self._frame.visible = self._here.visible = False
 
     def flip_photo(self) -> None:
         """Hide the photo of the query's camera, so that the map lies bare, or show it again."""
@@ -155,6 +164,7 @@ class GalleryMap:
         """Show the query's camera again in its usual size, if its pose is known."""
         if self.eye is not None:
             self._camera.visible, self._camera.scale, self._lines.visible = True, self._camera_scale, True
+            self._frame.visible = self._here.visible = self._framed
 
     def ground(self, places: GalleryGeometry) -> dict[str, object]:
         """Return what the page needs to measure on the ground, as JSON takes it.
@@ -243,24 +253,37 @@ class GalleryMap:
     ) -> None:
         """Draw the ranked tiles as pictures on the ground, or as frames above the roofs.
 
+        Where the photo's details were compared with the map, their answer leads: in plain words the compared tile alone is
+        drawn, as a thin frame.
+
         Args:
             pixels: CSS pixels of a stage unit.
         """
+        examined = self._workspace.located(analysis)
+        alone = (
+            analysis.state.plain and examined is not None and (analysis.state.upload is not None or _placed(examined))
+        )
         for slot, plane in enumerate(self._tiles):
             match = analysis.matches[slot] if slot < len(analysis.matches) else None
             # Tiles of an index may lack a position.
-            plane.handle.visible = match is not None and bool(np.isfinite(places.ground[match.index]).all())
+            plane.handle.visible = (
+                match is not None
+                and bool(np.isfinite(places.ground[match.index]).all())
+                and (not alone or match.index == analysis.chosen.index)
+            )
             if match is None or not plane.handle.visible:
                 continue
             colour = theme.verdict_colour(match.true)
-            if city:
+            if alone:
+                framed = overlays.outlined(160, colour, 2, 0.0)
+            elif city:
                 chosen = match.index == analysis.chosen.index
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
             else:
                 picture = self._workspace.ground_picture(analysis.task, match.index)
                 framed = overlays.framed(overlays.square(picture, 96), colour, 5)
             side = self._tile_side(places, match.index)
-            if side * pixels > 1.3 * LEAST:  # otherwise the number would not fit
+            if side * pixels > 1.3 * LEAST and not alone:  # otherwise the number would not fit
                 framed = captions.numbered(framed, match.rank, legible(30, framed.shape[0], side * pixels))
             plane.show(framed)
             plane.handle.render_width = plane.handle.render_height = side
@@ -344,11 +367,17 @@ class GalleryMap:
         start, own = camera if camera is not None else truth, analysis.state.upload
         located = self._workspace.located(analysis)
         ground = None if located is None else outline(located)
+        frame: list[_Segment] = []
         if ground is not None and ground.registered:
             points = self._from_map(np.vstack([ground.corners, crossing(ground.corners)]), places)
             *corners, middle = [self._to_stage(point, 0.0, lift) for point in points]
-            segments += _outline(corners, theme.TRUE_COLOUR)
+            frame = _outline(corners, theme.TRUE_COLOUR)
             start = middle if camera is None else camera
+            self._here.text = "your picture" if own is not None else f"{analysis.name}, by its details"
+            self._here.position = max(corners, key=lambda corner: float(corner[1]))
+        self._framed = bool(frame)
+        self._here.visible = self._framed
+        _draw(self._frame, frame)
         if own is not None and own.place is not None:
             tag = self._to_stage(geo.on_plane([Position(*own.place)], places.origin)[0], 0.0, lift)
             if float(np.abs(tag - chosen).max()) < _MAX_CAMERA_DISTANCE * self._scale:
@@ -359,11 +388,7 @@ class GalleryMap:
             segments.append((start, chosen, theme.verdict_colour(analysis.chosen.true)))
         if camera is not None and truth is not None and not analysis.chosen.true:
             segments.append((camera, truth, theme.TRUE_COLOUR))
-        segments = [one for one in segments if np.isfinite(one[:2]).all()]
-        self._lines.visible = bool(segments)
-        if segments:
-            self._lines.points = np.array([(a, b) for a, b, _ in segments], np.float32)
-            self._lines.colors = np.array([(c, c) for *_, c in segments], np.uint8)
+        _draw(self._lines, segments)
 
     def _draw_caption(self, analysis: StateAnalysis, size: int) -> UInt8Array:
         """Draw the names of the query and the compared tile, at a size in pixels, and the error in metres."""
@@ -383,18 +408,35 @@ class GalleryMap:
             anchor="lm",
         )
         draw.text((438, 222 - step), "›", palette.dim, captions.font(34), anchor="rm")
-        draw.text((412, 222 - step), rank_title(chosen), palette.text, captions.font(head), anchor="rm")
-        left = 412 - draw.textlength(rank_title(chosen), font=captions.font(head))
+        rank = rank_title(chosen, analysis.state.upload is not None)
+        draw.text((412, 222 - step), rank, palette.text, captions.font(head), anchor="rm")
+        left = 412 - draw.textlength(rank, font=captions.font(head))
         captions.draw_sign(draw, left - 40, 210 - step, 24, chosen.true, palette)
         tile = captions.fitted(draw, f"{analysis.task.gallery_view} {name}", size, 394)
         draw.text((412, 222), tile, palette.dim, captions.font(size), anchor="rm")
-        if analysis.errors_m is not None and np.isfinite(analysis.errors_m[chosen.index]):
-            colour = palette.ink(theme.verdict_colour(chosen.true))
-            off, large = distance(float(analysis.errors_m[chosen.index])), max(40, size)
-            text = f"{off} off" if analysis.state.upload is None else f"{off} from its tag"
-            text = captions.fitted(draw, text, large, 440, off)
-            draw.text((228, 126), text, colour, captions.font(large), anchor="mm")
+        if text := self._distance(analysis):
+            placed = (located := self._workspace.located(analysis)) is not None and _placed(located)
+            colour = palette.text if placed else palette.ink(theme.verdict_colour(chosen.true))
+            large = max(40, size) if draw.textlength(text, font=captions.font(max(40, size))) <= 440 else size
+            draw.text((228, 126), captions.fitted(draw, text, large, 440), colour, captions.font(large), anchor="mm")
         return np.asarray(image)
+
+    def _distance(self, analysis: StateAnalysis) -> str:
+        """Say the one distance that matters, from what to what; "" where there is none.
+
+        It is that from the frame of a registered photo to its GPS tag, as the verdict has it. An own picture that fits nowhere
+        has none: a tile that merely looks like it is no answer.
+        """
+        located, own = self._workspace.located(analysis), analysis.state.upload is not None
+        if located is not None and _placed(located):
+            error = located.error("registration")
+            return "" if error is None else f"frame {distance(error)} from its GPS tag"
+        if (own and located is not None) or analysis.errors_m is None:
+            return ""
+        off = float(analysis.errors_m[analysis.chosen.index])
+        if not math.isfinite(off):
+            return ""
+        return f"answer {distance(off)} from its GPS tag" if own else f"{distance(off)} off"
 
     def _clicked(self, slot: int, on_select: Callable[[SessionState, int], None]) -> Callable[[Any], None]:
         def clicked(_: Any) -> None:
@@ -403,6 +445,21 @@ class GalleryMap:
                 on_select(analysis.state, analysis.matches[slot].index)
 
         return clicked
+
+
+def _placed(located: LocatedFrame) -> bool:
+    """Return True if a photo is laid over the map by an accepted registration."""
+    ground = outline(located)
+    return ground is not None and ground.registered
+
+
+def _draw(handle: viser.LineSegmentsHandle, segments: Sequence[_Segment]) -> None:
+    """Draw the segments that are known; without any, hide the lines."""
+    known = [one for one in segments if np.isfinite(one[:2]).all()]
+    handle.visible = bool(known)
+    if known:
+        handle.points = np.array([(a, b) for a, b, _ in known], np.float32)
+        handle.colors = np.array([(c, c) for *_, c in known], np.uint8)
 
 
 def _outline(corners: Sequence[AnyArray], colour: theme.Colour) -> list[_Segment]:

@@ -340,10 +340,16 @@ class Stage:
     def _tile_caption(self, analysis: StateAnalysis) -> UInt8Array:
         chosen = analysis.chosen
         tile, palette = analysis.task.gallery[chosen.index], analysis.state.palette
+        own = analysis.state.upload is not None
         view = analysis.task.gallery_view if tile.cut is None else "map"
         text = ", ".join(filter(None, (f"{view} {tile.title}", tile.note)))
         return title(
-            rank_title(chosen), (text, tile.title), chosen.true, palette, self._caption_width, chosen.distance2
+            rank_title(chosen, own),
+            (text, tile.title),
+            chosen.true,
+            palette,
+            self._caption_width,
+            chosen.distance2,
         )
 
 

@@ -29,12 +29,27 @@ TASK = "drone-to-satellite"
 
 
 class Scene:
-    def add_image(self, *_: Any, **__: Any) -> SimpleNamespace:
-        return SimpleNamespace(visible=True, on_click=lambda _: None)
+    lines: SimpleNamespace
+    frame: SimpleNamespace
+    click: Any
 
-    def add_line_segments(self, *_: Any, **__: Any) -> SimpleNamespace:
-        self.lines = SimpleNamespace(visible=True)
-        return self.lines
+    def __init__(self) -> None:
+        self.tiles: list[SimpleNamespace] = []
+
+    def add_image(self, name: str, *_: Any, **__: Any) -> SimpleNamespace:
+        image = SimpleNamespace(visible=True, on_click=lambda _: None)
+        if name.startswith("/map/tile") and name != "/map/tile":
+            self.tiles.append(image)
+        return image
+
+    def add_line_segments(self, name: str, *_: Any, **__: Any) -> SimpleNamespace:
+        drawn = SimpleNamespace(visible=True)
+        setattr(self, name.removeprefix("/map/"), drawn)
+        return drawn
+
+    def add_label(self, *_: Any, **__: Any) -> SimpleNamespace:
+        self.here = SimpleNamespace(visible=True)
+        return self.here
 
     def add_camera_frustum(self, *_: Any, **__: Any) -> SimpleNamespace:
         self.camera = SimpleNamespace(visible=True, on_click=lambda function: setattr(self, "click", function))
@@ -118,9 +133,9 @@ def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(work
     assert upright == pytest.approx(2 * np.arctan(eye.across * 3 / 4))
 
 
-@pytest.mark.parametrize("posed", [True, False])
+@pytest.mark.parametrize(("posed", "plain"), [(True, False), (False, True)])
 def test_the_ground_of_an_own_picture_that_is_registered_is_framed_and_its_camera_stands_there(
-    workspace: Workspace, posed: bool
+    workspace: Workspace, posed: bool, plain: bool
 ) -> None:
     task = workspace.tasks[TASK]
     assert task.geometry is not None
@@ -136,17 +151,22 @@ def test_the_ground_of_an_own_picture_that_is_registered_is_framed_and_its_camer
     workspace.basemap = SimpleNamespace(frame=LocalFrame(origin.latitude, origin.longitude))  # type: ignore[assignment]
     try:
         shown = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
-        analysis = StateAnalyser(workspace).analyse(SessionState(TASK, 4, upload=own, map=True), 6)
+        analysis = StateAnalyser(workspace).analyse(SessionState(TASK, 4, upload=own, map=True, plain=plain), 6)
         shown.show(replace(analysis, own_photo=job), Lettering(24, 100.0))
         ground = shown.ground(task.geometry)
     finally:
         workspace.basemap = None
-    metres = (scene.lines.points - [*ground["middle"], MAP_CENTRE[2]]) * ground["metres"]  # type: ignore[misc, operator]
+    framed, joined = (
+        (lines.points - [*ground["middle"], MAP_CENTRE[2]]) * ground["metres"]  # type: ignore[misc]
+        for lines in (scene.frame, scene.lines)
+    )
     frame = [(-70, 115), (130, 115), (130, -35), (-70, -35)]
-    np.testing.assert_allclose(metres[:4, 0, :2], frame, rtol=0.01, atol=0.5)
-    assert len(metres) == 5
-    np.testing.assert_allclose(metres[4, 0, :2], (30, 40), rtol=0.01, atol=0.5)
+    np.testing.assert_allclose(framed[:, 0, :2], frame, rtol=0.01, atol=0.5)
+    assert (scene.here.visible, scene.here.text) == (True, "your picture")
+    (line,) = joined
+    np.testing.assert_allclose(line[0, :2], (30, 40), rtol=0.01, atol=0.5)
     assert scene.camera.visible is posed
     if posed:
         assert scene.camera.image.shape == (300, 400, 3)
-        assert metres[4, 0, 2] == pytest.approx(150.0, rel=0.01)
+        assert line[0, 2] == pytest.approx(150.0, rel=0.01)
+    assert sum(tile.visible for tile in scene.tiles) == (1 if plain else 6)
