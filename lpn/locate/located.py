@@ -22,7 +22,6 @@ from lpn.locate.options import TOP
 from lpn.locate.retrieval import MapRetrieval
 from lpn.locate.tracks import POSE_AXES, State, TrackPoint
 from lpn.maps import Map
-from lpn.maps.tag_placed import metres_to_tags
 from lpn.retrieval import field_metrics
 
 STAGES = ("retrieval", "sequence", "registration")
@@ -213,11 +212,6 @@ class LocatedFlight:
         return bool(self.frames) and is_rendered_flight(self.frames[0].frame.file.parent)
 
     @cached_property
-    def map_to_tags(self) -> float | None:
-        """The median of the metres between the map and the GPS tags that place it; None for a map with another georeference."""
-        return metres_to_tags(self.basemap.notes)
-
-    @cached_property
     def late_tags(self) -> TagAudit | None:
         """The audit of the tags against the registrations that ship with the flight; None unless these show a constant lag."""
         answers = [self.shipped.get(located.frame.name) for located in self.frames]
@@ -267,12 +261,18 @@ class LocatedFlight:
             latitude,
             longitude,
             answer.camera,
-            answer.radius,
+            self._on_map(answer),
+            answer.radius if answer.on_earth else None,
             answer.heading,
             None if located.tag is None or answer.x is None else answer.distance(located.tag),
-            self.map_to_tags,
             **_of_pose(answer.pose),
         )
+
+    def _on_map(self, answer: StageRecord) -> float | None:
+        """Return the radius of an answer without the error of the map's place on earth."""
+        if answer.radius is None or not answer.on_earth:
+            return answer.radius
+        return math.sqrt(max(answer.radius**2 - (self.basemap.error or 0.0) ** 2, 0.0))
 
     def without_lag(self) -> LocatedFlight:
         """Return the flight with the tags of `tags_without_lag`; itself if there are none, or it has them already."""

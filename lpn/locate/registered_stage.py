@@ -180,7 +180,7 @@ def with_map_error(answer: StageRecord, map_error: float, on_earth: bool) -> Sta
     sentence = answer.sentence
     if answer.accepted:
         place = "camera's place" if answer.camera else "picture's middle"
-        sentence += f" The error of the {place} on the map is ± {radius:.1f} m (1 sigma)"
+        sentence += f" The error of the {place} on {'earth' if on_earth else 'the map'} is ± {radius:.1f} m (1 sigma)"
         kind = "are the error of the map" if on_earth else "are assumed for the map"
         sentence += f", of which ± {map_error:.1f} m {kind}." if map_error else "."
     return msgspec.structs.replace(answer, radius=radius, sentence=sentence, on_earth=on_earth)

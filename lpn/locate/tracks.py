@@ -47,11 +47,10 @@ class TrackPoint:
         time: seconds, UTC epoch where known; None if unknown.
         latitude, longitude: WGS 84 degrees; None without a position.
         camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
-        radius: 1-sigma radius in metres; None if unknown.
+        radius: 1-sigma radius in metres on this map; None if unknown.
+        radius_on_earth: the same with the error of the map's place on earth; None where the map does not tell it.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
         metres_from_tag: metres from the position to the frame's tag; None without one of them.
-        map_to_tags: median of the metres between the map and the GPS tags that place it; None for a map with another
-            georeference.
         doubt: the answers that contradict this one, "tag" or stages.
         altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
         height: of the camera by its pose, metres above ground; None where that is unknown.
@@ -70,9 +69,9 @@ class TrackPoint:
     longitude: float | None = None
     camera: bool = False
     radius: float | None = None
+    radius_on_earth: float | None = None
     heading: float | None = None
     metres_from_tag: float | None = None
-    map_to_tags: float | None = None
     doubt: tuple[str, ...] = ()
     altitude: float | None = None
     height: float | None = None
@@ -175,8 +174,9 @@ def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
             extensions = ElementTree.SubElement(entry, f"{{{_GPX}}}extensions")
             ElementTree.SubElement(extensions, f"{{{_OURS}}}state").text = state
             ElementTree.SubElement(extensions, f"{{{_OURS}}}camera").text = str(point.camera).lower()
-            if point.radius is not None and math.isfinite(point.radius):
-                ElementTree.SubElement(extensions, f"{{{_OURS}}}radius").text = f"{point.radius:.2f}"
+            for key, value in (("radius", point.radius), ("radius_on_earth", point.radius_on_earth)):
+                if value is not None and math.isfinite(value):
+                    ElementTree.SubElement(extensions, f"{{{_OURS}}}{key}").text = f"{value:.2f}"
     return _xml(root)
 
 
@@ -207,8 +207,9 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             mark = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
             ElementTree.SubElement(mark, f"{{{_KML}}}name").text = printable(point.frame) + _remark(point.state)
             radius = ""
-            if point.radius is not None and math.isfinite(point.radius):
-                radius = f" The 1-sigma radius is {point.radius:.1f} m."
+            for where, value in (("this map", point.radius), ("earth", point.radius_on_earth)):
+                if value is not None and math.isfinite(value):
+                    radius += f" The 1-sigma radius on {where} is {value:.1f} m."
             description = html.escape(printable(point.reason + _figures(point) + radius).strip(), quote=False)
             ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:
@@ -247,7 +248,7 @@ def _row(point: TrackPoint, posed: bool) -> dict[str, Any]:
         "longitude": longitude,
         "crs": "EPSG:4326" if known else "",
         "radius_on_map_m": _rounded(point.radius, 2),
-        "map_to_its_tags_m": _rounded(point.map_to_tags, 1),
+        "radius_on_earth_m": _rounded(point.radius_on_earth, 2),
         "metres_from_tag": _rounded(point.metres_from_tag, 1),
         "time_utc": moment or "",
         "seconds": None if moment else _rounded(point.time, 3),

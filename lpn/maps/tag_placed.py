@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 
 _BEGINNING = "Place and scale are those of the GPS tags"
-_MEDIAN = re.compile(rf"{_BEGINNING}, which lie (\d+(?:\.\d+)?) m ")
 
 
 def describe_placing(median: float, largest: float) -> str:
@@ -20,9 +18,3 @@ def placing_sentence(notes: Iterable[str]) -> str:
     """Return the sentence of a map's notes from `describe_placing`; "" without one."""
     note = next((note for note in notes if _BEGINNING in note), "")
     return note[note.find(_BEGINNING) :]
-
-
-def metres_to_tags(notes: Iterable[str]) -> float | None:
-    """Return the median in metres of that sentence; None without one."""
-    match = _MEDIAN.match(placing_sentence(notes))
-    return None if match is None else float(match[1])

@@ -29,7 +29,7 @@ from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
 from lpn.locate.summary import describe_flight
 from lpn.maps import open_map
-from lpn.maps.tag_placed import metres_to_tags
+from lpn.maps.tag_placed import placing_sentence
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 
@@ -187,7 +187,7 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     assert known is not None
     assert known[0].endswith("on earth no better than the GPS tags that the map was made by.")
     assert known[1][1].source == "Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
-    assert metres_to_tags([(DEMO_PLACE[0] / "map.json").read_text("utf-8")]) == 13.2
+    assert placing_sentence([(DEMO_PLACE[0] / "map.json").read_text("utf-8")])
     monkeypatch.setattr(flight.basemap, "error", 0.6)
     known = flight_text.accuracy(view_of(replace(flight, map_error=0.8)))
     assert known is not None

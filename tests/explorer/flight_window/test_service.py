@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -95,6 +96,17 @@ def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightServi
     service.correct(2, CORNERS)
     assert column("stage") == ["registration", "registration", "by hand"]
     assert json.loads(service.positions(".geojson"))["type"] == "FeatureCollection"
+
+
+def test_a_position_has_its_radius_with_and_without_the_error_of_the_map_s_place(
+    service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flight.basemap, "error", 4.0)
+    stages = flight.frames[0].stages
+    stages["registration"] = msgspec.structs.replace(stages["registration"], radius=5.0, on_earth=True)
+    first, second, _ = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
+    assert (first["radius_on_map_m"], first["radius_on_earth_m"]) == ("3.0", "5.0")
+    assert (second["radius_on_map_m"], second["radius_on_earth_m"]) == ("1.0", "")
 
 
 def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from lpn.core.errors import InputError, OutputError
 from lpn.locate.tracks import TrackPoint, write_track
 
 POINTS = [
-    TrackPoint("a & <b>.jpg", "registration", "accepted", "", 1.4e9, 46.5, -91.25, True, 1.5, 40.0, 2.0),
+    TrackPoint("a & <b>.jpg", "registration", "accepted", "", 1.4e9, 46.5, -91.25, True, 1.5, None, 40.0, 2.0),
     TrackPoint("c\x07.jpg", "registration", "refused", "Only 4 of 90 matches agree.", 1.4e9 + 2.5),
     TrackPoint("d.jpg", "registration", "accepted", "", 1.4e9 + 5, 46.5001, -91.2501, False, float("nan")),
     TrackPoint("d.jpg", "retrieval", "not verified", "", 12.0, 46.6, -91.3),
@@ -89,15 +89,15 @@ def test_csv_is_empty_where_nothing_is_known(tmp_path: Path) -> None:
 
 def test_a_doubt_stands_in_state_and_column_and_degrees_have_seven_decimals(tmp_path: Path) -> None:
     point = TrackPoint(
-        "a.jpg", "registration", "contradicted", "", None, 46.123456789, 7.0, radius=1.024, heading=3.0, metres_from_tag=33.41,
-        map_to_tags=13.2, doubt=("tag", "sequence"), pitch=-88.0,
+        "a.jpg", "registration", "contradicted", "", None, 46.123456789, 7.0, radius=1.024,
+        radius_on_earth=6.14, heading=3.0, metres_from_tag=33.41, doubt=("tag", "sequence"), pitch=-88.0,
     )  # fmt: skip
     write_track(tmp_path / "track.csv", "monday", [point])
     with (tmp_path / "track.csv").open(newline="", encoding="utf-8-sig") as file:
         (row,) = csv.DictReader(file)
-    figures = ("radius_on_map_m", "map_to_its_tags_m", "metres_from_tag", "heading_deg", "pitch_deg")
+    figures = ("radius_on_map_m", "radius_on_earth_m", "metres_from_tag", "heading_deg", "pitch_deg")
     assert (row["state"], row["doubt"], row["latitude"]) == ("contradicted", "tag, sequence", "46.1234568")
-    assert [float(row[name]) for name in figures] == [1.02, 13.2, 33.4, 3.0, -88.0]
+    assert [float(row[name]) for name in figures] == [1.02, 6.14, 33.4, 3.0, -88.0]
 
 
 def test_another_suffix_is_refused_and_nothing_is_left_behind(tmp_path: Path) -> None:
