@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
 from explorer.workspace import StateAnalysis, Workspace
@@ -28,7 +26,9 @@ from lpn.tasks.task import Task
 _ELSEWHERE_M = 10_000.0
 # The shapes of an own picture and of the network's input differ visibly from here on.
 _PRESSED = 1.05
-OWN_KEPT = "Your picture stays in this server's memory until you close this page, and goes nowhere else."
+OWN_KEPT = (
+    "Your picture stays in this server's memory until you close this page or open another place, and goes nowhere else."
+)
 _ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.
 ELSEWHERE = ("Not one of these", "Probably none of these")
@@ -83,8 +83,8 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         gap = verdicts.next_tile(first)
         if analysis.state.upload is None:
             return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
-        if analysis.registered is not None:
-            right, headline, sentence = _registered(analysis, workspace, analysis.registered)
+        if (of_map := _on_map(analysis, workspace)) is not None:
+            right, headline, sentence = of_map
             return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
         elsewhere, far = _elsewhere(analysis), _far(analysis, workspace)
         place = (
@@ -112,12 +112,9 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if analysis.ranking.relevant is None:
-        if analysis.registered is not None:
-            return _registered(analysis, workspace, analysis.registered)
+        if (of_map := _on_map(analysis, workspace)) is not None:
+            return of_map
         elsewhere, text = _elsewhere(analysis), f"This is the most similar of {pictures}."
-        if _compared(analysis):
-            beside = elsewhere or _beside_tag(analysis, workspace, "this one")
-            return None, "Being compared with the map", f"{text} {beside}." if beside else text
         if elsewhere:
             return (
                 None,
@@ -138,7 +135,9 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     if none := _no_right_answer(analysis, workspace):
         return False, "Wrong", none
     if first.true:
-        off = "" if error_m is None else f" Its middle lies {distance(error_m)} from the place photographed."
+        details = workspace.flight is not None and workspace.flight.late_tags is not None
+        place = "where its details place the photo" if details else "the place photographed"
+        off = "" if error_m is None else f" Its middle lies {distance(error_m)} from {place}."
         return True, "Right", f"The model compared {pictures} and found the right one.{off}"
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
@@ -185,6 +184,17 @@ def _compared(analysis: StateAnalysis) -> bool:
     return analysis.own_photo is not None and analysis.own_photo.error is None
 
 
+def _on_map(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str] | None:
+    """Return the verdict on an own picture whose details are, or were, compared with the map; None for every other picture."""
+    if analysis.registered is not None:
+        return _registered(analysis, workspace, analysis.registered)
+    if not _compared(analysis):
+        return None
+    text = f"This is the most similar of {analysis.task.tiles:,} {pictures_of(analysis.task)}."
+    beside = _elsewhere(analysis) or _beside_tag(analysis, workspace, "this one")
+    return None, "Being compared with the map", f"{text} {beside}." if beside else text
+
+
 def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) -> tuple[bool | None, str, str]:
     """Return the verdict on an own picture whose details were compared with the map: a sign, a headline, and sentences."""
     answer, pictures = own.answer, f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
@@ -193,12 +203,15 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         where = "nowhere on this map" if own.whole_map else "none of the places that look most like it"
         large = "" if own.whole_map else " The map is too large to be searched as a whole."
         merely = f"The one beside it is merely the most similar of {pictures}.{large}{details}"
-        if analysis.errors_m is None:
+        basemap, tag = workspace.basemap, own.located.tag
+        if basemap is None or tag is None:
             return None, f"Its details fit {where}, so nothing says that your picture is of this place", merely
-        if not _tag_on_map(own, workspace):
-            nearest = distance(float(np.nanmin(analysis.errors_m)))
-            off = f"Its details fit {where}, and its GPS tag lies {nearest} from the nearest piece"
-            return False, "Not on this map", f"{off}. {merely}"
+        if (off := basemap.metres_off(tag)) > _tag_error(workspace):
+            sentence = f"Its details fit {where}, and its GPS tag lies {distance(off)} off the map's border. {merely}"
+            # A camera beside the map may look at it.
+            if own.whole_map and off > max(basemap.sides):
+                return False, "Not on this map", sentence
+            return None, "Probably not on this map", sentence
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
     sign = belief(own.located, disagreements([own.located])).sign
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m {on_what(answer)}"
@@ -214,13 +227,6 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         metres = distance(math.hypot(answer.x - cut.window.x, answer.y - cut.window.y))
         look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
     return sign, headline, f"{fits}{against}.{look}{details}"
-
-
-def _tag_on_map(own: OwnPhoto, workspace: Workspace) -> bool:
-    """Return whether an own picture's GPS tag lies on the map, or beyond its border by no more than the errors of tags."""
-    if own.located.tag is None or workspace.basemap is None:
-        return False
-    return workspace.basemap.metres_off(own.located.tag) <= _tag_error(workspace)
 
 
 def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
@@ -368,7 +374,11 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     own = state.upload is not None
     if own and workspace.own_photos is not None and (_compared(analysis) or analysis.registered is not None):
         elsewhere, here = trials(workspace)
-        return f"o{elsewhere[1:]}; {here}." if here else ""
+        return (
+            f"o{elsewhere[1:]}; {here}, and nobody measured how well. Photos of damage have not been tried."
+            if here
+            else ""
+        )
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
         return ""
     if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):

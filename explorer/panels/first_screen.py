@@ -45,6 +45,7 @@ from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
+_BY_LOOK = "the most similar piece"
 # The figure of a flight is that of retrieval alone.
 _ALONE = "each searched by itself"
 # Sentences for a photo whose tag and registration contradict each other, by whether the answer is right by the tag.
@@ -176,9 +177,11 @@ def page(
     rendered = shows_rendered(workspace.root)
     look = answer_text.plain_verdict(analysis, workspace)
     disputed = look[0] is not None and _lies_on_answer(analysis, workspace) is (not look[0])
-    look_errs = look[0] is False and not disputed
+    look_errs = look[0] is False and not disputed and state.upload is None
     look, by_details = answer_text.flight_verdict(analysis, workspace, look)
-    if disputed:
+    if disputed and by_details is not None and by_details[0]:
+        look = None, "Not graded", "Its GPS tag and its place by its details lie on two sides of this piece's border."
+    elif disputed:
         look = None, "Its GPS tag and the map disagree", _DISPUTED[look[0] is True]
     right, headline, sentence = look
     lead = answer_text.lead(analysis) if state.why else None
@@ -228,6 +231,7 @@ def page(
         bars=_bar_colours(lead),
         places=None if cells is None else float(cells.sum()),
         no_place=no_place(analysis),
+        nowhere=own is not None and not own.answer.accepted,
         full=0.0 if lead is None else max(float(abs(lead.terms).max()), 1e-9),
         own_hint=answer_text.own_hint(workspace, rendered),
         part_names=workspace.part_names,
@@ -301,11 +305,16 @@ def _because(
     areas = query.cells[0] != 0, tile.cells[0] != 0
     turn = _turn(analysis, workspace, least=0)
     whose = "your picture" if analysis.state.upload else "the picture"
-    tiles = [(_ANSWER, analysis.chosen.index), (lead.other, lead.index)]
+    by_look = analysis.state.upload is not None and workspace.basemap is not None
+    tiles = [(_BY_LOOK if by_look else _ANSWER, analysis.chosen.index), (lead.other, lead.index)]
     sentences = []
-    own = analysis.registered
-    if own is not None and not own.answer.accepted:
+    located = workspace.located(analysis)
+    details = None if located is None else located.stages.get("registration")
+    if analysis.registered is not None and not analysis.registered.answer.accepted:
         sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
+    elif details is not None and details.accepted and details.inliers:
+        whose_place = "your picture" if analysis.state.upload else "the photo"
+        sentences.append(f"{details.inliers} details of {whose_place} lie where the map has them: they place it.")
     for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
         terms, places = side * lead.terms, side * cells.sum(axis=0)

@@ -70,11 +70,11 @@ def lead_cells(analysis: StateAnalysis, leader: int, follower: int) -> Float64Ar
 
 
 def no_place(analysis: StateAnalysis) -> str:
-    """Return what of a lead comes from no cell, in words, see `lead_cells`."""
+    """Return what of a lead comes from no cell, in words, see `lead_cells`; "" where all of it comes from cells."""
     trace, reasons = analysis.query.trace, []
     if trace is not None and not trace.cells.any(axis=(0, 2, 3)).all():
         reasons.append("what belongs to the picture as a whole")
-    if analysis.task.neighbours or not reasons:
+    if analysis.task.neighbours:
         reasons.append("what re-ranking takes from pictures that look like many others")
     return " and ".join(reasons)
 

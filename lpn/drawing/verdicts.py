@@ -98,7 +98,8 @@ def describe_lead_place(
     if percent == "100":
         text = f"Only {which} {verb} for {names[0]}"
     else:
-        text = f"{capitalised(which)} {verb} most{', alike,' if several else ''} for {names[0]} ({percent} % of all)"
+        most = "most, alike," if several else "most"
+        text = f"{capitalised(which)} {verb} {most} for {names[0]} ({percent} % of what speaks for it)"
     position = describe_position(place.cells, query_view)
     if position == "all around":
         position = "all around the middle" if place.cells.any() else ""

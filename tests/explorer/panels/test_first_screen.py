@@ -127,7 +127,9 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert "comes from no place" not in text(html)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(first_screen, "_lead_cells", lambda *_: np.full_like(cells, (lead.total + 1) / cells.size))
-        rest = "A further −1.000 comes from no place, but from what re-ranking takes from pictures that look like many others."
+        assert "comes from no place" not in text(first_screen.page(analysis, workspace)), "all of it is of cells"
+        patch.setattr(first_screen, "no_place", lambda _: "what re-ranking takes")
+        rest = "A further −1.000 comes from no place, but from what re-ranking takes."
         assert rest in text(first_screen.page(analysis, workspace))
     assert html.count("<img") == 3, "the other tile stands beside the answer"
     assert ("The best wrong picture" if found else "The right one") in html
@@ -148,7 +150,7 @@ def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypa
     monkeypatch.setattr(answer_text, "lead", lambda _: alike)
     assert workspace.part_names[3] == "4 outer"
     shown = text(first_screen.page(analysis, workspace))
-    assert "Parts 2 and 4 (outer) speak most, alike, for this answer (81 % of all)" in shown
+    assert "Parts 2 and 4 (outer) speak most, alike, for this answer (81 % of what speaks for it)" in shown
     assert "No part as a whole speaks for the best wrong picture" in shown
 
 
@@ -469,7 +471,7 @@ def test_on_the_demo_the_constants_of_both_tiles_lie_on_the_cells_of_their_parts
     assert f"{int(terms.argmax()) + 1}" in said[0].partition("speak")[0]
     assert lead.decisive == verdicts.leading_parts(terms)
     share = terms[lead.decisive].sum() / np.maximum(terms, 0).sum()
-    assert f"({100 * share:.0f} % of all)" in said[0]
+    assert f"({100 * share:.0f} % of what speaks for it)" in said[0]
     assert said[1].startswith("No ") == (terms.min() >= 0), "no part speaks against the answer as a whole"
     assert re.search("show", said[0] + said[1]), "the plan of the city tells what lies there"
 

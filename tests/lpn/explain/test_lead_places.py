@@ -31,7 +31,7 @@ def test_a_sentence_tells_ring_side_and_what_both_tiles_show_there() -> None:
         with speaking(Vocabulary(plain=True, part="ring")):
             return describe_lead_place(place, NAMES, "drone", ("this answer", "the other picture"), "the picture")
 
-    head = "Ring 2 speaks most for this answer (75 % of all), above all at the top of the picture"
+    head = "Ring 2 speaks most for this answer (75 % of what speaks for it), above all at the top of the picture"
     assert said(0.0) == f"{head}: there this answer shows a road, and the other picture grass."
     # Turned by half a circle, the top of the query is the bottom of the tiles.
     assert said(180.0) == f"{head}: there this answer shows grass, and the other picture a road."
@@ -45,7 +45,8 @@ def test_where_no_side_leads_the_whole_ring_is_named() -> None:
     said = describe_lead_place(place, NAMES, "drone", ("this answer", "the other picture"), "the picture")
     assert (
         said
-        == "Part 1 (centre) speaks most for this answer (67 % of all), all around the middle, where both show grass."
+        == "Part 1 (centre) speaks most for this answer (67 % of what speaks for it), all around the middle, where both show "
+        "grass."
     )
 
 
