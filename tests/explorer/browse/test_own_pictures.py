@@ -2,9 +2,12 @@ from __future__ import annotations
 
 import io
 import json
+import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from explorer.browse import own_pictures
 from explorer.browse.feeds import Feeds
 from explorer.browse.messages import BrowseMessage
 from explorer.browse.own_pictures import MOST, OwnPictures
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.opening import open_model
 from explorer.panels import answer_text
 from explorer.panels.navigation import Navigation
@@ -291,6 +295,12 @@ def test_a_position_tells_the_distance_to_each_tile(page: Page, workspace: Works
     for said in (answer_text.verdict(analysis, workspace), answer_text.plain_verdict(analysis, workspace)):
         assert "not one of these" in said[1].lower()
         assert "km from the nearest of them, so no answer can be right" in said[2]
+    may_end = threading.Event()
+    job: BackgroundJob[Any] = BackgroundJob(lambda _: may_end.wait(60), None)
+    said = answer_text.verdict(replace(analysis, own_photo=job), workspace)
+    may_end.set()
+    assert said[:2] == (None, "Being compared with the map"), "no answer is final before that"
+    assert "Your picture's GPS tag lies" in said[2]
     nowhere: Callable[[], None] = lambda: page.own.take("there.jpg", photo(3))  # noqa: E731
     nowhere()
     assert StateAnalyser(workspace).analyse(page.state, 3).errors_m is None
