@@ -13,7 +13,7 @@ from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
-from lpn.core.errors import DataError, LPNError
+from lpn.core.errors import DataError, LPNError, PictureError
 from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement, map_agreement
 from lpn.locate.belief import Belief, Disagreement, beliefs, best_track, disagreements
@@ -139,7 +139,7 @@ class FlightService:
                 photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
                 size = located.width, located.height
                 self._agreements[key] = map_agreement(view.flight.basemap, photo, matrix, size)
-            except DataError:  # the notes name a file that is damaged
+            except (DataError, PictureError):  # the other photos can still be compared
                 self._agreements[key] = None
         return self._agreements.get(key)
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -83,6 +84,23 @@ def test_all_laid_photos_are_compared_one_by_one(service: FlightService, monkeyp
     assert service.agreements() == [], "not all of them are compared"
     assert [service.compare_next() for _ in range(2)] == [True, False]
     assert service.agreements() == [agreement, agreement]
+
+
+@pytest.mark.parametrize("content", [None, b"not a picture"])
+def test_a_photo_that_cannot_be_read_is_left_out_of_the_comparison(
+    service: FlightService,
+    flight: LocatedFlight,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    content: bytes | None,
+) -> None:
+    file = tmp_path / "lost.png"
+    if content is not None:
+        file.write_bytes(content)
+    monkeypatch.setattr(flight.frames[0], "frame", replace(flight.frames[0].frame, file=file))
+    assert service.agreement(0, compute=True) is None
+    assert [service.compare_next() for _ in range(2)] == [True, False]
+    assert len(service.agreements()) == 1
 
 
 def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:
