@@ -78,10 +78,13 @@ def judge(flight: LocatedFlight) -> str:
     return "its GPS tag" if flight.late_tags is None else "its details"
 
 
-def apart(one: Disagreement) -> str:
-    """Return two answers that contradict each other in words: how far apart they lie, and what is allowed."""
+def apart(view: FlightView, one: Disagreement) -> str:
+    """Return two answers that contradict each other in words: how far apart they lie, and which of them errs if that is known."""
     if not plain():
         return one.sentence
+    if view.beliefs[one.frame].sign:  # tag and details agree, and the neighbours alone differ
+        place = "here" if one.one == "registration" else _ENDS[one.other]
+        return f"Its neighbours would place it {one.metres:.1f} m from {place}."
     tilt = f", and {one.tilt:.1f} m as a tilted camera looks aside" if one.tilt else ""
     return (
         f"{capitalised(_ENDS[one.one])} and {_ENDS[one.other]} lie {one.metres:.1f} m apart, and {one.allowed:.1f} m are "
@@ -104,7 +107,7 @@ def reason(view: FlightView, frame: int) -> str:
         sentences.append(
             f"The place lies {error:.1f} m from {'the correction by hand' if located.by_hand else 'its GPS tag'}."
         )
-    return " ".join([*sentences, *map(apart, against)])
+    return " ".join([*sentences, *(apart(view, one) for one in against)])
 
 
 def agreement(found: MapAgreement) -> str:

@@ -303,7 +303,7 @@ def lists(view: FlightView) -> dict[str, str]:
         if view.beliefs[i].stage in PLACED and (texts := flight_text.refusals(located))
     ]
     apart = [
-        (one.frame, printable(flight.frames[one.frame].frame.name), [flight_text.apart(one)])
+        (one.frame, printable(flight.frames[one.frame].frame.name), [flight_text.apart(view, one)])
         for one in view.contradictions
     ]
     notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]

@@ -199,15 +199,28 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
 @pytest.mark.usefixtures("plainly")
 def test_contradictions_say_what_is_allowed_and_what_nothing_tells(view: FlightView) -> None:
     (one,) = [one for one in view.contradictions if one.other == "tag"]
-    assert flight_text.apart(one) == (
+    assert flight_text.apart(view, one) == (
         "Its place by its details and its GPS tag lie 45.0 m apart, and 15.3 m are allowed: three times the error of both. "
         "Nothing here tells which of the two errs."
     )
-    assert "and 6.0 m as a tilted camera looks aside" in flight_text.apart(replace(one, tilt=6.0))
+    assert "and 6.0 m as a tilted camera looks aside" in flight_text.apart(view, replace(one, tilt=6.0))
     assert flight_text.reason(view, 1).startswith(
         "40 details of the photo agree with the map. Its place by its details and"
     )
     assert flight_text.reason(view, 2) == ""
+
+
+@pytest.mark.usefixtures("plainly")
+def test_neighbours_that_alone_disagree_are_not_said_to_leave_the_place_open(flight: LocatedFlight) -> None:
+    stages = dict(flight.frames[0].stages)
+    stages["sequence"] = msgspec.structs.replace(stages["sequence"], x=80.0, y=1.0)
+    view = view_of(replace(flight, frames=[replace(flight.frames[0], stages=stages), *flight.frames[1:]]))
+    assert view.beliefs[0].sign
+    assert flight_text.reason(view, 0).endswith("its GPS tag. Its neighbours would place it 100.0 m from here.")
+    listed = page.lists(view)["audit"]
+    assert "Its neighbours would place it 100.0 m from here." in listed
+    assert "Its neighbours would place it 100.0 m from its GPS tag." in listed
+    assert listed.count("Nothing here tells which of the two errs.") == len(view.contradictions) - 2
 
 
 @pytest.mark.usefixtures("plainly")
