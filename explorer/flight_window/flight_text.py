@@ -110,15 +110,15 @@ def reason(view: FlightView, frame: int) -> str:
     return " ".join([*sentences, *(apart(view, one) for one in against)])
 
 
-def agreement(found: MapAgreement) -> str:
+def agreement(measured: MapAgreement) -> str:
     """Say how far places of a photo lie from where the map has them; "" where too few are found to tell."""
-    if len(found.metres) < _FEW_PLACES:
+    if len(measured.metres) < _FEW_PLACES:
         return ""
-    farthest = int(found.metres.argmax())
+    farthest = int(measured.metres.argmax())
     return (
-        f"Beside its middle, {len(found.metres)} places of the photo were found on the map one by one: they lie "
-        f"{np.median(found.metres):.1f} m from where the photo has them in the median, and {found.metres[farthest]:.1f} m at "
-        f"most, {_side(*found.places[farthest].tolist())}."
+        f"Beside its middle, {len(measured.metres)} places of the photo were found on the map one by one, looked for within "
+        f"± {measured.reach:.1f} m: they lie {np.median(measured.metres):.1f} m from where the photo has them in the median, and "
+        f"{measured.metres[farthest]:.1f} m at most, {_side(*measured.places[farthest].tolist())}."
     )
 
 
@@ -237,13 +237,14 @@ def _on_map(known: FlightAccuracy) -> AccuracyLine:
 
 def _whole_photos(agreements: Sequence[MapAgreement]) -> list[AccuracyLine]:
     """Return how far places of the photos lie from where the map has them; nothing where too few are found."""
-    metres = np.concatenate([found.metres for found in agreements]) if agreements else np.zeros(0)
+    metres = np.concatenate([one.metres for one in agreements]) if agreements else np.zeros(0)
     if len(metres) < _FEW_PLACES:
         return []
-    photos = sum(len(found.metres) > 0 for found in agreements)
+    reaches = [one.reach for one in agreements if len(one.metres)]
     source = (
-        f"Median of {len(metres)} places of {photos} photos that were found on the map one by one, {metres.max():.1f} m at most: "
-        "what one transformation of a photo leaves, where the map or the ground is uneven. The radius is that of its middle."
+        f"Median of {len(metres)} places of {len(reaches)} photos that were found on the map one by one, {metres.max():.1f} m at "
+        f"most: what one transformation of a photo leaves, where the map or the ground is uneven. They were looked for within "
+        f"± {min(reaches):.1f} m at least. The radius is that of a photo's middle."
     )
     return [AccuracyLine("All of a photo", f"{np.median(metres):.1f} m", source)]
 

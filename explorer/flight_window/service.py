@@ -127,7 +127,7 @@ class FlightService:
         """Return how well places of a frame's photo agree with the map where it is laid; None if it is not laid or not readable.
 
         Args:
-            compute: measure it, which takes about 0.1 s; otherwise None until it has been.
+            compute: measure it, which takes about 0.2 s; otherwise None until it has been.
         """
         view = self.view()
         located, matrix = view.flight.frames[frame].frame, view.homography(frame)
@@ -154,8 +154,8 @@ class FlightService:
         """Return how photos of the flight, laid ones at even steps, agree with the map; none before all of them are compared."""
         if self._next_compared() is not None:
             return []
-        found = (self.agreement(frame, compute=False) for frame in self._compared_frames())
-        return [agreement for agreement in found if agreement is not None]
+        compared = (self.agreement(frame, compute=False) for frame in self._compared_frames())
+        return [agreement for agreement in compared if agreement is not None]
 
     def _next_compared(self) -> int | None:
         for frame in self._compared_frames():

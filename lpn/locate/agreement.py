@@ -12,13 +12,16 @@ from typing import cast
 import cv2
 import numpy as np
 
+from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.homography import apply_homography, corner_pixels, inverse, middle_pixel
 from lpn.maps import Map, Window
 
-# Pixels of the square of ground that is compared, of a place's side, and of how far from its place it is looked for.
-_SIDE, _PLACE, _REACH = 480, 56, 32
-# Side of the largest square of ground in metres.
+# Pixels of the square that holds the laid photo, of a place's side, and of how far from its place it is looked for.
+_PHOTO, _PLACE, _REACH = 456, 56, 64
+# Pixels of the square of ground that is compared: places at the photo's border are looked for there and back.
+_SIDE = _PHOTO + 4 * _REACH
+# The most metres that a photo's square may hold.
 _LARGEST = 5000.0
 # Standard deviation of the blur, in pixels, that is taken out: light and season differ more than edges do.
 _BLUR = 8.0
@@ -35,7 +38,7 @@ class MapAgreement:
     Attributes:
         places: as shares of the photo's width and height, (N, 2).
         offsets: from where the photo has them to where the map has them, metres east and north, (N, 2).
-        reach: metres east, west, north, and south up to which a place was looked for.
+        reach: metres east, west, north, and south within which a place was looked for.
     """
 
     places: Float64Array
@@ -56,34 +59,36 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
         homography: from pixels of the photo in its own size to metres of the map's frame, (3, 3).
         size: the photo's own width and height in pixels.
     """
-    height, width = photo.shape[:2]
     corners = apply_homography(homography, corner_pixels(*size))
     middle = apply_homography(homography, middle_pixel(*size))
-    side = 2.1 * float(np.abs(corners - middle).max())
-    if not side <= _LARGEST:  # a border of the photo looks above the horizon, or nearly so
+    extent = 2 * float(np.abs(corners - middle).max())
+    if not extent <= _LARGEST:  # a border of the photo looks above the horizon, or nearly so
         return MapAgreement(np.zeros((0, 2)), np.zeros((0, 2)), 0.0)
-    scale = _SIDE / side
+    scale = _PHOTO / extent
+    side = _SIDE / scale
+    photo = images.shrink(photo, _PHOTO)
+    height, width = photo.shape[:2]
     # From pixels of the photo as it is given to those of its own size, to metres, to pixels of the square of ground.
     zoom = np.array([size[0] / width, size[1] / height])
     own = np.array([[zoom[0], 0, (zoom[0] - 1) / 2], [0, zoom[1], (zoom[1] - 1) / 2], [0, 0, 1]])
     half = (_SIDE - 1) / 2
     to_square = np.array([[scale, 0, half - scale * middle[0]], [0, -scale, half + scale * middle[1]], [0, 0, 1]])
     lay = to_square @ homography @ own
-    laid = _edges(cast(UInt8Array, cv2.warpPerspective(photo, lay, (_SIDE, _SIDE), flags=cv2.INTER_AREA)))
+    laid = _edges(cast(UInt8Array, cv2.warpPerspective(photo, lay, (_SIDE, _SIDE), flags=cv2.INTER_LINEAR)))
     seen = cv2.warpPerspective(np.full((height, width), 255, np.uint8), lay, (_SIDE, _SIDE)) == 255
     picture, valid = basemap.read(Window(float(middle[0]), float(middle[1]), side), _SIDE)
     ground = _edges(picture)
-    found, offsets = [], []
-    first = _REACH + _PLACE // 2
+    matched, offsets = [], []
+    first = 2 * _REACH + _PLACE // 2
     for y in range(first, _SIDE - first + 1, _PLACE):
         for x in range(first, _SIDE - first + 1, _PLACE):
             if not _comparable(laid, seen, valid, (x, y)) or (there := _match(laid, ground, (x, y))) is None:
                 continue
             back = _match(ground, laid, there)
             if back is not None and np.hypot(back[0] - x, back[1] - y) <= _BACK:
-                found.append((x, y))
+                matched.append((x, y))
                 offsets.append(((there[0] - x) / scale, (y - there[1]) / scale))
-    pixels = apply_homography(inverse(to_square @ homography), np.array(found, np.float64).reshape(-1, 2))
+    pixels = apply_homography(inverse(to_square @ homography), np.array(matched, np.float64).reshape(-1, 2))
     return MapAgreement((pixels + 0.5) / size, np.array(offsets, np.float64).reshape(-1, 2), _REACH / scale)
 
 
@@ -107,13 +112,18 @@ def _comparable(laid: Float32Array, seen: BoolArray, valid: BoolArray, place: tu
 
 
 def _match(one: Float32Array, other: Float32Array, place: tuple[int, int]) -> tuple[int, int] | None:
-    """Return where another picture has what a place of one shows; None if that is not clear, or the border is near."""
+    """Return where another picture has what a place of one shows; None if that is not clear.
+
+    The best place on the border of what is searched is not clear either: a better one may lie beyond.
+    """
     searched = other[_around(place, _REACH)]
     if searched.shape != (_PLACE + 2 * _REACH,) * 2:
         return None
     scores = cv2.matchTemplate(searched, one[_around(place, 0)], cv2.TM_CCOEFF_NORMED)
     row, column = np.unravel_index(int(scores.argmax()), scores.shape)
     best = float(scores[row, column])
+    if row in (0, 2 * _REACH) or column in (0, 2 * _REACH):
+        return None
     scores[max(row - _BESIDE, 0) : row + _BESIDE + 1, max(column - _BESIDE, 0) : column + _BESIDE + 1] = -1
     if best < _LEAST or best - float(scores.max()) < _STANDS_OUT:
         return None

@@ -134,8 +134,8 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_where_most() -> N
         return flight_text.agreement(MapAgreement(places, np.array([(0.0, north) for north in metres]), 9.0))
 
     assert said(0.4, 5.2, 1.0) == (
-        "Beside its middle, 3 places of the photo were found on the map one by one: they lie 1.0 m from where the photo has "
-        "them in the median, and 5.2 m at most, at the upper left."
+        "Beside its middle, 3 places of the photo were found on the map one by one, looked for within ± 9.0 m: "
+        "they lie 1.0 m from where the photo has them in the median, and 5.2 m at most, at the upper left."
     )
     assert said(0.4, 0.2, 1.0).endswith("1.0 m at most, at the bottom.")
     assert said(2.4, 0.2, 1.0).endswith("2.4 m at most, near the middle.")
@@ -176,6 +176,7 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     assert known[1][1].source.startswith(
         "Median of 4 places of 2 photos that were found on the map one by one, 4.0 m at most"
     )
+    assert "within ± 9.0 m at least" in known[1][1].source
 
 
 def test_a_map_made_of_photos_names_the_tags_that_place_it(

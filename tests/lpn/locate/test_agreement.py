@@ -51,6 +51,16 @@ def test_a_part_of_a_photo_that_the_map_has_elsewhere_is_measured_there(town: Ma
     assert right.max() < 0.5
 
 
+def test_a_place_on_the_border_of_the_search_is_left_out_as_a_better_one_may_lie_beyond(town: Map) -> None:
+    photo = photographed(town)
+    beyond = round(compared(town, photo).reach / SCALE + 0.5)
+    bent = photo.copy()
+    bent[:, : SIZE // 2] = np.roll(photo, beyond, axis=0)[:, : SIZE // 2]
+    matched = compared(town, bent)
+    assert len(matched.metres) >= 3
+    assert (matched.places[:, 0] > 0.35).all()
+
+
 def test_a_photo_of_another_place_or_without_contrast_agrees_nowhere(town: Map) -> None:
     photo = photographed(town)
     assert len(compared(town, np.random.default_rng(1).permutation(photo)).metres) == 0
