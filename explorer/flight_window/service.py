@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
+from explorer.compute.background_jobs import BackgroundJob, ReportProgress, in_turn
 from explorer.compute.watchers import Watchers
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import DataError, LPNError, PictureError
+from lpn.core.resources import yield_cores
 from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement, map_agreement
 from lpn.locate.belief import Belief, Disagreement, beliefs, best_track, disagreements
@@ -78,14 +82,20 @@ class FlightService:
     """The view of a workspace's flight; thread-safe.
 
     Attributes:
-        watchers: are told of each correction.
+        watchers: are told of each correction, and of each photo that is compared with the map.
     """
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._lock = workspace, threading.RLock()
         self.watchers = Watchers()
         self._view: FlightView | None = None
+        # By the frame and the matrix that lays its photo over the map.
         self._agreements: dict[tuple[int, bytes], MapAgreement | None] = {}
+        # The frames on which clients stand, by the client's id.
+        self._stands: dict[int, int | None] = {}
+        self._comparison: BackgroundJob[None] | None = None
+        # A job may begin while a cancelled one compares its last photo.
+        self._turn = threading.Lock()
 
     @property
     def corrections_file(self) -> Path:
@@ -123,46 +133,79 @@ class FlightService:
             self._view = replace(view, corrections=kept, corrections_error="")
         self.watchers.tell()
 
-    def agreement(self, frame: int, compute: bool) -> MapAgreement | None:
-        """Return how well places of a frame's photo agree with the map where it is laid; None if it is not laid or not readable.
+    def agreement(self, frame: int) -> MapAgreement | None:
+        """Return how well places of a frame's photo agree with the map where it is laid.
 
-        Args:
-            compute: measure it, which takes about 0.2 s; otherwise None until it has been.
+        It is None until `compare` has measured it, and where the photo is not laid or not readable.
         """
-        view = self.view()
-        located, matrix = view.flight.frames[frame].frame, view.homography(frame)
-        if matrix is None:
-            return None
-        key = frame, matrix.tobytes()
-        if compute and key not in self._agreements:
-            try:
-                photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
-                size = located.width, located.height
-                self._agreements[key] = map_agreement(view.flight.basemap, photo, matrix, size)
-            except (DataError, PictureError):  # the other photos can still be compared
-                self._agreements[key] = None
-        return self._agreements.get(key)
-
-    def compare_next(self) -> bool:
-        """Compare one more photo with the map; return False where those of `agreements` are all compared."""
-        if (frame := self._next_compared()) is None:
-            return False
-        self.agreement(frame, compute=True)
-        return True
+        matrix = self.view().homography(frame)
+        return None if matrix is None else self._agreements.get((frame, matrix.tobytes()))
 
     def agreements(self) -> list[MapAgreement]:
         """Return how photos of the flight, laid ones at even steps, agree with the map; none before all of them are compared."""
-        if self._next_compared() is not None:
+        frames = self._compared_frames()
+        if any(map(self._is_missing, frames)):
             return []
-        compared = (self.agreement(frame, compute=False) for frame in self._compared_frames())
-        return [agreement for agreement in compared if agreement is not None]
+        return [agreement for agreement in map(self.agreement, frames) if agreement is not None]
+
+    def compare(self, client: object, frame: int | None) -> BackgroundJob[None] | None:
+        """Compare photos with the map in the background: those on which browsers stand, then those of `agreements`.
+
+        One job does so for all browsers, and `watchers` are told of each photo. It ends early when all clients have left; then
+        the photo in progress is still compared.
+
+        Args:
+            frame: the client stands on it; None for no frame.
+
+        Returns:
+            The job; None if nothing is left to compare.
+        """
+        with self._lock:
+            self._stands[id(client)] = frame
+            if self._next_compared() is None:
+                return None
+            if self._comparison is None or not self._comparison.join(client):
+                self._comparison = BackgroundJob(self._compare, client)
+            return self._comparison
+
+    def leave(self, client: object) -> None:
+        """Compare no photo for a client any more."""
+        with self._lock:
+            self._stands.pop(id(client), None)
+            if self._comparison is not None:
+                self._comparison.leave(client)
+
+    def _compare(self, report: ReportProgress) -> None:
+        yield_cores()
+        with in_turn(self._turn, report):
+            while True:
+                with self._lock:
+                    if (frame := self._next_compared()) is None:
+                        self._comparison = None  # under the lock, so that no client joins a job that ends
+                        return
+                report(0, 0)
+                self._compare_photo(frame)
+                self.watchers.tell()
+
+    def _compare_photo(self, frame: int) -> None:
+        view = self.view()
+        located, matrix = view.flight.frames[frame].frame, view.homography(frame)
+        if matrix is None:  # its correction was removed meanwhile
+            return
+        agreement = None
+        # Without a photo that cannot be read, the others can still be compared.
+        with suppress(DataError, PictureError):
+            photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
+            agreement = map_agreement(view.flight.basemap, photo, matrix, (located.width, located.height))
+        self._agreements[frame, matrix.tobytes()] = agreement
 
     def _next_compared(self) -> int | None:
-        for frame in self._compared_frames():
-            matrix = self.view().homography(frame)
-            if matrix is not None and (frame, matrix.tobytes()) not in self._agreements:
-                return frame
-        return None
+        stands = (frame for frame in self._stands.values() if frame is not None)
+        return next(filter(self._is_missing, chain(stands, self._compared_frames())), None)
+
+    def _is_missing(self, frame: int) -> bool:
+        matrix = self.view().homography(frame)
+        return matrix is not None and (frame, matrix.tobytes()) not in self._agreements
 
     def _compared_frames(self) -> list[int]:
         view = self.view()

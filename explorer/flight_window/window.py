@@ -38,7 +38,7 @@ _FRAME_HEIGHT = 52
 _INTERVAL = 1.0
 # Seconds for which the window tells what a correction led to.
 _SHOWN = 15.0
-# Seconds on one frame after which its photo is compared with the map; a flight that plays is not held up.
+# Seconds on one frame after which photos are compared with the map in the background; a flight that plays moves on before.
 _REST = 0.7
 _NO_PLACE = "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
 
@@ -134,6 +134,7 @@ class FlightWindow:
         """Stop working for a browser that left."""
         self._service.watchers.unwatch(self._worker.wake)
         self._worker.stop()
+        self._service.leave(self)
 
     def _paint(self, part: Painted) -> None:
         self._change(session_state.open_flight)
@@ -215,6 +216,7 @@ class FlightWindow:
         is_open = state.flight and not state.why and not state.lab
         self._place(choices.full_height if is_open else None)
         if not is_open:
+            self._service.leave(self)
             return None
         job = self._workspace.registration
         running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
@@ -228,7 +230,7 @@ class FlightWindow:
         right = analysis.matches[0].true
         message = self._message_of(frame)
         rest = self._rest_of(frame)
-        agreement = None if frame is None else self._service.agreement(frame, compute=rest <= 0)
+        agreement = None if frame is None else self._service.agreement(frame)
         self._progress.show(
             page.calls(
                 {
@@ -254,9 +256,13 @@ class FlightWindow:
             html = page.spot_list(view, frames, choices.spot)
             self._spot.show(page.calls({"spot": {"spot": choices.spot, "frames": frames, "html": html}}))
         if running:
+            self._service.leave(self)
             return _INTERVAL
-        # While the window stands still, the flight's other photos are compared one by one.
-        waits = [rest] if rest > 0 else [0.0] if self._service.compare_next() else []
+        if rest > 0:
+            self._service.leave(self)
+        else:
+            self._service.compare(self, frame)
+        waits = [rest] if rest > 0 else []
         if message is not None:
             waits.append(max(message.until - time.monotonic(), 0.0))
         return min(waits, default=None)

@@ -21,6 +21,7 @@ from lpn.locate.agreement import MapAgreement
 from lpn.locate.corrections import NAME
 from lpn.locate.located import LocatedFlight
 
+TIMEOUT = 60.0  # seconds for something that must happen
 CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
 
 
@@ -54,36 +55,70 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightSe
     assert "corrected" not in page.data(service.view(), "x/")["tracks"]
 
 
-def test_a_photo_is_compared_once_and_again_where_it_is_laid_anew(
+def compare(service: FlightService, frame: int | None) -> None:
+    """Compare a frame's photo, and those of the whole flight, to the end."""
+    job = service.compare(service, frame)
+    assert job is not None
+    assert job.wait(TIMEOUT)
+    assert job.error is None
+
+
+def test_photos_are_compared_once_and_again_where_they_are_laid_anew(
     service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     laid: list[Any] = []
 
-    def compare(*given: Any) -> MapAgreement:
-        laid.append(given)
+    def measure(*given: Any) -> MapAgreement:
+        laid.append((threading.current_thread(), *given))
+        return MapAgreement(np.full((2, 2), 0.5), np.ones((2, 2)), 9.0)
+
+    monkeypatch.setattr(service_module, "map_agreement", measure)
+    told: list[list[MapAgreement]] = []
+    service.watchers.watch(lambda: told.append(service.agreements()))
+    assert service.agreement(0) is None
+    compare(service, 1)
+    first = service.agreement(0)
+    assert [len(agreements) for agreements in told] == [0, 2], "the flight's accuracy waits for all of them"
+    assert first in told[1]
+    assert service.agreement(2) is None, "it is not laid over the map"
+    assert service.compare(service, 1) is None
+    service.correct(0, CORNERS)
+    assert service.agreement(0) is None
+    compare(service, None)
+    assert service.agreement(0) is not first
+    assert [given[-1] for given in laid] == [(one.frame.width, one.frame.height) for one in flight.frames[:2]] + [
+        (80, 60)
+    ]
+    assert threading.current_thread() not in [given[0] for given in laid]
+
+
+def test_browsers_share_the_comparison_which_pauses_when_all_have_left(
+    service: FlightService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on, count = threading.Event(), threading.Event(), []
+
+    def slow(*_: Any) -> MapAgreement:
+        count.append(1)
+        begun.set()
+        assert go_on.wait(TIMEOUT)
         return MapAgreement(np.zeros((0, 2)), np.zeros((0, 2)), 9.0)
 
-    monkeypatch.setattr(service_module, "map_agreement", compare)
-    assert service.agreement(0, compute=False) is None
-    first = service.agreement(0, compute=True)
-    assert first is not None
-    assert service.agreement(0, compute=True) is first
-    assert service.agreement(2, compute=True) is None, "it is not laid over the map"
-    service.correct(0, CORNERS)
-    assert service.agreement(0, compute=False) is None
-    assert service.agreement(0, compute=True) is not first
-    assert len(laid) == 2
-    assert laid[0][3] == (flight.frames[0].frame.width, flight.frames[0].frame.height)
-
-
-def test_all_laid_photos_are_compared_one_by_one(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:
-    agreement = MapAgreement(np.full((2, 2), 0.5), np.ones((2, 2)), 9.0)
-    monkeypatch.setattr(service_module, "map_agreement", lambda *_: agreement)
-    assert service.agreements() == []
-    assert service.compare_next()
-    assert service.agreements() == [], "not all of them are compared"
-    assert [service.compare_next() for _ in range(2)] == [True, False]
-    assert service.agreements() == [agreement, agreement]
+    monkeypatch.setattr(service_module, "map_agreement", slow)
+    first, second = object(), object()
+    job = service.compare(first, 1)
+    assert job is not None
+    assert begun.wait(TIMEOUT)
+    assert service.compare(second, 0) is job
+    service.leave(first)
+    assert not job.cancelled
+    service.leave(second)
+    again = service.compare(first, 1)
+    assert again is not None
+    go_on.set()
+    assert job.wait(TIMEOUT)
+    assert again.wait(TIMEOUT)
+    assert (job.cancelled, again.error, len(count)) == (True, None, 2)
+    assert len(service.agreements()) == 2
 
 
 @pytest.mark.parametrize("content", [None, b"not a picture"])
@@ -98,8 +133,8 @@ def test_a_photo_that_cannot_be_read_is_left_out_of_the_comparison(
     if content is not None:
         file.write_bytes(content)
     monkeypatch.setattr(flight.frames[0], "frame", replace(flight.frames[0].frame, file=file))
-    assert service.agreement(0, compute=True) is None
-    assert [service.compare_next() for _ in range(2)] == [True, False]
+    compare(service, 0)
+    assert service.agreement(0) is None
     assert len(service.agreements()) == 1
 
 
