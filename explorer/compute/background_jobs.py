@@ -124,16 +124,23 @@ class BackgroundJobs:
         self._lock = threading.RLock()
 
     def join(
-        self, key: Hashable, client: object, work: Callable[[ReportProgress], T], keep: bool = True
+        self,
+        key: Hashable,
+        client: object,
+        work: Callable[[ReportProgress], T],
+        keep: bool = True,
+        again: bool = False,
     ) -> BackgroundJob[T]:
         """Return the job of a key; start it if there is none.
 
         Args:
             keep: False if the job is to be forgotten when its last client has left it; a failed one starts again.
+            again: True if one that has ended starts again, as its result lies in a cache that may have lost it.
         """
         with self._lock:
             job = self._jobs.get(key)
-            if job is None or (job.error is not None and not keep) or not job.join(client):
+            ended = job is not None and job.wait(0) and (again or (job.error is not None and not keep))
+            if job is None or ended or not job.join(client):
                 abandoned = (lambda _: None) if keep else partial(self._forget, key)
                 job = self._jobs[key] = BackgroundJob(work, client, abandoned)
             return job

@@ -47,7 +47,7 @@ class TurnedJobs:
             with in_turn(self._turn, report):
                 self._compute(task, turns, report)
 
-        return self._jobs.join(key, client, work, keep=False)
+        return self._jobs.join(key, client, work, keep=False, again=True)
 
     def leave(self, client: object) -> None:
         """Remove a client from the jobs that it waits for."""

@@ -49,7 +49,7 @@ class WeightFigures:
             yield_cores()
             return self._compute(task, weights, report)
 
-        return self._jobs.join(key, client, work, keep=False)
+        return self._jobs.join(key, client, work, keep=False, again=True)
 
     def join_all(self, client: object, tasks: Sequence[str]) -> BackgroundJob[None]:
         """Compute the figures of all combinations of parts of some tasks, see `part_weights.part_combinations`.
@@ -67,7 +67,7 @@ class WeightFigures:
                 self._compute(task, weights, lambda *_, done=done: report(done, len(combined)))
             report(len(combined), len(combined))
 
-        return self._jobs.join(key, client, work, keep=False)
+        return self._jobs.join(key, client, work, keep=False, again=True)
 
     def leave(self, client: object) -> None:
         """Remove a client from the jobs that it waits for."""

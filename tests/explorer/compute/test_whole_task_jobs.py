@@ -45,6 +45,20 @@ def test_all_combinations_of_both_directions_are_counted_and_kept(workspace: Wor
     assert figures.known(REVERSE, (0, 0, 1, 1)) is not None
 
 
+def test_combinations_that_the_cache_has_lost_are_computed_again(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(weight_figures, "_KEPT", 15)
+    figures, client = WeightFigures(workspace.tasks.__getitem__), object()
+    assert figures.join_all(client, (TASK,)).wait(TIMEOUT)
+    assert figures.join(client, TASK, (1, 2, 3, 4)).wait(TIMEOUT)
+    assert figures.known(TASK, (1, 0, 0, 0)) is None
+    again = figures.join_all(client, (TASK,))
+    assert again.wait(TIMEOUT)
+    assert again.done == 15
+    assert figures.known(TASK, (1, 0, 0, 0)) is not None
+
+
 def test_weights_that_moved_on_are_not_computed_to_the_end(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
