@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import viser
 
+from explorer.browse.own_pictures import HandedOver
 from explorer.client.services import WorkspaceServices
 from explorer.client.session import ClientSession
 from explorer.parameters import DATA
@@ -104,8 +105,9 @@ class App:
         search: str | None = None,
         replaced: ClientSession | None = None,
         ready: StateAnalysis | None = None,
+        own: HandedOver | None = None,
     ) -> ClientSession:
-        session = ClientSession(client, services, self._show_other, search, self._open_quick, ready)
+        session = ClientSession(client, services, self._show_other, search, self._open_quick, ready, own)
         with self._lock:
             if self._sessions.get(client.client_id) is replaced:  # else its page has changed its workspace already
                 self._sessions[client.client_id] = session
@@ -186,21 +188,22 @@ class App:
         return True
 
     def _exchange(self, session: ClientSession, key: str, search: str) -> None:
-        """Replace a session by one of another workspace, as if the page had been loaded again."""
+        """Replace a session by one of another workspace, as if the page had been loaded again; own pictures stay."""
         client = session.client
         if self._sessions.get(client.client_id) is not session:
             return
+        own = session.hand_over()
         session.leave()
         try:
             ready = session.preview(self._services[key], search)
             client.gui.reset()
             client.scene.reset()
-            self._begin(client, self._services[key], search, session, ready)
+            self._begin(client, self._services[key], search, session, ready, own)
         except Exception:
             log.exception("A page could not change its workspace")
             client.gui.reset()
             client.scene.reset()
-            again = self._begin(client, self._first, "", session)
+            again = self._begin(client, self._first, "", session, own=own)
             again.stay(self._choices[key], "The server's log has the details.")
 
     def _disconnected(self, client: viser.ClientHandle) -> None:

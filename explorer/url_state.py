@@ -262,8 +262,8 @@ class UrlState:
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
             raise UnusableError(
-                "your own picture is no longer here, as a page holds one until it is loaded again or shows another place; "
-                "open the file again."
+                "your own picture is no longer here, as a page holds one until it is loaded again or you close it; open "
+                "the file again."
             )
         if query is None:
             raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")

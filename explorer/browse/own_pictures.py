@@ -55,6 +55,14 @@ class _Held:
         return len(self.file) + len(self.thumbnail)
 
 
+@dataclass(frozen=True, eq=False)
+class HandedOver:
+    """One browser's own pictures on their way to its next session, and the position of the one that was opened last."""
+
+    pictures: list[_Held]
+    opened: int
+
+
 class HeldBytes:
     """The bytes of the pictures of all browsers; thread-safe.
 
@@ -214,6 +222,19 @@ class OwnPictures:
             self._closed += 1
         self._change(session_state.leave_upload)
         self._draw()
+
+    def hand_over(self) -> HandedOver:
+        """Return the pictures for `take_over`, and hold them no longer: the page is about to show another workspace."""
+        with self._lock:
+            over = HandedOver(self._held, self._opened[1])
+            self._held, self._opened, self._closed = [], (None, -1), self._closed + 1
+        return over
+
+    def take_over(self, over: HandedOver) -> None:
+        """Hold the pictures that the same page had in another workspace, whose bytes are counted already."""
+        with self._lock:
+            self._held, self._opened = [*over.pictures, *self._held], (None, over.opened)
+        self._draw(-1)
 
     def leave(self) -> None:
         """Forget the pictures of a browser that left."""

@@ -73,7 +73,9 @@ class PageAddress:
             before = self._state()
         named = self._url_state.names_a_state(search) and not self._url_state.names_only_a_workspace(search)
         start = self._plain if named else before
-        state, problems = self._url_state.read(search, replace(start, dark=not greeting.light, plain=greeting.plain))
+        start = replace(start, dark=not greeting.light, plain=greeting.plain)
+        # A page that comes back from another workspace holds its own pictures still.
+        state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = plain_state(state, greeting.first, self._url_state.names_a_state(search))

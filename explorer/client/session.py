@@ -12,6 +12,7 @@ from dataclasses import replace
 import viser
 
 from explorer import session_state
+from explorer.browse.own_pictures import HandedOver
 from explorer.client import messages
 from explorer.client.address import PageAddress, opened_alone
 from explorer.client.messages import PageMessage
@@ -52,6 +53,7 @@ class ClientSession:
         search: a query string in place of that of the page's address.
         on_shown: called when the first answer is shown.
         ready: the analysis of a state that the page may open with, see `preview`.
+        own: the pictures that the page's session before this one handed over.
 
     Attributes:
         views: all that the page shows.
@@ -65,6 +67,7 @@ class ClientSession:
         search: str | None = None,
         on_shown: Callable[[], None] = lambda: None,
         ready: StateAnalysis | None = None,
+        own: HandedOver | None = None,
     ) -> None:
         workspace = services.workspace
         self._on_shown, self._ready, self._previewed = on_shown, ready, threading.Event()
@@ -87,6 +90,7 @@ class ClientSession:
                 self._on_select,
                 {PageMessage: self._receive},
             )
+            self.views.panels.query.take_over(own)
             self._worker = Worker(self._work, self.views.fail)
             self.views.viewport.watch(self._refit)
             self._own_photo = OwnPhotoProgress(workspace.own_photos, self._follow_own_photo)
@@ -139,6 +143,10 @@ class ClientSession:
     def _follow_own_photo(self) -> None:
         """Have the worker show what has become of the own picture's registration."""
         self._worker.wake("own photo")
+
+    def hand_over(self) -> HandedOver | None:
+        """Return the user's own pictures for the session that is to replace this one."""
+        return self.views.panels.query.hand_over()
 
     def leave(self) -> None:
         """Stop all threads and computations of this browser; it has disconnected."""

@@ -26,9 +26,7 @@ from lpn.tasks.task import Task
 _ELSEWHERE_M = 10_000.0
 # The shapes of an own picture and of the network's input differ visibly from here on.
 _PRESSED = 1.05
-OWN_KEPT = (
-    "Your picture stays in this server's memory until you close this page or open another place, and goes nowhere else."
-)
+OWN_KEPT = "Your picture stays in this server's memory until you close it or this page, and goes nowhere else."
 _ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.
 ELSEWHERE = ("Not one of these", "Probably none of these")

@@ -11,7 +11,7 @@ import viser
 from explorer import session_state
 from explorer.browse.feeds import Feeds
 from explorer.browse.messages import BrowseMessage, PickQuery
-from explorer.browse.own_pictures import OwnPictures
+from explorer.browse.own_pictures import HandedOver, OwnPictures
 from explorer.browse.query_list import QueryList
 from explorer.panels import pages
 from explorer.panels.controls import Controls
@@ -126,6 +126,15 @@ class QueryPanel:
     def find_own(self, key: str) -> OwnPicture | None:
         """Return the user's own picture of a key, see `OwnPictures.find`."""
         return None if self.own is None else self.own.find(key)
+
+    def hand_over(self) -> HandedOver | None:
+        """Return the user's own pictures for `take_over`; None where there is no model to describe them."""
+        return None if self.own is None else self.own.hand_over()
+
+    def take_over(self, over: HandedOver | None) -> None:
+        """Hold the own pictures of the page's session before this one."""
+        if self.own is not None and over is not None:
+            self.own.take_over(over)
 
     def receive(self, message: BrowseMessage) -> None:
         """Do what a message of a list of pictures asks for."""

@@ -16,8 +16,8 @@ from PIL import Image
 from explorer import session_state, uploads
 from explorer.browse import own_pictures
 from explorer.browse.feeds import Feeds
-from explorer.browse.messages import BrowseMessage
-from explorer.browse.own_pictures import MOST, OwnPictures
+from explorer.browse.messages import MOST, BrowseMessage
+from explorer.browse.own_pictures import OwnPictures
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.opening import open_model
 from explorer.panels import answer_text
@@ -250,6 +250,27 @@ def test_a_large_file_is_held_small_and_shown_the_same(page: Page, monkeypatch: 
     assert again is not None
     assert again is not first
     assert np.abs(again.picture.astype(int) - first.picture).mean() < 4
+
+
+def test_the_next_session_of_a_page_holds_its_pictures_with_those_it_had_counted(workspace: Workspace) -> None:
+    first, second, before = Page(workspace), Page(workspace), own_pictures.held_bytes.total
+    for number, name in enumerate(("a.jpg", "b.jpg", "c.jpg")):
+        first.own.take(name, photo(number))
+    first.send("own-pick", ["own", 1])
+    assert first.state.upload is not None
+    counted = own_pictures.held_bytes.total
+    second.own.take_over(first.own.hand_over())
+    first.own.leave()
+    assert (first.own.held, second.own.held) == (0, 3)
+    assert own_pictures.held_bytes.total == counted > before
+    assert "3 of your own" in second.shell
+    again, found = second.own.reopen(second.state), second.own.find(first.state.upload.key)
+    assert again is not None
+    assert again.upload is found
+    assert found is not None
+    assert found.name == "b.jpg"
+    second.own.leave()
+    assert own_pictures.held_bytes.total == before
 
 
 def test_a_picture_that_is_read_while_all_are_closed_is_not_taken(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
