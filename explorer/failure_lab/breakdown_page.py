@@ -25,7 +25,7 @@ from lpn.locate.task import stage_columns
 from lpn.tasks.task import Task
 
 _MAX_PAIRS, _MAX_VALUES, _MAX_TILES = 10, 10, 6
-# What a flight's columns hold, in plain words.
+# Plain words for the columns of a flight.
 _PLAIN_COLUMNS = {
     "seconds": "time since the first photo",
     "altitude": "height of the drone",

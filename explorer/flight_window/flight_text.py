@@ -21,9 +21,9 @@ from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import RIGHT_CALIBRATION
 from lpn.locate.summary import FlightAccuracy, flight_accuracy
 
-# Of errors within three right radii 99 % lie; a smaller share than this says that radii or tags are wrong.
+# Three right radii hold 99 % of the errors; a smaller share than this says that radii or tags are wrong.
 _RIGHT_SHARE = 90.0
-# Some parts are measured by themselves, and others are not.
+# The list of contradictions alone would read as if all answers were independent, and equally good.
 EVIDENCE = (
     "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
     "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "

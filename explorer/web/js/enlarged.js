@@ -3,7 +3,7 @@
   const lpn = window.lpn;
   if (lpn.enlargeable) return;
   /** @type {HTMLDialogElement | null} */
-  let shown = null;
+  let openDialog = null;
   let stepped = false; // the browser's history has the open picture as a step of its own
 
   const open = (picture) => {
@@ -21,7 +21,7 @@
     dialog.onclick = () => dialog.close();
     dialog.onclose = () => {
       dialog.remove();
-      shown = null;
+      openDialog = null;
       if (stepped) lpn.backQuietly();
       stepped = false;
       // The page may have been drawn anew meanwhile.
@@ -29,7 +29,7 @@
       lpn.refocus(picture.isConnected ? picture : again);
     };
     dialog.showModal();
-    shown = dialog;
+    openDialog = dialog;
     history.pushState(history.state, "", location.href);
     stepped = true;
   };
@@ -43,11 +43,11 @@
   };
   // The browser's Back was pressed: whether it closes the picture.
   lpn.backClosesPicture = () => {
-    if (!shown) return false;
+    if (!openDialog) return false;
     stepped = false;
-    shown.close();
+    openDialog.close();
     return true;
   };
   // No key is a command of the page meanwhile.
-  window.addEventListener("keydown", (event) => shown && event.stopImmediatePropagation(), true);
+  window.addEventListener("keydown", (event) => openDialog && event.stopImmediatePropagation(), true);
 })();

@@ -3,7 +3,7 @@
   const lpn = window.lpn;
   if (lpn.hideTip) return;
   const GAP = 6;
-  const found = (event) => event.target.closest?.(".term");
+  const termOf = (event) => event.target.closest?.(".term");
 
   lpn.hideTip = () => {
     document.getElementById("lpn-term")?.remove();
@@ -25,7 +25,7 @@
   };
 
   for (const kind of ["mouseover", "focusin", "click"])
-    document.addEventListener(kind, (event) => (found(event) ? show(found(event)) : kind !== "focusin" && lpn.hideTip()));
+    document.addEventListener(kind, (event) => (termOf(event) ? show(termOf(event)) : kind !== "focusin" && lpn.hideTip()));
   document.addEventListener("focusout", lpn.hideTip);
   document.addEventListener("scroll", lpn.hideTip, true);
   document.addEventListener("keydown", (event) => event.key === "Escape" && lpn.hideTip(), true);
