@@ -451,7 +451,7 @@ def _map_picture(basemap: Map) -> tuple[UInt8Array, BoolArray]:
 def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool | None:
     """Return whether the details of a flight's photo place its middle on the answer, whatever its GPS tag says.
 
-    None without an accepted registration, and where its 1-sigma radius leaves it open.
+    None without an accepted registration, and where its 1-sigma radius leaves it open. The map's error moves both alike.
     """
     flight, state = workspace.flight, analysis.state
     if flight is None or state.upload:
@@ -460,8 +460,7 @@ def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool | Non
     off = answer_text.answer_off(analysis, located)
     if off is None:
         return None
-    radius = located.stages["registration"].radius
-    return None if abs(off) < (radius or 0.0) else off <= 0
+    return None if abs(off) < located.stages["registration"].own_radius else off <= 0
 
 
 def _turn(analysis: StateAnalysis, workspace: Workspace, least: float = _LEVEL) -> MatchingTurn | None:

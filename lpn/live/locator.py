@@ -475,7 +475,7 @@ class LiveLocator:
         track = self._track
         assert answer.x is not None
         assert answer.y is not None
-        here = answer.x, answer.y, answer.radius or 0.0, math.nan if frame.time is None else frame.time
+        here = answer.x, answer.y, answer.own_radius, math.nan if frame.time is None else frame.time
         if track.last is None or self._reachable(track.last, here):
             track.last, track.apart = here, []
             return answer

@@ -65,22 +65,24 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
     """Return the contradictions between accepted registration, accepted sequence, and tag, frame by frame.
 
     Two answers contradict each other if they lie farther apart than three times the root of the sum of their squared 1-sigma
-    radii. A tag counts with 5 m. An answer that is the picture's middle is moved by an unknown tilt: the tangent of 15 degrees
-    times the flying height, or times half of the picture's width on the ground, is allowed in addition.
+    radii. The map's error moves registration and sequence alike, so it counts against the tag alone, which has 5 m. An answer
+    that is the picture's middle is moved by an unknown tilt: the tangent of 15 degrees times the flying height, or times half of
+    the picture's width on the ground, is allowed in addition.
     """
     pairs = []
     for i, located in enumerate(frames):
-        places: dict[str, tuple[float, float, float, bool]] = {}
+        places: dict[str, tuple[float, float, float, float, bool]] = {}
         for stage in ("registration", "sequence"):
             answer = located.stages.get(stage)
             if answer is not None and answer.accepted and answer.x is not None and answer.y is not None:
-                places[stage] = answer.x, answer.y, answer.radius or 0.0, answer.camera
+                places[stage] = answer.x, answer.y, answer.radius or 0.0, answer.own_radius, answer.camera
         if located.tag is not None:
-            places["tag"] = float(located.tag[0]), float(located.tag[1]), TAG_RADIUS, True
+            places["tag"] = float(located.tag[0]), float(located.tag[1]), TAG_RADIUS, TAG_RADIUS, True
         for (one, a), (other, b) in combinations(places.items(), 2):
             metres = math.hypot(a[0] - b[0], a[1] - b[1])
-            tilt = _shift(located) if a[3] != b[3] else 0.0
-            allowed = SIGMAS * math.hypot(a[2], b[2]) + tilt
+            tilt = _shift(located) if a[4] != b[4] else 0.0
+            radius = 2 if other == "tag" else 3
+            allowed = SIGMAS * math.hypot(a[radius], b[radius]) + tilt
             if metres > allowed:
                 pairs.append(Disagreement(i, one, other, metres, allowed, tilt))
     return pairs

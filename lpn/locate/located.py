@@ -61,6 +61,7 @@ class StageRecord(msgspec.Struct, frozen=True):
         unverified: whether it is refused for one reason alone: nothing shows that the map is of this place.
         pose: of the camera; None where the matches do not tell it.
         on_earth: whether the radius holds the error of the map's place on earth, as the map tells it.
+        map_error: 1-sigma error of the map in metres that the radius holds; it moves all places on the map alike.
     """
 
     state: State
@@ -77,6 +78,12 @@ class StageRecord(msgspec.Struct, frozen=True):
     unverified: bool = False
     pose: CameraPose | None = None
     on_earth: bool = False
+    map_error: float = 0.0
+
+    @property
+    def own_radius(self) -> float:
+        """The radius in metres against other places on the same map, whose error cancels; 0 without one."""
+        return math.sqrt(max((self.radius or 0.0) ** 2 - self.map_error**2, 0.0))
 
     @property
     def accepted(self) -> bool:

@@ -183,7 +183,7 @@ def with_map_error(answer: StageRecord, map_error: float, on_earth: bool) -> Sta
         sentence += f" The error of the {place} on {'earth' if on_earth else 'the map'} is ± {radius:.1f} m (1 sigma)"
         kind = "are the error of the map" if on_earth else "are assumed for the map"
         sentence += f", of which ± {map_error:.1f} m {kind}." if map_error else "."
-    return msgspec.structs.replace(answer, radius=radius, sentence=sentence, on_earth=on_earth)
+    return msgspec.structs.replace(answer, radius=radius, sentence=sentence, on_earth=on_earth, map_error=map_error)
 
 
 def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:

@@ -9,6 +9,7 @@ import pytest
 from lpn.flights import Frame
 from lpn.locate.belief import TAG_RADIUS, belief, disagreements
 from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.registered_stage import with_map_error
 
 FRAME = Frame("a", Path("a"), 80, 60, height_above_ground=100.0)
 TAG = np.zeros(2)
@@ -35,6 +36,17 @@ def test_answers_disagree_beyond_three_times_their_common_radius() -> None:
     assert found[0].metres == pytest.approx(allowed + 0.1)
     assert found[0].allowed == pytest.approx(allowed)
     assert found[0].sentence == "Registration and tag lie 15.4 m apart; their radii allow 15.3 m."
+
+
+def test_the_error_of_the_map_counts_against_a_tag_alone() -> None:
+    both = {"registration": registration(0.0, camera=False), "sequence": sequence(27.0, 9.0)}
+    assert not disagreements([located(tag=None, **both)])
+    both["sequence"] = sequence(35.0, 9.0)
+    both["registration"] = with_map_error(both["registration"], 40.0, on_earth=True)
+    (one,) = disagreements([located(tag=None, **both)])
+    assert one.allowed == pytest.approx(3 * np.hypot(1.0, 9.0)), "the map's error moves both alike"
+    far = with_map_error(registration(100.0), 40.0, on_earth=True)
+    assert not disagreements([located(registration=far)]), "a tag is not on the map"
 
 
 def test_the_middle_of_a_picture_may_be_moved_by_an_unknown_tilt() -> None:
