@@ -123,7 +123,7 @@ class Map:
 
     def tells(self, error: float) -> bool:
         """Return whether an error of the map in metres, 1 sigma, holds that of its place on earth, as the map tells it."""
-        return self.error is not None and error >= self.error
+        return bool(self.error) and error >= (self.error or 0.0)
 
     def heights(self, xy: Float64Array) -> Float64Array:
         """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).

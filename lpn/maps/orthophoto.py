@@ -36,6 +36,9 @@ _LEAST, _NAMED = 3, 5
 # Groups of consecutive photos that are left out by turns, and residuals of tags that count: up to so many metres, or multiples of
 # the median, as the library has it.
 _BLOCKS, _FAR, _OUTLIER = 5, 9.0, 4.45
+# A flight turns beyond this angle. Tags of one leg may share this error in metres, which their scatter does not show; the share
+# of the photos above which one leg is nearly all of the flight.
+_TURN, _SHARED, _MOST_OF_ONE_LEG = np.pi / 4, 5.0, 2 / 3
 # Side of the coarsest overview in pixels.
 _COARSEST = 512
 # Lines of the library's log that tell how far it is, by their beginnings, and the sentence for each.
@@ -230,14 +233,16 @@ def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
     each other share, such as those of a receiver that lags along a leg.
 
     The map may bend besides. Then residuals of photos that lie next to each other are alike although they are of two groups, and
-    the mean of their products is the square of that error. An error that all tags share is not seen.
+    the mean of their products is the square of that error. An error that all tags share is not seen. So where more than two
+    thirds of the photos are of one leg, an error under 5 m, which the tags of a leg may share, is not told.
 
     Args:
         middles: of the photos on the map in the order of the flight, metres, (N, 2).
         tags: of the same photos, metres, (N, 2). One far off the others' residuals does not count.
 
     Returns:
-        The root mean square over the middles; None with fewer than five tags, or where all are of one place.
+        The root mean square over the middles; None with fewer than five tags, where all are of one place, and for one leg
+        as above.
     """
     residuals = np.hypot(*(tags - middles).T)
     kept = residuals <= max(_FAR, _OUTLIER * float(np.median(residuals)))
@@ -259,14 +264,18 @@ def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
         apart[np.ix_(block, block)] = np.inf
     residual = w - z
     bent = (residual * residual[apart.argmin(axis=1)].conj()).real.mean() / 2
-    return float(np.sqrt(moved + max(bent, 0.0)))
+    error = float(np.sqrt(moved + max(bent, 0.0)))
+    steps = np.diff(w)
+    turns = np.cumsum(np.abs(np.angle(steps[1:] * steps[:-1].conj())) > _TURN)
+    of_one_leg = np.bincount(np.concatenate([[0], turns, turns[-1:]])).max() / len(w)
+    return None if of_one_leg > _MOST_OF_ONE_LEG and error < _SHARED else error
 
 
 def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float | None) -> str:
     """Say how far the map can be relied on: the metres from each photo's tag to its middle on the map, and its error."""
     off = np.hypot(*(middles - tags).T)
     open_places = (
-        "These are too few to tell its error."
+        "They are too few, or too nearly of one leg, to tell its error."
         if error is None
         else f"By their scatter its places have an error of ± {error:.1f} m (1 sigma) along each axis."
     )

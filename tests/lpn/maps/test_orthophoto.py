@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from lpn.cli.main import main
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.flights import photos_of
 from lpn.locate.options import LocateOptions
@@ -80,6 +80,7 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     assert made.resolution == pytest.approx(PIXEL, rel=0.02)
     assert made.error is not None
     assert made.error < 0.2
+    assert made.tells(made.error)
     assert any(f"an error of ± {made.error:.1f} m (1 sigma)" in note for note in made.notes)
     assert default_map_error(made) == pytest.approx(math.hypot(1.0, made.error))
     record = (out / "map.json").read_text()
@@ -95,6 +96,14 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     assert agreement > 0.8
 
 
+def laid_by(truth: Float64Array, tags: Float64Array) -> Float64Array:
+    """Return places (N, 2) by the similarity that takes them to their tags."""
+    z, w = truth @ (1, 1j), tags @ (1, 1j)
+    turn = (np.conj(z - z.mean()) * (w - w.mean())).sum() / (np.abs(z - z.mean()) ** 2).sum()
+    placed = w.mean() + turn * (z - z.mean())
+    return np.stack([placed.real, placed.imag], axis=1)
+
+
 @pytest.mark.parametrize("lag", [0.0, 6.0])
 def test_the_error_of_a_map_is_that_of_its_place_by_the_tags(lag: float) -> None:
     """A flight of six legs there and back, 300 times, with tags that err by themselves, and by the same along each leg."""
@@ -104,11 +113,9 @@ def test_the_error_of_a_map_is_that_of_its_place_by_the_tags(lag: float) -> None
     wrong, told = [], []
     for _ in range(300):
         tags = truth + rng.normal(0, 3, truth.shape) + lag * rng.normal(size=(6, 2))[leg]
-        z, w = truth @ (1, 1j), tags @ (1, 1j)
-        turn = (np.conj(z - z.mean()) * (w - w.mean())).sum() / (np.abs(z - z.mean()) ** 2).sum()
-        placed = w.mean() + turn * (z - z.mean())
-        wrong.append((np.abs(placed - z) ** 2).mean() / 2)
-        error = place_error(np.stack([placed.real, placed.imag], axis=1), tags)
+        placed = laid_by(truth, tags)
+        wrong.append(((placed - truth) ** 2).sum(axis=1).mean() / 2)
+        error = place_error(placed, tags)
         assert error is not None
         told.append(error**2)
     # Tags that err by themselves make a map that does not bend look bent by a little.
@@ -125,8 +132,20 @@ def test_the_error_of_a_map_holds_its_bend() -> None:
     assert error == pytest.approx(np.sqrt((bend**2).mean() / 2), rel=0.3)
 
 
+@pytest.mark.parametrize(("photos", "error"), [(8, None), (9, None), (30, None), (16, 4.0)])
+def test_tags_of_one_leg_may_err_alike_and_do_not_tell_a_small_error(photos: int, error: float | None) -> None:
+    """Legs of 8 photos, or one of 30, whose tags err by 1 m each, and by 8 m along the first leg and back along the second."""
+    leg, step = np.divmod(np.arange(photos), 8 if photos < 30 else 30)
+    truth = np.stack([20.0 * np.where(leg % 2, 7 - step, step), 25.0 * leg], axis=1)
+    tags = truth + np.random.default_rng(5).normal(0, 1, truth.shape) + np.stack([8.0 - 16.0 * leg, 0.0 * leg], axis=1)
+    assert place_error(laid_by(truth, tags), tags) == (None if error is None else pytest.approx(error, rel=0.5))
+    # A map that bends by more than tags err says so on one leg, too.
+    bend = np.stack([0 * step, 30 * np.sin(step / 3)], axis=1)
+    assert (place_error(truth + bend, tags) or 0.0) > 5.0
+
+
 def test_few_tags_and_tags_of_one_place_tell_no_error_and_one_far_off_does_not_count() -> None:
-    places = np.array([[20.0 * i, 3.0 * (i % 2)] for i in range(10)])
+    places = np.array([[20.0 * (i % 5), 25.0 * (i // 5)] for i in range(10)])
     assert place_error(places[:4], places[:4]) is None
     assert place_error(np.zeros((9, 2)), places[:9]) is None
     far = places.copy()
