@@ -274,14 +274,12 @@ class GalleryMap:
             if match is None or not plane.handle.visible:
                 continue
             colour = theme.verdict_colour(match.true)
-            if alone:
-                framed = overlays.outlined(160, colour, 2, 0.0)
-            elif city:
-                chosen = match.index == analysis.chosen.index
+            if city:
+                chosen = match.index == analysis.chosen.index and not alone
                 framed = overlays.outlined(160, colour, 7 if chosen else 4, 0.12 if chosen else 0.03)
-            else:
+            else:  # a clear picture would leave a hole in the ground, which is a picture itself
                 picture = self._workspace.ground_picture(analysis.task, match.index)
-                framed = overlays.framed(overlays.square(picture, 96), colour, 5)
+                framed = overlays.framed(overlays.square(picture, 96), colour, 1 if alone else 5)
             side = self._tile_side(places, match.index)
             if side * pixels > 1.3 * LEAST and not alone:  # otherwise the number would not fit
                 framed = captions.numbered(framed, match.rank, legible(30, framed.shape[0], side * pixels))
