@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from lpn.core.arrays import AnyArray, Float64Array
+from lpn.core.arrays import DAMAGED_ARRAY, AnyArray, Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 
@@ -195,7 +194,7 @@ def read_arrays(path: Path, names: Sequence[str], optional: Sequence[str] = ()) 
                     "expected a sample of AnyVisLoc or OrthoLoC as it was released."
                 )
             return {name: np.asarray(data[name]) for name in (*names, *(n for n in optional if n in present))}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error, AttributeError) as error:
+    except (*DAMAGED_ARRAY, AttributeError) as error:
         raise DataError(f"{file} cannot be read ({printable(str(error))[:150]}); download the sample again.") from error
 
 
@@ -208,7 +207,7 @@ def read_heights(file: Path) -> AnyArray:
     name, again = printable(str(file)), "expected the heights of the map, (H, W) numbers, so download it again"
     try:
         heights = np.lib.format.open_memmap(file, mode="r")
-    except (OSError, ValueError, EOFError) as error:
+    except DAMAGED_ARRAY as error:
         raise DataError(f"{name} cannot be read ({printable(str(error))[:150]}); {again}.") from error
     if heights.ndim not in (2, 3) or heights.size == 0 or heights.dtype.kind not in "fiu":
         raise DataError(f"{name} holds an array of the shape {heights.shape} and the type {heights.dtype}; {again}.")

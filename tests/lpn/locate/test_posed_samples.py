@@ -169,6 +169,7 @@ def _as_archive(file: Path) -> None:
         (lambda file: np.save(file, np.zeros((0, 4))), r"of the shape \(0, 4\)"),
         (_as_archive, "cannot be read"),
         (lambda file: file.write_bytes(file.read_bytes()[:300]), "cannot be read"),
+        (lambda file: file.write_bytes(file.read_bytes().replace(b"}", b" ", 1)), "cannot be read"),
         (lambda file: file.unlink(), "cannot be read"),
     ],
 )
