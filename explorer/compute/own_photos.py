@@ -12,7 +12,6 @@ from lpn.core.resources import yield_cores
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import SiftMatcher, open_matcher
 from lpn.locate.own_photo import OwnPhoto, register_own_photo
-from lpn.locate.pipeline import default_map_error
 from lpn.maps import Map, Window
 
 # Seconds between looks at the progress of a registration.
@@ -55,7 +54,7 @@ class OwnPhotoJobs:
                 if matchers[0].name != SiftMatcher.name:
                     matchers.append(SiftMatcher())
                 self._features = [MapFeatures(self.basemap, matcher) for matcher in matchers]
-            error = default_map_error(self.basemap)
+            error = self.basemap.default_error
             return register_own_photo(
                 self.basemap, self._features, picture.picture, picture.frame, windows, error, report
             )

@@ -34,7 +34,6 @@ from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.map_proof import ONE_VIEW
 from lpn.locate.matchers import MatcherName, open_matcher
 from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import default_map_error
 from lpn.locate.ranked_stages import AGREEING, CONFIDENCE, EVIDENCE, OVERLAP, chance_to_agree
 from lpn.locate.registered_stage import PhotoSearch, register_photo, with_map_error
 from lpn.locate.retrieval import (
@@ -86,7 +85,7 @@ class LiveOptions:
         overlap: of neighbouring windows, 0 to below 1.
         speed: of the motion model, metres a second, one standard deviation.
         centre: whether descriptors are centred by view and whitened, once there are enough frames.
-        map_error: 1-sigma error of the map's places in metres; None takes `default_map_error`.
+        map_error: 1-sigma error of the map's places in metres; None takes `Map.default_error`.
     """
 
     register: bool = True
@@ -171,7 +170,7 @@ class LiveLocator:
         self._pixels = max(model.input_size)
         self._on_progress = on_progress
         self._features = [MapFeatures(basemap, open_matcher(self.options.matcher))] if self.options.register else []
-        self._map_error = default_map_error(basemap) if self.options.map_error is None else self.options.map_error
+        self._map_error = basemap.default_error if self.options.map_error is None else self.options.map_error
         self._ground: _Windows | None = None
         self._tiles = np.zeros((0, 0, 0), np.float32)
         self._kept: deque[Float32Array] = deque(maxlen=_KEPT)

@@ -22,7 +22,7 @@ class LocateOptions:
         sequence, register: whether these stages run; retrieval runs with a model. The sequence needs retrieval.
         matcher: of the registration; "auto" is XFeat where it is installed, and SIFT for the photos that XFeat does not place.
         prior: metres around each frame's tag that registration searches; None uses no tag.
-        map_error: 1-sigma error of the map's places in metres, along each axis; None takes `default_map_error`.
+        map_error: 1-sigma error of the map's places in metres, along each axis; None takes `Map.default_error`.
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
         centre: whether descriptors are centred by view, and whitened.

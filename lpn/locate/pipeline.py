@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -28,8 +27,6 @@ from lpn.locate.tags import enter_corrections, tags_on_map
 from lpn.maps import Map
 from lpn.models.base import Model
 
-# The map's own 1-sigma error unless it is given: pixels, and the least metres, as tags without ground control leave a map.
-_MAP_PIXELS, _MAP_METRES = 3.0, 1.0
 # Seconds from one answer of a registration that goes on to the next.
 _PARTIAL_INTERVAL = 3.0
 
@@ -122,7 +119,7 @@ def registered(
         on_partial: called every few seconds with the flight as far as it is registered; the tags are not audited yet.
     """
     options = replace(options or LocateOptions(), register=True)
-    map_error = default_map_error(located.basemap) if options.map_error is None else options.map_error
+    map_error = located.basemap.default_error if options.map_error is None else options.map_error
     options = replace(options, map_error=map_error)
     frames = [replace(frame, stages=dict(frame.stages)) for frame in located.frames]
     published = time.monotonic()
@@ -170,14 +167,6 @@ def registered(
         map_error=map_error,
     )
     return found.without_lag() if options.tags == "corrected" else found
-
-
-def default_map_error(basemap: Map) -> float:
-    """Return the 1-sigma error in metres along each axis that a map's places count with.
-
-    It is 3 pixels, and at least 1 m; the error that the map tells of itself is added in quadrature.
-    """
-    return math.hypot(max(_MAP_METRES, _MAP_PIXELS * basemap.resolution), basemap.error or 0.0)
 
 
 def _corrected_note(audit: TagAudit) -> str:

@@ -38,6 +38,8 @@ _MAX_WIDTH = 400_000.0
 _MAX_PIXELS = 16_384
 # Fewest pixels of a map along its shorter side: fewer show no place.
 _MIN_SIDE = 16
+# Pixels, and the least metres, of the error of a map's places, as tags without ground control leave a map.
+_PIXELS, _METRES = 3.0, 1.0
 
 
 class Map:
@@ -121,9 +123,20 @@ class Map:
         notes = [note for sheet in self.sheets for note in sheet.raster.notes]
         return notes + ([] if self.elevation is None else self.elevation.notes)
 
+    @property
+    def default_error(self) -> float:
+        """The 1-sigma error in metres along each axis that its places count with, unless another one is given.
+
+        It is 3 pixels, and at least 1 m; the error that the map tells of itself is added in quadrature.
+        """
+        return math.hypot(max(_METRES, _PIXELS * self.resolution), self.error or 0.0)
+
     def tells(self, error: float) -> bool:
-        """Return whether an error of the map in metres, 1 sigma, holds that of its place on earth, as the map tells it."""
-        return bool(self.error) and error >= (self.error or 0.0)
+        """Return whether an error of the map in metres, 1 sigma, is its own, and holds that of its place on earth.
+
+        An error that a person gives in place of `default_error` tells nothing of the map's place.
+        """
+        return bool(self.error) and error == self.default_error
 
     def heights(self, xy: Float64Array) -> Float64Array:
         """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).

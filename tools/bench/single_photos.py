@@ -21,7 +21,6 @@ from explorer import uploads
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import SiftMatcher, open_matcher
 from lpn.locate.own_photo import register_own_photo
-from lpn.locate.pipeline import default_map_error
 from lpn.maps import Map, open_map
 from lpn.maps.folder import add_trials
 from lpn.maps.trials import SinglePhotoTrials
@@ -42,7 +41,7 @@ def photos_of(sources: Sequence[Path], every: int) -> Iterator[tuple[str, Path]]
 def accepted(basemap: Map, features: Sequence[MapFeatures], file: Path) -> tuple[bool, str]:
     """Register a photo of which its pixels alone are known, and return whether it is accepted, and the sentence."""
     picture = uploads.read(file.name, file.read_bytes()).picture
-    photo = register_own_photo(basemap, features, picture, None, (), default_map_error(basemap))
+    photo = register_own_photo(basemap, features, picture, None, (), basemap.default_error)
     if not photo.whole_map:
         raise SystemExit(f"{basemap.name} is too large to be searched as a whole; take a smaller map.")
     return photo.answer.accepted, photo.answer.sentence

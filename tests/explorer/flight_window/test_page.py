@@ -190,6 +190,7 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     assert known[1][1].source == "Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
     assert placing_sentence([(DEMO_PLACE[0] / "map.json").read_text("utf-8")])
     monkeypatch.setattr(flight.basemap, "error", 0.6)
+    monkeypatch.setattr(type(flight.basemap), "default_error", 0.8)
     known = flight_text.accuracy(view_of(replace(flight, map_error=0.8)))
     assert known is not None
     assert known[0] == "± 0.8 m on this map; ± 1.0 m on earth, as far as the tags of the map do not all err alike."

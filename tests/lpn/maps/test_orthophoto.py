@@ -18,7 +18,7 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.flights import photos_of
 from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import default_map_error, locate
+from lpn.locate.pipeline import locate
 from lpn.maps import LocalFrame, Window, open_map
 from lpn.maps.orthophoto import place_error
 from tests.lpn.maps.small_maps import write_geotiff
@@ -80,9 +80,10 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     assert made.resolution == pytest.approx(PIXEL, rel=0.02)
     assert made.error is not None
     assert made.error < 0.2
-    assert made.tells(made.error)
+    assert made.tells(made.default_error)
+    assert not made.tells(40.0), "a person's own figure tells nothing of the map's place"
     assert any(f"an error of ± {made.error:.1f} m (1 sigma)" in note for note in made.notes)
-    assert default_map_error(made) == pytest.approx(math.hypot(1.0, made.error))
+    assert made.default_error == pytest.approx(math.hypot(1.0, made.error))
     record = (out / "map.json").read_text()
     (out / "map.json").write_text(record.replace(f'"error": {made.error}', '"error": -1'))
     with pytest.raises(DataError, match="is damaged"):
