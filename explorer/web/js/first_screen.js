@@ -66,9 +66,10 @@
     restoreDetails(!another);
     if (reason && !explained && query) page.querySelector("[data-act=why]")?.focus({ preventScroll: true });
     else restoreFocus(); // a page that opens with a reason has its first stop at the top
-    // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room.
+    // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room; a screen
+    // that comes back, as after the tour, begins at its top.
     if (another) page.scrollTop = 0;
-    if (reason && (another || !explained)) {
+    if (reason && query && (another || !explained)) {
       const button = page.querySelector("[data-act=why]").getBoundingClientRect(), pictures = pair.getBoundingClientRect().top;
       const top = button.bottom - pictures < 0.75 * page.clientHeight ? pictures : button.top - 8;
       const beyond = reason.getBoundingClientRect().bottom - page.clientHeight;

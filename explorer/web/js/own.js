@@ -63,10 +63,9 @@
   // viser's own chooser may lie in a part of the page that takes no input.
   const choose = (options) => {
     const chooser = Object.assign(document.createElement("input"), { type: "file", ...options });
-    chooser.addEventListener("change", () => {
-      document.getElementById("lpn-notice")?.classList.remove("shown"); // what was said of the choice
-      take([...chooser.files]);
-    });
+    // The hint on the choice goes with the chooser: on a phone it lies over the heading.
+    for (const kind of ["change", "cancel"]) chooser.addEventListener(kind, () => document.getElementById("lpn-notice")?.classList.remove("shown"));
+    chooser.addEventListener("change", () => take([...chooser.files]));
     chooser.click();
   };
   lpn.upload = () => {
