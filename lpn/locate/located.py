@@ -271,9 +271,16 @@ class LocatedFlight:
             self._on_map(answer),
             answer.radius if answer.on_earth else None,
             answer.heading,
-            None if located.tag is None or answer.x is None else answer.distance(located.tag),
+            self._metres_from_tag(located, answer),
             **_of_pose(answer.pose),
         )
+
+    def _metres_from_tag(self, located: LocatedFrame, answer: StageRecord) -> float | None:
+        """Return the metres from an answer to the tag in the frame's file, without the lag or with it."""
+        tag, frame = located.tag, located.frame
+        if self.tags_corrected and frame.latitude is not None and frame.longitude is not None:
+            tag = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
+        return None if tag is None or answer.x is None else answer.distance(tag)
 
     def _on_map(self, answer: StageRecord) -> float | None:
         """Return the radius of an answer without the error of the map's place on earth."""

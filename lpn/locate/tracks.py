@@ -50,7 +50,7 @@ class TrackPoint:
         radius: 1-sigma radius in metres on this map; None if unknown.
         radius_on_earth: the same with the error of the map's place on earth; None where the map does not tell it.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
-        metres_from_tag: metres from the position to the frame's tag; None without one of them.
+        metres_from_tag: metres from the position to the tag in the frame's file; None without one of them.
         doubt: the answers that contradict this one, "tag" or stages.
         altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
         height: of the camera by its pose, metres above ground; None where that is unknown.

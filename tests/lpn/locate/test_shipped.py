@@ -100,11 +100,12 @@ def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_b
     ]
     bare = LocatedFlight(flight, basemap, frames, None, [], None, answers.registration)
     assert bare.late_tags is not None
-    printed = {}
+    printed, columns = {}, {}
     for tags in ("told", "corrected"):
         located = registered(bare, None, LocateOptions(matcher="sift", tags=tags))
         print_summary(located, Console(file=(written := io.StringIO()), width=140))
         printed[tags] = written.getvalue()
+        columns[tags] = [point.metres_from_tag for point in located.track()]
         assert ("If the camera looks 8.6 m ahead instead" in printed[tags]) == (tags == "corrected")
     assert (
         "which are no exact truth, as the registration finds a lag in them (or the camera looks 8.6 m"
@@ -113,4 +114,5 @@ def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_b
     assert "Against the tags moved by that lag (a constant offset stays), the registration" in printed["told"]
     assert "Errors are against the tags of the flight, moved by their lag" in printed["corrected"]
     assert "no exact truth, as" not in printed["corrected"]
+    assert columns["told"] == pytest.approx(columns["corrected"], abs=1e-3), "the column is by the tags in the files"
     assert "Against the tags moved" not in printed["corrected"]
