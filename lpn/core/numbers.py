@@ -37,6 +37,11 @@ def distance(metres: float) -> str:
     return f"{metres:,.0f} m" if metres < 10_000 else f"{metres / 1000:,.0f} km"
 
 
+def heading_figure(degrees: float | None) -> float | None:
+    """Return a heading with one digit from 0.0 to 359.9: 359.97 degrees are 0.0; None for one that is not known or finite."""
+    return None if degrees is None or not math.isfinite(degrees) else round(degrees, 1) % 360
+
+
 def wrap_degrees(degrees: _Degrees) -> _Degrees:
     """Return an angle from -180 up to 180 degrees."""
     return (degrees + 180) % 360 - 180

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.numbers import wrap_degrees
+from lpn.core.numbers import heading_figure, wrap_degrees
 from lpn.core.resources import is_loopback
 from lpn.flights.cameras import rotation
 from lpn.live.frames import Say
@@ -87,7 +87,7 @@ class LiveFix:
             "time": round(self.clock, 3),
             "camera": answer.camera,
             "radius": _rounded(answer.radius, 2),
-            "heading": _rounded(answer.heading, 1),
+            "heading": heading_figure(answer.heading),
             "error": _rounded(self.located.error_of(self.answer), 2),
             "age": round(self.age, 3),
             "dropped": self.dropped,

@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.files import json_bytes, portable, printable, write_atomic
+from lpn.core.numbers import heading_figure
 from lpn.drawing import theme
 
 SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
@@ -252,7 +253,7 @@ def _row(point: TrackPoint, posed: bool) -> dict[str, Any]:
         "metres_from_tag": _rounded(point.metres_from_tag, 1),
         "time_utc": moment or "",
         "seconds": None if moment else _rounded(point.time, 3),
-        "heading_deg": _rounded(point.heading, 1),
+        "heading_deg": heading_figure(point.heading),
     }
     if posed:
         row |= {column: _rounded(getattr(point, name), digits) for name, (column, digits) in _POSE_COLUMNS.items()}

@@ -90,14 +90,14 @@ def test_csv_is_empty_where_nothing_is_known(tmp_path: Path) -> None:
 def test_a_doubt_stands_in_state_and_column_and_degrees_have_seven_decimals(tmp_path: Path) -> None:
     point = TrackPoint(
         "a.jpg", "registration", "contradicted", "", None, 46.123456789, 7.0, radius=1.024,
-        radius_on_earth=6.14, heading=3.0, metres_from_tag=33.41, doubt=("tag", "sequence"), pitch=-88.0,
+        radius_on_earth=6.14, heading=359.97, metres_from_tag=33.41, doubt=("tag", "sequence"), pitch=-88.0,
     )  # fmt: skip
     write_track(tmp_path / "track.csv", "monday", [point])
     with (tmp_path / "track.csv").open(newline="", encoding="utf-8-sig") as file:
         (row,) = csv.DictReader(file)
     figures = ("radius_on_map_m", "radius_on_earth_m", "metres_from_tag", "heading_deg", "pitch_deg")
     assert (row["state"], row["doubt"], row["latitude"]) == ("contradicted", "tag, sequence", "46.1234568")
-    assert [float(row[name]) for name in figures] == [1.02, 6.14, 33.4, 3.0, -88.0]
+    assert [float(row[name]) for name in figures] == [1.02, 6.14, 33.4, 0.0, -88.0], "a heading is below 360"
 
 
 def test_another_suffix_is_refused_and_nothing_is_left_behind(tmp_path: Path) -> None:
