@@ -223,15 +223,14 @@ def accuracy(view: FlightView, agreements: Sequence[MapAgreement] = ()) -> tuple
 
 
 def _on_map(known: FlightAccuracy) -> AccuracyLine:
-    source, radius = f"1-sigma radius, the median of {known.photos} photos.", known.radius
+    source = f"1-sigma radius, the median of {known.photos} photos."
+    radius = math.sqrt(max(known.radius**2 - (known.place_error or 0.0) ** 2, 0.0))
     if known.details is not None and known.map_error:
         assumed = math.sqrt(known.map_error**2 - (known.place_error or 0.0) ** 2)
         source += (
             f" The scatter of the details gives ± {known.details:.1f} m, and ± {assumed:.1f} m are assumed for the "
             "map, whose places nobody measured."
         )
-        if known.place_error is not None:
-            radius = math.hypot(known.details, assumed)
     return AccuracyLine("On this map", f"± {radius:.1f} m", source)
 
 

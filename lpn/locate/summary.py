@@ -23,7 +23,8 @@ class FlightAccuracy:
 
     Attributes:
         photos: placed ones, whose stage tells a radius.
-        radius: median of their 1-sigma radii in metres; on earth if there is a `place_error`, else on this map.
+        radius: median of their 1-sigma radii in metres; on earth if there is a `place_error`, which then counts for all of them,
+            else on this map.
         details: median of the radii in metres that the scatter of the details alone gives, without the map's error; None where
             no photo is registered, or the map's error is not known.
         map_error: 1-sigma error in metres that counts for the map's own places; None where it is not known.
@@ -46,10 +47,13 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
         verdicts: of the frames, see `lpn.locate.belief.beliefs`.
     """
     radii, details = [], []
+    tells = flight.map_error is not None and flight.basemap.tells(flight.map_error)
+    place_error = flight.basemap.error if tells else None
     for located, verdict in zip(flight.frames, verdicts, strict=True):
         if verdict.stage not in PLACED or (radius := located.stages[verdict.stage].radius) is None:
             continue
-        radii.append(radius)
+        # The radius of a sequence is one on the map.
+        radii.append(math.hypot(radius, place_error or 0.0) if verdict.stage == "sequence" else radius)
         if verdict.stage == "registration" and flight.map_error is not None:
             details.append(math.sqrt(max(radius**2 - flight.map_error**2, 0.0)))
     if not radii:
@@ -59,7 +63,7 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
         median(radii),
         median(details) if details else None,
         flight.map_error,
-        flight.basemap.error if flight.map_error is not None and flight.basemap.tells(flight.map_error) else None,
+        place_error,
         placing_sentence(flight.basemap.notes),
     )
 

@@ -196,6 +196,13 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     assert known[0] == "± 0.8 m on this map; ± 1.0 m on earth, as far as the tags of the map do not all err alike."
     assert [line.figure for line in known[1][:2]] == ["± 0.8 m", "± 0.6 m"]
     assert "details gives ± 0.6 m, and ± 0.5 m are assumed for the map" in known[1][0].source
+    # Two of three places by their neighbours, whose radii of 10 m are on the map.
+    monkeypatch.delitem(flight.frames[0].stages, "registration")
+    monkeypatch.setattr(flight.basemap, "error", 6.0)
+    monkeypatch.setattr(type(flight.basemap), "default_error", 6.1)
+    known = flight_text.accuracy(view_of(replace(flight, map_error=6.1)))
+    assert known is not None
+    assert known[0].startswith("± 10.0 m on this map; ± 11.7 m on earth")
 
 
 @pytest.mark.usefixtures("plainly")
