@@ -10,7 +10,7 @@ from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, Repo
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.resources import yield_cores
 from lpn.locate.ground import MapFeatures
-from lpn.locate.matchers import SiftMatcher, open_matcher
+from lpn.locate.matchers import open_matchers
 from lpn.locate.own_photo import OwnPhoto, register_own_photo
 from lpn.maps import Map, Window
 
@@ -50,10 +50,7 @@ class OwnPhotoJobs:
         yield_cores()  # it takes seconds, and answers must not wait for it
         with in_turn(self._turn, report):
             if not self._features:
-                matchers = [open_matcher()]
-                if matchers[0].name != SiftMatcher.name:
-                    matchers.append(SiftMatcher())
-                self._features = [MapFeatures(self.basemap, matcher) for matcher in matchers]
+                self._features = [MapFeatures(self.basemap, matcher) for matcher in open_matchers()]
             error = self.basemap.default_error
             return register_own_photo(
                 self.basemap, self._features, picture.picture, picture.frame, windows, error, report

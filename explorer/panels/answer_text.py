@@ -15,6 +15,7 @@ from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements, on_what
 from lpn.locate.located import LocatedFrame
+from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import Window
@@ -426,9 +427,12 @@ def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:
 
 
 def trials(workspace: Workspace) -> tuple[str, str]:
-    """Say how many single photos of other places and of this place were placed on the map; "" where that was not measured."""
+    """Say how many single photos of other places and of this place were placed on the map; "" where that was not measured.
+
+    It holds for the matchers that were used alone, so it is not said where one of them is not installed.
+    """
     counts = None if workspace.basemap is None else workspace.basemap.trials
-    if counts is None:
+    if counts is None or not {matcher.name for matcher in open_matchers()}.issuperset(counts.matchers):
         return "", ""
     none = "none was" if counts.misplaced == 0 else f"{counts.misplaced} were"
     return (

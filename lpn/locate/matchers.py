@@ -198,6 +198,16 @@ def open_matcher(name: MatcherName = "auto") -> Matcher:
     return XFeatMatcher()
 
 
+def open_matchers(name: MatcherName = "auto") -> list[Matcher]:
+    """Return the matchers that a registration tries, in their order: for "auto" SIFT after XFeat.
+
+    Raises:
+        InputError, MissingPackageError: as `open_matcher`.
+    """
+    first = open_matcher(name)
+    return [first] if name != "auto" or isinstance(first, SiftMatcher) else [first, SiftMatcher()]
+
+
 @cache
 def _xfeat() -> Any:
     """Load the network, which takes seconds, when the first picture is described."""

@@ -28,9 +28,10 @@ from lpn.flights import make_flight
 from lpn.locate.ground import MapFeatures
 from lpn.locate.line_records import LineRecords
 from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.locate.matchers import open_matchers
 from lpn.locate.options import LocateOptions
 from lpn.locate.pose_errors import pose_errors
-from lpn.locate.registered_stage import FORMAT, matchers_of, register_frame
+from lpn.locate.registered_stage import FORMAT, register_frame
 from lpn.maps import Map, MapOptions
 from lpn.maps.posed_scenes import build_scene
 
@@ -100,7 +101,7 @@ def measure(
     options = options or LocateOptions()
     chosen = [(one, one.samples[:limit]) for one in folders if one.samples]
     total = sum(len(samples) for _, samples in chosen)
-    names = [matcher.name for matcher in matchers_of(options)]
+    names = [matcher.name for matcher in open_matchers(options.matcher)]
     measured: list[MeasuredPhoto] = []
     for folder, samples in chosen:
         key = [_FORMAT, FORMAT, folder.layout, str(folder.folder.resolve()), reference, names]
@@ -185,7 +186,9 @@ def _map_of(folder: SampleFolder, sample: Path, reference: str, options: LocateO
         raise _SampleError(str(error)) from error
     if basemap is None:
         raise _SampleError(f"{printable(str(place))} lacks arrays of OrthoLoC; download it again.")
-    return _Searched(basemap, [MapFeatures(basemap, matcher, on_disk=False) for matcher in matchers_of(options)])
+    return _Searched(
+        basemap, [MapFeatures(basemap, matcher, on_disk=False) for matcher in open_matchers(options.matcher)]
+    )
 
 
 def _measured(

@@ -26,7 +26,7 @@ from lpn.locate.ground import MAX_BLOCKS, MapFeatures
 from lpn.locate.levelled import Levelled, level, pixel_grid
 from lpn.locate.line_records import LineRecords
 from lpn.locate.located import LocatedFrame, StageRecord, tag_positions
-from lpn.locate.matchers import Matcher, SiftMatcher, open_matcher
+from lpn.locate.matchers import Matcher, open_matchers
 from lpn.locate.options import TOP, LocateOptions
 from lpn.locate.photo_pose import photo_pose
 from lpn.locate.registration import (
@@ -81,7 +81,7 @@ def register_frames(
     shipped: Mapping[str, StageRecord],
 ) -> list[str]:
     """Enter the answers of the registration, shipped ones and those of a killed run's records first; return sentences on them."""
-    matchers = matchers_of(options)
+    matchers = open_matchers(options.matcher)
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
@@ -115,14 +115,6 @@ def register_frames(
             on_progress("registration", i + 1, len(frames))
     notes = refuse_jumps(frames, options.map_error or 0.0)
     return notes + correct_radii(frames, answers, options.map_error or 0.0)
-
-
-def matchers_of(options: LocateOptions) -> list[Matcher]:
-    """Return the matchers that a registration tries, in their order."""
-    matchers = [open_matcher(options.matcher)]
-    if options.matcher == "auto" and matchers[0].name != SiftMatcher.name:
-        matchers.append(SiftMatcher())
-    return matchers
 
 
 def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], map_error: float) -> list[str]:

@@ -11,12 +11,14 @@ class SinglePhotoTrials(msgspec.Struct, frozen=True):
     Attributes:
         here, placed: photos of the place, and those that were accepted.
         elsewhere, misplaced: photos of other places, and those that were accepted all the same.
+        matchers: names of those that matched them; empty where that is not recorded.
     """
 
     here: int
     placed: int
     elsewhere: int
     misplaced: int
+    matchers: list[str] = []
 
     @property
     def possible(self) -> bool:

@@ -253,7 +253,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("LPN_CACHE", str(tmp_path))
-    monkeypatch.setattr(own_photos, "open_matcher", SiftMatcher)
+    monkeypatch.setattr(own_photos, "open_matchers", lambda: [SiftMatcher()])
     jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
     changed = threading.Event()
     progress = OwnPhotoProgress(jobs, changed.set)

@@ -19,7 +19,7 @@ from rich.table import Table
 
 from explorer import uploads
 from lpn.locate.ground import MapFeatures
-from lpn.locate.matchers import SiftMatcher, open_matcher
+from lpn.locate.matchers import open_matchers
 from lpn.locate.own_photo import register_own_photo
 from lpn.maps import Map, open_map
 from lpn.maps.folder import add_trials
@@ -57,9 +57,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     basemap = open_map(options.map)
-    matchers = [open_matcher()]
-    if matchers[0].name != SiftMatcher.name:
-        matchers.append(SiftMatcher())
+    matchers = open_matchers()
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     table = Table("photos of", "place", "accepted", "of", "median s")
     counts: dict[bool, list[int]] = {}
@@ -81,7 +79,7 @@ def main() -> None:
         counts[here] = [sum(map(len, rows.values())), sum(yes for tries in rows.values() for yes, _ in tries)]
     Console(width=100, file=sys.stdout).print(table)
     if options.write:
-        add_trials(options.map, SinglePhotoTrials(*counts[True], *counts[False]))
+        add_trials(options.map, SinglePhotoTrials(*counts[True], *counts[False], [one.name for one in matchers]))
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from lpn.datasets.geo import Position
 from lpn.drawing import theme, verdicts
 from lpn.drawing.words import speaking
 from lpn.locate.located import StageRecord
+from lpn.locate.matchers import SiftMatcher, XFeatMatcher
 from lpn.maps.named_window import WindowCut
 from lpn.sources import Published
 from lpn.tasks.gallery_geometry import GalleryGeometry
@@ -507,6 +508,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert workspace.registration is not None
     assert workspace.registration.wait(PATIENCE)
     state = SessionState(TASK, 4, query=workspace.first_query, first_screen=True)
+    monkeypatch.setattr(answer_text, "open_matchers", lambda: [SiftMatcher()])
+    assert "photos of other places" not in text(first_screen.page(analyse(workspace, state), workspace)), "XFeat, too"
+    monkeypatch.setattr(answer_text, "open_matchers", lambda: [XFeatMatcher(), SiftMatcher()])
     page = first_screen.page(analyse(workspace, state), workspace)
     said = text(page)
     assert "a place that the model was not trained on" in said
