@@ -60,7 +60,7 @@ def main() -> None:
     matchers = open_matchers()
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     table = Table("photos of", "place", "accepted", "of", "median s")
-    counts: dict[bool, list[int]] = {}
+    counts: dict[bool, tuple[int, int]] = {}
     for here, sources in ((True, options.here), (False, options.elsewhere)):
         rows: dict[str, list[tuple[bool, float]]] = {}
         for name, file in photos_of(sources, options.every):
@@ -76,7 +76,7 @@ def main() -> None:
                 name, "the map's" if here else "another", str(sum(yes for yes, _ in tries)), str(len(tries)),
                 f"{statistics.median(seconds for _, seconds in tries):.1f}",
             )  # fmt: skip
-        counts[here] = [sum(map(len, rows.values())), sum(yes for tries in rows.values() for yes, _ in tries)]
+        counts[here] = sum(map(len, rows.values())), sum(yes for tries in rows.values() for yes, _ in tries)
     Console(width=100, file=sys.stdout).print(table)
     if options.write:
         add_trials(options.map, SinglePhotoTrials(*counts[True], *counts[False], [one.name for one in matchers]))
