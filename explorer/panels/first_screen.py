@@ -55,6 +55,7 @@ _DISPUTED = {
 }
 # The commands for a place of one's own.
 _BRING = """\
+pip install "lpn-explorer[maps]"
 lpn map ortho.tif --out maps/here
 lpn explore flight --map maps/here --flight photos/ --model city-lpn"""
 # Height of the pictures in pixels, and the largest width of a panorama.
