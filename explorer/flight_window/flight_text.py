@@ -118,8 +118,8 @@ def agreement(measured: MapAgreement) -> str:
     return (
         f"Beside its middle, {len(measured.metres)} places of the photo were found on the map one by one, looked for within "
         f"± {measured.reach:.1f} m: they lie {np.median(measured.metres):.1f} m from where the photo has them in the median, and "
-        f"{measured.metres[farthest]:.1f} m at most, {_side(*measured.places[farthest].tolist())}. The radius is that of the photo's "
-        "middle alone."
+        f"{measured.metres[farthest]:.1f} m at most, {_side(*measured.places[farthest].tolist())}. "
+        "The radius is that of the photo's middle alone."
     )
 
 

@@ -206,9 +206,13 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         if basemap is None or tag is None:
             return None, f"Its details fit {where}, so nothing says that your picture is of this place", merely
         if (off := basemap.metres_off(tag)) > _tag_error(workspace):
-            sentence = f"Its details fit {where}, and its GPS tag lies {distance(off)} off the map's border. {merely}"
             # A camera beside the map may look at it.
-            if own.whole_map and off > max(basemap.sides):
+            far = off > max(basemap.sides)
+            where_tag = f"{distance(off)} off the map's border"
+            if far and analysis.errors_m is not None:
+                where_tag = f"{distance(float(analysis.errors_m.min()))} from the map"
+            sentence = f"Its details fit {where}, and its GPS tag lies {where_tag}. {merely}"
+            if own.whole_map and far:
                 return False, "Not on this map", sentence
             return None, "Probably not on this map", sentence
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
@@ -246,7 +250,7 @@ def comparing(job: BackgroundJob[OwnPhoto]) -> str:
     if job.value is not None:
         return ""
     tries = f": {job.done} of {job.total} tries" if job.total else ""
-    return f"Its details are compared with the map, which can take a minute, and goes on while other screens are open …{tries}"
+    return f"Its details are compared with the map, which can take a minute, and goes on behind other screens of it …{tries}"
 
 
 def own_windows(analysis: StateAnalysis) -> list[Window]:

@@ -313,9 +313,8 @@ def _because(
     details = None if located is None else located.stages.get("registration")
     if analysis.registered is not None and not analysis.registered.answer.accepted:
         sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
-    elif details is not None and details.accepted and details.inliers:
-        whose_place = "your picture" if analysis.state.upload else "the photo"
-        sentences.append(f"{details.inliers} details of {whose_place} lie where the map has them: they place it.")
+    elif analysis.state.upload is not None and details is not None and details.accepted:
+        sentences.append(f"{details.inliers} details of your picture lie where the map has them: they place it.")
     for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
         terms, places = side * lead.terms, side * cells.sum(axis=0)
@@ -337,6 +336,10 @@ def _because(
         sentences.append(verdicts.describe_lead_place(place, workspace.part_names, task.query_view, names, whose))
     if (black := place_text.share_off_map(task.gallery[analysis.chosen.index])) > 0:
         sentences.append(f"{100 * black:.0f} % of this answer is off the map, and black to the model.")
+    if analysis.state.upload is None and details is not None and details.accepted:
+        sentences.append(
+            f"Whatever its look says, {details.inliers} details of the photo lie where the map has them: they place it."
+        )
     return sentences
 
 

@@ -38,4 +38,4 @@ def term(name: str, text: str | None = None) -> Markup:
 
 def _plain(markdown: str) -> str:
     """Remove emphasis, code marks, and links."""
-    return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", markdown).replace("**", "").replace("`", "")
+    return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", markdown).replace("*", "").replace("`", "")

@@ -64,7 +64,8 @@ def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, opaci
 def with_lead(picture: UInt8Array, cells: FloatingArray, colours: tuple[Colour, Colour]) -> UInt8Array:
     """Paint the cells (h, w) that decide in the first colour (positive) or the second; weak ones show the greyed picture."""
     values = images.enlarge(cells, *picture.shape[:2])
-    strong = float(np.quantile(np.abs(cells), 0.95)) or evidence_limit(cells)
+    # The centre ring of four has a sixteenth of the cells, and must not hide all others.
+    strong = float(np.quantile(np.abs(cells), 0.85)) or evidence_limit(cells)
     alpha = 0.7 * np.clip(np.abs(values) / strong, 0, 1).astype(np.float32) ** 1.5
     return _painted(picture, 0.75, values, alpha, colours)
 

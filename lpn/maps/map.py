@@ -104,9 +104,9 @@ class Map:
         self._overview: tuple[UInt8Array, BoolArray] | None = None
 
     def metres_off(self, point: FloatingArray) -> float:
-        """Return by how many metres a point of the frame, (2,), lies beyond the bounds, along the farther axis; 0 inside."""
+        """Return how many metres a point of the frame, (2,), lies from the nearest point of the bounds; 0 inside."""
         low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
-        return max(0.0, float(np.maximum(low - point, point - high).max()))
+        return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
 
     @property
     def sides(self) -> tuple[float, float]:

@@ -294,7 +294,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             "km from there, more than the errors of both",
         ),
         (refused, 0.0, None, "only its GPS tag says that your picture is of this place", "merely the most similar"),
-        (refused, 2e6, False, "Not on this map", "and its GPS tag lies 2,000 km off the map's border"),
+        (refused, 2e6, False, "Not on this map", "and its GPS tag lies 2,000 km from the map"),
         (refused, 300.0, None, "Probably not on this map", "off the map's border"),
     ):
         assert shown_before.registered is not None
