@@ -413,6 +413,8 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     if not tried:
         return f"{look}."
     look += f"; by their details, {len(placed)} of {len(tried)} were placed"
+    if doubted := sum(bool(disagreements([located])) for located in placed):
+        look += f", {doubted} of them against {'its' if doubted == 1 else 'their'} GPS tag"
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"

@@ -17,8 +17,8 @@ DEMO_BASELINE = DEMO / "baseline.onnx"
 DEMO_FLIGHT = DEMO.with_name("demo-flight") / "map-in-spring", DEMO.with_name("demo-flight") / "flight-in-autumn"
 # A real flight over a map that `lpn map --from-flight` made of other photos of the same flight.
 DEMO_PLACE = DEMO.with_name("demo-place") / "caliterra-odd", DEMO.with_name("demo-place") / "caliterra-even"
-# The photo of it that the explorer shows first.
-DEMO_PHOTO = "IMG_9405.webp"
+# The photo of it that the explorer shows first: the map is well pieced together where it lies.
+DEMO_PHOTO = "IMG_9408.webp"
 # The folder of the model's answers beside the photos of either flight.
 DEMO_ANSWERS = "answers"
 # The query that the explorer shows first.

@@ -517,7 +517,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "✓ Right by its look." in said
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
-        "✓ Placed by its details, ± 6.1 m on earth. Its GPS tag, the white circle, lies 16 m from there. The photo's middle "
+        "✓ Placed by its details, ± 6.1 m on earth. Its GPS tag, the white circle, lies 10 m from there. The photo's middle "
         "lies at 30.171" in said
     )
     assert page.count("data:image/jpeg") == 3
@@ -535,7 +535,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     right = [bool(first == 0) for first in ranking.ranking.first]
     assert (
         "How far to trust it: by their look alone, 25 of 30 photos were right (83.3 %); by their details, 30 of 30 were placed, "
-        "and nobody measured where they really are. Of 68 photos of other places, none was placed on this map." in said
+        "1 of them against its GPS tag, and nobody measured where they really are. Of 68 photos of other places, none was placed "
+        "on this map." in said
     )
     # The first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
