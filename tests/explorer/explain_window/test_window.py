@@ -156,7 +156,7 @@ def test_the_comparison_shows_the_margin_and_the_smallest_change(workspace: Work
         assert html.count('class="chart step"') == 5
         assert "gold places of the query speak for the true tile" in " ".join(re.sub("<[^>]*>", "", html).split())
         assert html.count("<img") == 4, "the query is painted by the lead"
-        assert "comes from no place, but from the" in " ".join(re.sub("<[^>]*>", "", html).split())
+        assert "All places together make the sum of" in " ".join(re.sub("<[^>]*>", "", html).split())
         if pair.change is None:
             assert "No part weights at all" in html
             continue
