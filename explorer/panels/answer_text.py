@@ -323,7 +323,7 @@ def _beside_tag(analysis: StateAnalysis, workspace: Workspace, tile: str) -> str
 def _off_tag(analysis: StateAnalysis, workspace: Workspace) -> float | None:
     """Return the metres within which a GPS tag may lie from the middle of the answer, if the own picture's lies beyond.
 
-    That is half of the piece's diagonal and the error of a tag, see `_tag_error`.
+    The limit is half of the piece's diagonal plus the error of a tag, see `_tag_error`.
     """
     error, cut = _error_m(analysis), analysis.task.gallery[analysis.matches[0].index].cut
     if analysis.state.upload is None or error is None or not isinstance(cut, WindowCut):
@@ -413,7 +413,8 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     if not tried:
         return f"{look}."
     look += f"; by their details, {len(placed)} of {len(tried)} were placed"
-    if doubted := sum(bool(disagreements([located])) for located in placed):
+    pairs = [{(one.one, one.other) for one in disagreements([located])} for located in placed]
+    if doubted := sum(("registration", "tag") in of_photo for of_photo in pairs):
         look += f", {doubted} of them against {'its' if doubted == 1 else 'their'} GPS tag"
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:

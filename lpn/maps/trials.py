@@ -22,5 +22,5 @@ class SinglePhotoTrials(msgspec.Struct, frozen=True):
 
     @property
     def possible(self) -> bool:
-        """Whether no more photos were accepted than were tried."""
+        """True unless more photos were accepted than were tried."""
         return 0 <= self.placed <= self.here and 0 <= self.misplaced <= self.elsewhere

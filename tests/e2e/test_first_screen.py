@@ -278,7 +278,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(sentence).to_contain_text("On this map.")
     expect(sentence).to_contain_text("your picture fits the map to ±")
     expect(captions.nth(2)).to_contain_text("On the map")
-    # What was opened, and what has the focus, outlast the answer.
+    # The opened details and the focus outlast the answer.
     expect(place).to_have_attribute("open", "")
     expect(place.locator("summary")).to_be_focused()
     first.get_by_text("See it on the map").click()
