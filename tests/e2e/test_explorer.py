@@ -375,7 +375,7 @@ def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_c
     expect(marks).to_be_visible()
     explorer.page.keyboard.press("Control+k")
     search = explorer.page.get_by_placeholder("Search commands")
-    expect(search).to_be_visible()
+    expect(search).to_be_focused()  # before that, the key goes to the page
     explorer.page.keyboard.press("Escape")  # the palette takes it
     expect(search).to_have_count(0)
     expect(marks).to_be_visible()
