@@ -108,7 +108,7 @@ def test_a_run_s_tables_replace_the_page_s(docs: Path, tmp_path: Path) -> None:
     )
     assert "### Table I:" not in text  # of another run
     assert "short trials" not in text
-    assert not (docs / "figure8.jpg").exists()
+    assert not (docs / "figure8.webp").exists()
     assert "    lpn world --seed 5 --tile-pixels 99 --out world\n    lpn reproduce figure7 --epochs 3\n" in text
     assert "77 pixels, 3 epochs, one seed of each network" in text
     assert "The world has 1\nplaces to train on and 2 to test on: 1 drone pictures" in text

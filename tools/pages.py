@@ -40,12 +40,12 @@ FORMAT = "lpn-page/1"
 
 # Drawings of a run, and the pictures of the page.
 _DRAWINGS = {
-    "figure1": "figure1.jpg",
+    "figure1": "figure1.webp",
     "figure5": "figure5.png",
-    "figure7a": "figure7.jpg",
-    "figure7b": "figure7b.jpg",
-    "figure8": "figure8.jpg",
-    "figure8-panoramas": "figure8-panoramas.jpg",
+    "figure7a": "figure7.webp",
+    "figure7b": "figure7b.webp",
+    "figure8": "figure8.webp",
+    "figure8-panoramas": "figure8-panoramas.webp",
 }
 _SOURCE = "<!-- Rendered from docs/measured by python -m tools.pages; edit the template and the data there. -->\n"
 
@@ -114,7 +114,7 @@ def copy_run(run: Path, world: Path, docs: Path) -> None:
     write_json(target, data | {key: before[key] for key in ("seeds",) if key in before}, ensure_ascii=False)
     for name, picture in _DRAWINGS.items():
         if (drawn := run / f"{name}.png").is_file():
-            cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))), [cv2.IMWRITE_JPEG_QUALITY, 80])
+            cv2.imwrite(str(docs / picture), cast(UInt8Array, cv2.imread(str(drawn))), [cv2.IMWRITE_WEBP_QUALITY, 60])
         else:
             (docs / picture).unlink(missing_ok=True)
 
