@@ -37,6 +37,7 @@ from lpn.retrieval.evaluate import evaluate
 from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tools.fixtures import layouts, small_worlds
+from tools.fixtures.trainings import make_resnets_shallow
 
 QUICK = {"size": 64, "epochs": 1, "batch": 4, "precision": "float32"}
 
@@ -44,6 +45,12 @@ QUICK = {"size": 64, "epochs": 1, "batch": 4, "precision": "float32"}
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_dataset(tmp_path_factory.mktemp("reproduce") / "places", train=4, test=6)
+
+
+@pytest.fixture(autouse=True)
+def _shallow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train networks of few layers: the tables say what was trained and measured, which depth does not change."""
+    make_resnets_shallow(monkeypatch, first=2)
 
 
 def reproduction(places: Path, out: Path, **options: Any) -> Reproduction:
