@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
-from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_turn
+from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.resources import yield_cores
 from lpn.locate.ground import MapFeatures
@@ -14,51 +15,128 @@ from lpn.locate.matchers import open_matchers
 from lpn.locate.own_photo import OwnPhoto, register_own_photo
 from lpn.maps import Map, Window
 
-# Seconds between looks at the progress of a registration.
-_INTERVAL = 0.5
+# Seconds between looks at the progress of a registration, and at whether one that waits for its turn is still wanted.
+_INTERVAL, _PATIENCE = 0.5, 0.1
+# Registrations of a browser that go on while it shows another picture; the oldest further one ends, and begins anew when shown.
+_MOST_UNFINISHED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """A registration's place in the queue of a map; `key` is that of its job."""
+
+    key: str
+
+
+class _Turns:
+    """One registration computes at a time: those of pictures that browsers show first, in the order in which they began."""
+
+    def __init__(self) -> None:
+        self._condition = threading.Condition()
+        self._waiting: list[_Turn] = []
+        self._holder: _Turn | None = None
+        # The keys of the pictures that clients show, by the client's id.
+        self._shown: dict[int, str] = {}
+
+    def show(self, client: object, key: str | None) -> None:
+        """Note the picture that a client shows; None for none."""
+        with self._condition:
+            self._shown.pop(id(client), None)
+            if key is not None:
+                self._shown[id(client)] = key
+
+    def take(self, turn: _Turn, report: Callable[[], None]) -> None:
+        """Wait for a turn; what `report` raises while it waits is raised."""
+        with self._condition:
+            self._waiting.append(turn)
+            try:
+                while self._holder is not None or self._next() is not turn:
+                    report()
+                    self._condition.wait(_PATIENCE)
+                self._holder = turn
+            finally:
+                self._waiting.remove(turn)
+
+    def give_back(self, turn: _Turn) -> None:
+        """Let another registration compute, if this one does."""
+        with self._condition:
+            if self._holder is turn:
+                self._holder = None
+                self._condition.notify_all()
+
+    def give_way(self, turn: _Turn, report: Callable[[], None]) -> None:
+        """Let registrations of shown pictures go before one of a picture that no browser shows."""
+        with self._condition:
+            shown = self._shown.values()
+            if turn.key in shown or not any(other.key in shown for other in self._waiting):
+                return
+            self._holder = None
+            self._condition.notify_all()
+        self.take(turn, report)
+
+    def _next(self) -> _Turn:
+        shown = self._shown.values()
+        return next((turn for turn in self._waiting if turn.key in shown), self._waiting[0])
 
 
 class OwnPhotoJobs:
     """Registers own pictures on a map; thread-safe.
 
-    A picture's job is known by its pixels and by what its file tells. It is computed once for all clients, and forgotten
-    with its answer when the last of them has left it.
+    A picture's job is known by its key, else by its pixels and by what its file tells. It is computed once for all clients, and
+    forgotten with its answer when the last of them has left it.
     """
 
     def __init__(self, basemap: Map) -> None:
         self.basemap = basemap
         self._features: list[MapFeatures] = []
-        self._turn = threading.Lock()
+        self._turns = _Turns()
         self._jobs = BackgroundJobs()
 
     def join(self, picture: OwnPicture, windows: Sequence[Window], client: object) -> BackgroundJob[OwnPhoto]:
-        """Return the job that registers a picture; its answer is there at once if a client still holds it.
+        """Return the job that registers a picture, which the client shows now; its answer is there at once if a client holds it.
 
         Args:
             windows: the most similar ones, see `register_own_photo`.
             client: leaves the job when it needs it no longer; the last one to leave cancels it.
         """
+        key = _key(picture)
+        self._turns.show(client, key)
         return self._jobs.join(
-            _key(picture), client, lambda report: self._register(picture, windows, report), keep=False
+            key, client, lambda report: self._register(_Turn(key), picture, windows, report), keep=False
         )
+
+    def show_none(self, client: object) -> None:
+        """Note that a client shows no own picture; its jobs go on."""
+        self._turns.show(client, None)
 
     def leave(self, client: object) -> None:
         """Remove a client from all its jobs."""
+        self._turns.show(client, None)
         self._jobs.leave(client)
 
-    def _register(self, picture: OwnPicture, windows: Sequence[Window], report: ReportProgress) -> OwnPhoto:
+    def _register(
+        self, turn: _Turn, picture: OwnPicture, windows: Sequence[Window], report: ReportProgress
+    ) -> OwnPhoto:
         yield_cores()  # it takes seconds, and answers must not wait for it
-        with in_turn(self._turn, report):
+
+        def on_progress(done: int, total: int) -> None:
+            report(done, total)
+            self._turns.give_way(turn, lambda: report(done, total))
+
+        try:
+            self._turns.take(turn, lambda: report(0, 0))
             if not self._features:
                 self._features = [MapFeatures(self.basemap, matcher) for matcher in open_matchers()]
             error = self.basemap.default_error
             return register_own_photo(
-                self.basemap, self._features, picture.picture, picture.frame, windows, error, report
+                self.basemap, self._features, picture.picture, picture.frame, windows, error, on_progress
             )
+        finally:
+            self._turns.give_back(turn)
 
 
 class OwnPhotoProgress:
-    """Follows the registration of the own picture that one browser shows, and holds the answers of those before.
+    """Follows the registration of the own picture that one browser shows, and holds those of the pictures before.
 
     Args:
         jobs: of the workspace; None where it has no map.
@@ -69,20 +147,23 @@ class OwnPhotoProgress:
         self._jobs, self._on_change, self._lock = jobs, on_change, threading.Lock()
         self._picture: OwnPicture | None = None
         self._job: BackgroundJob[OwnPhoto] | None = None
+        # In the order in which they were shown last.
+        self._unfinished: list[BackgroundJob[OwnPhoto]] = []
         self._closed = False
 
     def follow(self, picture: OwnPicture | None, windows: Sequence[Window] = ()) -> BackgroundJob[OwnPhoto] | None:
-        """Return the job of a picture, which begins; an unfinished one of another picture is left.
+        """Return the job of a picture, which begins or has gone on meanwhile; those of other pictures go on after it.
 
         None without a picture or a map.
         """
         with self._lock:
             if picture is not self._picture and not self._closed:
-                if self._job is not None and self._job.value is None:
-                    self._job.leave(self)
                 self._picture, self._job = picture, None
-                if picture is not None and self._jobs is not None:
+                if self._jobs is not None and picture is None:
+                    self._jobs.show_none(self)
+                elif self._jobs is not None and picture is not None:
                     self._job = job = self._jobs.join(picture, windows, self)
+                    self._keep(job)
                     threading.Thread(target=self._wait, args=(job,), name="explorer-own-photo", daemon=True).start()
             return self._job
 
@@ -93,6 +174,13 @@ class OwnPhotoProgress:
             if self._jobs is not None:
                 self._jobs.leave(self)
             self._picture = self._job = None
+            self._unfinished = []
+
+    def _keep(self, job: BackgroundJob[OwnPhoto]) -> None:
+        unfinished = [one for one in self._unfinished if one is not job and not one.wait(0)]
+        for oldest in unfinished[:-_MOST_UNFINISHED]:
+            oldest.leave(self)
+        self._unfinished = [*unfinished[-_MOST_UNFINISHED:], job]
 
     def _wait(self, job: BackgroundJob[OwnPhoto]) -> None:
         done = -1
@@ -106,6 +194,8 @@ class OwnPhotoProgress:
 
 
 def _key(picture: OwnPicture) -> str:
+    if picture.key:  # a picture that is opened again may have been packed meanwhile
+        return picture.key
     digest = hashlib.sha256(picture.picture.tobytes())
     digest.update(repr((picture.picture.shape, picture.frame)).encode("utf-8", "replace"))
     return digest.hexdigest()

@@ -34,6 +34,7 @@ from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.flights import Frame, write_flight
 from lpn.locate.located import LocatedFlight, StageRecord
@@ -345,29 +346,55 @@ def test_an_own_picture_whose_tag_lies_beyond_the_answer_is_elsewhere(workspace:
         assert ("elsewhere by its GPS tag" in answer_text.verdict(analysis, workspace)[1]) == elsewhere
 
 
-def test_another_picture_or_a_browser_that_leaves_cancels_the_comparison(
+def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, ended = threading.Event(), threading.Event()
+    computed: list[tuple[int, int]] = []
+    steps, tried = threading.Semaphore(0), threading.Semaphore(0)
 
-    def register(*arguments: Any) -> None:
-        begun.set()
-        try:
-            while True:
-                arguments[-1](1, 10)
-                ended.wait(0.01)
-        finally:
-            ended.set()
+    def register(*arguments: Any) -> str:
+        photo: UInt8Array = arguments[2]
+        for done in range(3):
+            computed.append((len(photo), done))
+            tried.release()
+            while not steps.acquire(timeout=0.02):
+                arguments[-1](done, 3)
+            arguments[-1](done + 1, 3)
+        return "placed"
+
+    def go_on(tries: int) -> None:
+        for _ in range(tries):
+            assert tried.acquire(timeout=60)
+            steps.release()
 
     monkeypatch.setattr(own_photos, "register_own_photo", register)
-    progress = OwnPhotoProgress(OwnPhotoJobs(workspace.own_photos.basemap), lambda: None)  # type: ignore[union-attr]
-    job = progress.follow(OwnPicture("mine.jpg", land()))
-    assert job is not None
-    assert begun.wait(60)
-    assert progress.follow(None) is None
-    assert ended.wait(60)
-    assert job.wait(60)
-    assert answer_text.comparing(job) == ""
+    jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
+    progress, other = OwnPhotoProgress(jobs, lambda: None), OwnPhotoProgress(jobs, lambda: None)
+    first, second = (OwnPicture("mine.jpg", land()[:side], key=f"{side}") for side in (10, 20))
+    of_first = progress.follow(first)
+    go_on(1)
+    of_second = progress.follow(second)
+    while not jobs._turns._waiting:
+        threading.Event().wait(0.01)
+    go_on(4)  # the picture that is shown comes first, as soon as a try has ended
+    assert of_first is not None
+    assert of_second is not None
+    assert of_second.wait(60)
+    assert [done for side, done in computed if side == 20] == [0, 1, 2]
+    assert progress.follow(replace(first, picture=land()[1:11])) is of_first, "its key tells that it is the same"
+    assert of_first.done >= 1
+    go_on(1)
+    assert of_first.wait(60)
+    assert computed.count((10, 0)) == 1
+    assert computed.index((20, 2)) < computed.index((10, 2))
+    left = other.follow(OwnPicture("other.jpg", land()[:30]))
+    assert left is not None
+    assert tried.acquire(timeout=60)
+    assert other.follow(None) is None
+    other.close()
+    assert left.wait(60)
+    assert left.cancelled
+    assert answer_text.comparing(left) == ""
 
 
 def test_an_error_of_the_comparison_is_a_sentence(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
