@@ -238,6 +238,7 @@ class ClientViews:
             if job is not None and not job.wait(0):
                 self.bridge.call("comparing", answer_text.comparing(job))
                 return
+            self.flight.show(analysis)
             if covered:
                 self.first_screen.show(analysis, self.stories.names)
             else:

@@ -102,7 +102,7 @@ class FlightPictures:
         if (match := _FRAME_PATH.fullmatch(rest)) and (frame := int(match[2])) < len(flight.frames):
             kind, located = match[1], flight.frames[frame]
             if kind == "ground":
-                return lambda: _ground(flight.basemap, located)
+                return lambda: ground(flight.basemap, located)
             make = _photo if kind == "photo" else _square_photo
             return lambda: self._photos.get((kind, frame), lambda: make(located))
         return None
@@ -164,7 +164,7 @@ def ground_window(located: LocatedFrame, stage: str | None) -> Window | None:
 
 def pair(basemap: Map, located: LocatedFrame) -> tuple[EncodedPicture, EncodedPicture]:
     """Return the middle of a frame, and the map where its answer is, empty without one."""
-    return _square_photo(located), _ground(basemap, located)
+    return _square_photo(located), ground(basemap, located)
 
 
 def _photo(located: LocatedFrame) -> EncodedPicture:
@@ -173,14 +173,19 @@ def _photo(located: LocatedFrame) -> EncodedPicture:
 
 
 def _square_photo(located: LocatedFrame) -> EncodedPicture:
-    picture = located.frame.undistorted(images.load_picture(located.frame.file))
+    return encoded(middle_square(located.frame.undistorted(images.load_picture(located.frame.file))))
+
+
+def middle_square(picture: UInt8Array) -> UInt8Array:
+    """Return the largest square in the middle of a picture, (H, W, 3), at the size in which it is compared with the map."""
     height, width = picture.shape[:2]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2
-    return encoded(images.resize(picture[top : top + side, left : left + side], _PAIR, _PAIR))
+    return images.resize(picture[top : top + side, left : left + side], _PAIR, _PAIR)
 
 
-def _ground(basemap: Map, located: LocatedFrame) -> EncodedPicture:
+def ground(basemap: Map, located: LocatedFrame) -> EncodedPicture:
+    """Return the map where a frame's answer is, of one transparent pixel without an answer."""
     window = ground_window(located, belief(located).stage)
     if window is None:
         return encoded(np.zeros((1, 1, 3), np.uint8), np.zeros((1, 1), bool))

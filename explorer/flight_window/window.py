@@ -17,6 +17,7 @@ from explorer import session_state
 from explorer.compute.worker import Worker
 from explorer.flight_window import messages, page
 from explorer.flight_window.messages import FlightMessage
+from explorer.flight_window.own_picture import own_picture
 from explorer.flight_window.page import Painted
 from explorer.flight_window.pictures import FlightPictures
 from explorer.flight_window.service import FlightService, FlightView
@@ -242,7 +243,7 @@ class FlightWindow:
         )
         followed = {
             "address": self._pictures.address,
-            "frame": None
+            "frame": self._own_picture(analysis, view)
             if frame is None
             else page.chosen(view, frame, self._pictures.address, saves, right, agreement),
             "answer": page.answer_window(view, analysis),
@@ -266,6 +267,10 @@ class FlightWindow:
         if message is not None:
             waits.append(max(message.until - time.monotonic(), 0.0))
         return min(waits, default=None)
+
+    def _own_picture(self, analysis: StateAnalysis, view: FlightView) -> dict[str, Any] | None:
+        """Return what the page shows of the own picture; None without one."""
+        return None if analysis.state.upload is None else own_picture(analysis, self._workspace, view.flight)
 
     def _rest_of(self, frame: int | None) -> float:
         """Return the seconds until the window has stood on a frame for long enough to compare its photo with the map."""

@@ -81,9 +81,10 @@ class AnswerPanel:
 
     def show_results(self, ranking: RankingJob) -> None:
         """Show the model's results on a task, or the progress of their ranking."""
-        plain = self._last is not None and self._last.analysis.state.plain
-        with speaking(self._workspace.vocabulary(plain)):
-            self._header.show(pages.header(self._workspace, ranking.task, self._preparing))
+        state = None if self._last is None else self._last.analysis.state
+        with speaking(self._workspace.vocabulary(state is not None and state.plain)):
+            own = state is not None and state.upload is not None
+            self._header.show(pages.header(self._workspace, ranking.task, self._preparing, own))
 
     def show_preparation(self, job: BackgroundJob[None] | None, ranking: RankingJob) -> None:
         """Show how far the preparation of a scoring is beside a model's results; None when it has ended."""

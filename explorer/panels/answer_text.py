@@ -207,10 +207,10 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
             return None, f"Its details fit {where}, so nothing says that your picture is of this place", merely
         if (off := basemap.metres_off(tag)) > _tag_error(workspace):
             # A camera beside the map may look at it.
-            far = off > max(basemap.sides)
+            far, kilometres = off > max(basemap.sides), _far_tag(analysis)
             where_tag = f"{distance(off)} off the map's border"
-            if far and analysis.errors_m is not None:
-                where_tag = f"{distance(float(analysis.errors_m.min()))} from the map"
+            if kilometres is not None:
+                where_tag = f"{distance(kilometres)} from the map"
             sentence = f"Its details fit {where}, and its GPS tag lies {where_tag}. {merely}"
             if own.whole_map and far:
                 return False, "Not on this map", sentence
@@ -219,6 +219,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     sign = belief(own.located, disagreements([own.located])).sign
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
+        error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
         fits += f"; its GPS tag lies {distance(error)} from there"
     against = "" if sign else ", more than the errors of both allow, so one of the two is wrong"
     headline = "On this map" if sign else "On this map by its details, elsewhere by its GPS tag"
@@ -250,7 +251,9 @@ def comparing(job: BackgroundJob[OwnPhoto]) -> str:
     if job.value is not None:
         return ""
     tries = f": {job.done} of {job.total} tries" if job.total else ""
-    return f"Its details are compared with the map, which can take a minute, and goes on whatever the page shows …{tries}"
+    return (
+        f"Its details are compared with the map, which can take a minute, and goes on whatever the page shows …{tries}"
+    )
 
 
 def own_windows(analysis: StateAnalysis) -> list[Window]:
@@ -340,12 +343,16 @@ def _tag_error(workspace: Workspace) -> float:
 
 def _elsewhere(analysis: StateAnalysis) -> str:
     """Say that no tile is near the GPS tag of the user's own picture; "" if one is, or without a tag."""
+    nearest = _far_tag(analysis)
+    return "" if nearest is None else f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them"
+
+
+def _far_tag(analysis: StateAnalysis) -> float | None:
+    """Return the metres from the GPS tag of the user's own picture to the nearest tile if it is in another region."""
     if analysis.state.upload is None or analysis.errors_m is None:
-        return ""
+        return None
     nearest = float(analysis.errors_m.min())  # NaN if a tile has no position, which may then show the place
-    if not nearest >= _ELSEWHERE_M:
-        return ""
-    return f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them"
+    return nearest if nearest >= _ELSEWHERE_M else None
 
 
 def lead(analysis: StateAnalysis) -> Lead | None:

@@ -78,11 +78,12 @@ def heat_legend(analysis: StateAnalysis, workspace: Workspace) -> str:
     return render("panels/heat_legend", kind=kind, of_part=of_part, scale=overlays.data_uri(scale(*_SCALE), 95))
 
 
-def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | None = None) -> str:
+def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | None = None, own: bool = False) -> str:
     """Return the title: model, data set, task, and its metrics, or the progress of their ranking.
 
     Args:
         preparing: the preparation of a scoring that the page waits for.
+        own: an own picture is shown, for which the metrics of the task do not stand.
     """
     ranking = workspace.rankings[task.key]
     return render(
@@ -97,6 +98,7 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
         scorings=scorings.choices(workspace.rankings, task.name),
         no_scorings=workspace.scorings.why_not,
         preparing=preparing,
+        own=own,
     )
 
 
@@ -110,6 +112,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
         verdict=right,
         headline=headline,
         reason=reason,
+        comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
         alone=workspace.has_flight and analysis.state.upload is None,
         note=" ".join(
             filter(None, (f"The query: {note}." if note else "", answer_text.own_shape(analysis, workspace)))
@@ -134,7 +137,7 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
 
     A positive of a lower rank is appended as a further row, which uses the last button.
     """
-    positive = analysis.positive
+    positive, own = analysis.positive, analysis.registered
     below = positive if positive is not None and positive.rank > len(analysis.matches) else None
     full = max(match.distance2 for match in (*analysis.matches, *([below] if below else [])))
     return render(
@@ -145,7 +148,8 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
         full=max(full, 1e-9),
         gallery=analysis.task.gallery,
         chosen=analysis.chosen.index,
-        errors_m=analysis.errors_m,
+        # Where details place an own picture, the distance of its tag from a piece tells nothing more.
+        errors_m=None if own is not None and own.answer.accepted else analysis.errors_m,
         part_names=workspace.part_names,
         thumbnail=workspace.thumbnail,
     )

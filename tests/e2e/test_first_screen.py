@@ -282,8 +282,11 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(place).to_have_attribute("open", "")
     expect(place.locator("summary")).to_be_focused()
     first.get_by_text("See it on the map").click()
-    expect(fresh.locator("#lpn-header")).to_be_visible()
-    fresh.get_by_text("‹ Start").first.click()
+    window = fresh.locator("#lpn-flight.own")
+    expect(window.locator(".laid img")).to_be_visible()
+    expect(window.locator("#lpn-flight-verdict")).to_contain_text("Middle of the picture: latitude 30.17")
+    expect(window.locator(".time")).to_be_hidden()
+    fresh.get_by_label("Close the flight").click()
 
     send(DEMO_FLIGHT[1] / "LPN_0086.webp")
     expect(sentence).to_contain_text("Its details fit nowhere on this map")

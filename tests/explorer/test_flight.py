@@ -26,6 +26,7 @@ from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
+from explorer.flight_window.own_picture import own_picture
 from explorer.opening import open_flight_over
 from explorer.panels import answer_text, first_screen, pages
 from explorer.panels.navigation import Navigation
@@ -285,6 +286,21 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert html.count("data:image/jpeg") == 3
     assert "How far to trust it" not in html
     refused = shown(other)[0]
+    assert workspace.flight is not None
+    on_map = own_picture(analysis, workspace, workspace.flight)
+    assert on_map["own"]["photo"].startswith("data:image/jpeg")
+    assert np.hypot(*np.subtract(on_map["own"]["place"], (10.0, -20.0))) < 5
+    assert len(on_map["homography"]) == 9
+    assert on_map["own"]["tag"] is None
+    assert "Your picture has no GPS tag." in on_map["card"]
+    latitude, longitude = workspace.flight.basemap.frame.degrees([(30.0, 0.0)])[0].tolist()
+    tagged_there = replace(other, place=(latitude, longitude))
+    nowhere = own_picture(
+        replace(refused, state=replace(refused.state, upload=tagged_there)), workspace, workspace.flight
+    )
+    assert (nowhere["own"]["outline"], nowhere["own"]["place"], nowhere["homography"]) == (None, None, None)
+    assert nowhere["own"]["tag"] == pytest.approx([30.0, 0.0], abs=0.1)
+    assert "White dot: its GPS tag." in nowhere["card"]
     for shown_before, north, sign, headline, reason in (
         (analysis, 0.0, True, "On this map", "its GPS tag lies "),
         (

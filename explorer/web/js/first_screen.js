@@ -87,10 +87,9 @@
   };
   window.addEventListener("keydown", escaped, true);
 
-  // How far the details of an own picture are compared with the map.
+  // How far the details of an own picture are compared with the map, wherever the page says it.
   lpn.comparing = (text) => {
-    const line = document.querySelector("#lpn-first .comparing");
-    if (line && text) line.textContent = text;
+    if (text) document.querySelectorAll(".lpn .comparing .so-far").forEach((line) => (line.textContent = text));
   };
 
   // Show the answers north up, or turned to lie like the query.

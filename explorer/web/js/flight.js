@@ -29,7 +29,9 @@
   flight.ink = () => getComputedStyle(flight.root).color;
   flight.range = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
   // The tracks that are switched on, by name.
-  flight.tracks = () => Object.entries(flight.data.tracks).filter(([name]) => !flight.hidden.has(name));
+  flight.tracks = () => (flight.own() ? [] : Object.entries(flight.data.tracks).filter(([name]) => !flight.hidden.has(name)));
+  // What is shown of a person's own picture; it stands alone on the map.
+  flight.own = () => flight.followed?.own ?? null;
 
   // Draw the canvases at the next frame of the screen.
   let drawing = 0;
@@ -38,7 +40,7 @@
       drawing = 0;
       if (!flight.root?.isConnected || !flight.whole() || !flight.map.draw()) return;
       flight.photo.lay();
-      flight.timeline.draw();
+      if (!flight.own()) flight.timeline.draw();
     });
   };
 
@@ -62,12 +64,17 @@
       flight.photo.use("off");
     }
     flight.of = address;
+    const before = flight.own(), { own } = frame ?? {};
     flight.followed = frame;
     flight.answered = answer;
     flight.painted = scores;
     if (scores) flight.map.paint(scores.picture);
     flight.play.arrived();
     flight.photo.followed();
+    if (before?.key !== own?.key) {
+      flight.photo.use(own && frame.homography ? "swipe" : "off");
+      flight.map.look();
+    }
     if (flight.root) flight.root.dataset.seq = sequence;
     refresh();
   };
@@ -116,7 +123,7 @@
     );
   };
   const refresh = () => {
-    const { root, data, chosen, followed, painted } = flight;
+    const { root, data, followed, painted } = flight;
     if (!root) return;
     if (sentence) find(".sentence").textContent = sentence;
     find(".status").textContent = status;
@@ -128,7 +135,6 @@
     fill(find(".lists"), html.counts);
     fill(find(".listed"), html[list] || '<p class="dim"><span class="for-mouse">Shift and click on the map</span><span class="for-touch">Tap Who saw? and then the map</span>: the frames that show the spot.</p>');
     if (followed) fill(find(".about"), followed.card);
-    if (chosen < 0) fill(find(".about"), "<p>Your own picture is not a frame of this flight.</p>");
     const bar = find(".scores");
     bar.style.display = painted ? "flex" : "none";
     if (painted) {
@@ -136,6 +142,7 @@
       for (const [name, key] of [["low", "low"], ["what", "label"], ["high", "high"]]) bar.querySelector("." + name).textContent = painted[key];
     }
     root.classList.toggle("plainly", data.plain);
+    root.classList.toggle("own", flight.own() !== null);
     root.classList.toggle("more", more);
     flight.mark();
     flight.draw();
@@ -214,7 +221,7 @@
     if (event.ctrlKey || event.metaKey || event.altKey || !flight.data) return;
     if (target.closest("select,input")) return event.stopPropagation();
     if (["Enter", " "].includes(key) && target.matches("a")) target.click();
-    else if (key === " ") flight.play.turn();
+    else if (key === " " && !flight.own()) flight.play.turn();
     else if (!(target.closest(".time") && flight.timeline.key(key)) && !flight.map.key(event)) return;
     event.preventDefault();
     event.stopPropagation();

@@ -29,6 +29,12 @@
     );
     return track.filter(([x, y]) => x > west && x < east && y > south && y < north);
   };
+  // The places of an own picture that lie on the map or near it.
+  const ofOwn = (own) => {
+    const [west, south, east, north] = around();
+    const all = [...(own.outline || []).slice(0, 4), own.place, own.tag].filter(Boolean);
+    return all.filter(([x, y]) => x > west && x < east && y > south && y < north);
+  };
   // The map and the frames near it: the view is moved within them.
   const bounds = () => {
     const [west, south, east, north] = flight.data.bounds, all = [[west, south], [east, north], ...near()];
@@ -40,7 +46,7 @@
   const fit = () => {
     moved = false;
     if (!box?.clientWidth) return;
-    const inside = near(), whole = flight.data.bounds;
+    const own = flight.own(), inside = own ? ofOwn(own) : near(), whole = flight.data.bounds;
     const [across, up] = inside.length > 1 ? [0, 1].map((axis) => flight.range(inside.map((at) => at[axis]))) : [0, 1].map((axis) => [whole[axis], whole[axis + 2]]);
     map.fit([across[0], up[0]], [across[1], up[1]], inside.length > 1 ? 0.72 : 0.9, 40);
     flight.draw();
@@ -94,9 +100,23 @@
     }
     stroke(pen, "#fff", 2);
   };
+  // The place of an own picture with its radius, its GPS tag, and the line between them.
+  const drawOwn = (pen, { place: at, radius, tag }) => {
+    if (at && tag) {
+      path(pen, [at, tag]);
+      stroke(pen, lpn.colour("tag"), 1.5, [5, 4]);
+    }
+    if (at) {
+      pen.beginPath();
+      pen.arc(...map.toPixels(at), Math.max(radius * map.view.scale, 1), 0, 7);
+      stroke(pen, lpn.colour("registration"), 1.5);
+      dot(pen, map.toPixels(at), 7, lpn.colour("registration"), false);
+    }
+    if (tag) dot(pen, map.toPixels(tag), 5, lpn.colour("tag"), false);
+  };
   const drawChosen = (pen) => {
-    const { data, chosen, answered, followed } = flight;
-    const outline = data.outlines[chosen];
+    const { data, chosen, answered, followed } = flight, own = flight.own();
+    const outline = own ? own.outline : data.outlines[chosen];
     if (outline) {
       path(pen, outline.slice(0, 4), true);
       stroke(pen, lpn.colour("accent"), 2, outline[4] ? [] : [7, 5]);
@@ -104,7 +124,7 @@
       path(pen, outline.slice(0, 2));
       stroke(pen, lpn.colour("accent"), 4);
     }
-    if (answered && followed && followed.frame === chosen) {
+    if (answered && followed && followed.frame === chosen && (!own || own.place)) {
       const [x, y, side] = answered;
       const half = side / 2;
       path(pen, [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
@@ -116,6 +136,7 @@
       stroke(pen, lpn.colour("accent"), 2);
       dot(pen, map.toPixels([x + east, y + north]), 3, lpn.colour("accent"), false);
     }
+    if (own) drawOwn(pen, own);
     for (const [name, track] of flight.tracks()) {
       const at = place(track, chosen);
       if (!at) continue;
@@ -163,7 +184,7 @@
     const [pen] = canvas(find(".over"));
     drawTracks(pen);
     if (flight.spotted) drawSpot(pen);
-    if (flight.chosen >= 0) drawChosen(pen);
+    if (flight.chosen >= 0 || flight.own()) drawChosen(pen);
     drawFrame(pen);
     return true;
   };
@@ -220,6 +241,10 @@
     view: () => map.view,
     size: () => map.size(),
     toPixels: (at) => map.toPixels(at),
+    // Look anew at what is shown, wherever the person has looked before.
+    look: () => {
+      if (map) map.view = null;
+    },
     // Look at some points, unless all of them are in sight.
     include: (points) => {
       const [width, height] = map.size();

@@ -80,7 +80,7 @@
     find("#lpn-flight-photo").title = matrix ? "Lay the registered photo over the map" : "This frame is not registered, so there is no photo to lay over the map";
     all("[data-photo]").forEach((one) => one.classList.toggle("off", ["swipe", "blink"].includes(one.dataset.photo) && !flight.followed?.homography));
     if (!laid) return;
-    const image = layer.querySelector("img"), source = flight.data.address + "photo/" + flight.chosen;
+    const image = layer.querySelector("img"), source = flight.own()?.photo || flight.data.address + "photo/" + flight.chosen;
     if (image.getAttribute("src") !== source) {
       image.dataset.failures = "0";
       image.onerror = () => flight.again(image);
