@@ -68,6 +68,8 @@ class SessionState:
         dark: True for the dark theme.
         plain: True for plain words, see `lpn.drawing.words`.
         first_screen: True while the page shows one query and its answer only; `why` explains it there.
+        fails: True while the first screen shows the wrong answers, one after the other.
+        came_from: the query and the own picture that were shown before `fails`; no address has it.
         under_flight: True while the flight window stands in the laboratory's place, to which its end leads; no address has it.
         from_first_screen: True while something is open that was opened there, so that its end leads back; no address has it.
     """
@@ -107,6 +109,8 @@ class SessionState:
     dark: bool = True
     plain: bool = False
     first_screen: bool = False
+    fails: bool = False
+    came_from: tuple[int, OwnPicture | None] | None = None
     under_flight: bool = False
     from_first_screen: bool = False
 
@@ -210,12 +214,16 @@ def leave_first_screen(before: SessionState, after: SessionState) -> SessionStat
     from the first screen leads back to it, unless another one took its place; the end of the flight window that took the
     laboratory's place leads back to the laboratory.
     """
+    if after.fails and after.upload is not None:
+        after = replace(after, fails=False, came_from=None)
     if after.under_flight and not after.flight:
         after = replace(after, lab=not after.first_screen, under_flight=False)
     if not before.first_screen and not after.first_screen:
         ended = before.from_first_screen and before.shows_window and not after.shows_window
         stays = any(then and now for then, now in zip(before.windows, after.windows, strict=True))
-        return to_first_screen(after) if ended else replace(after, from_first_screen=after.from_first_screen and stays)
+        return (
+            _only_first_screen(after) if ended else replace(after, from_first_screen=after.from_first_screen and stays)
+        )
     left = _without_first_screen(before, after)
     return replace(left, from_first_screen=not left.first_screen and left.shows_window)
 
@@ -271,7 +279,14 @@ def choose_query(state: SessionState, query: int, queries: int) -> SessionState:
     """Choose a query: upright, and compared with its top match."""
     if not 0 <= query < queries:
         return state
-    return replace(leave_upload(state), query=query)
+    return replace(leave_upload(state), query=query, fails=False, came_from=None)
+
+
+def show_fails(state: SessionState, query: int, queries: int) -> SessionState:
+    """Show one of the wrong answers, as all parts count alike; the end of that leads back to what was shown before."""
+    came_from = state.came_from if state.fails else (state.query, state.upload)
+    chosen = choose_query(equal_parts(state), query, queries)
+    return replace(chosen, first_screen=True, why=False, fails=True, came_from=came_from)
 
 
 def leave_upload(state: SessionState) -> SessionState:
@@ -283,8 +298,8 @@ def choose_task(state: SessionState, task: str, query: int = 0) -> SessionState:
     """Choose another task and one of its queries: upright, and compared with its top match."""
     if task == state.task:
         return state
-    laboratory = lab_choices.for_any_task(state.laboratory)
-    return replace(upright(state), task=task, query=query, upload=None, selected=None, laboratory=laboratory)
+    state = choose_query(state, query, query + 1)
+    return replace(state, task=task, laboratory=lab_choices.for_any_task(state.laboratory))
 
 
 def upright(state: SessionState) -> SessionState:
@@ -355,7 +370,17 @@ def turn(state: SessionState, by: float) -> SessionState:
 
 
 def to_first_screen(state: SessionState) -> SessionState:
-    """Open the first screen, which speaks plain words, and close all that it does not show."""
+    """Open the first screen, which speaks plain words, and close all that it does not show.
+
+    After the wrong answers it shows what it showed before.
+    """
+    if state.came_from is not None:
+        query, upload = state.came_from
+        state = replace(state, query=query, upload=upload, fails=False, came_from=None)
+    return _only_first_screen(replace(state, fails=False))
+
+
+def _only_first_screen(state: SessionState) -> SessionState:
     closed = replace(state, why=False, lab=False, flight=False, map=False, exploded=False, selected=None)
     return replace(closed, first_screen=True, from_first_screen=False, plain=True)
 

@@ -107,6 +107,7 @@ class UrlState:
             parameters.choice("dark", {"light": False, "dark": True}, "theme"),
             parameters.choice("plain", {"expert": False, "plain": True}, "words"),
             parameters.choice("first_screen", {"all": False, "first": True}, "screen"),
+            Parameter("fails", lambda s: "1" if s.fails and s.first_screen else None, parameters.switch("fails").read),
         )
         self.keys = tuple(parameter.key for parameter in self._parameters)
 

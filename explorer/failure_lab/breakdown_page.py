@@ -18,26 +18,13 @@ from explorer.workspace import Workspace
 from lpn.analysis import breakdown, near_duplicates
 from lpn.analysis.answer_context import describe_failures
 from lpn.analysis.breakdown import Rate
-from lpn.analysis.near_duplicates import NearDuplicate
+from lpn.analysis.near_duplicates import NearDuplicate, shows_places
 from lpn.core.tables import Column
-from lpn.drawing.words import capitalised, plain, say
+from lpn.drawing.words import capitalised, column_name, plain, say
 from lpn.locate.task import stage_columns
 from lpn.tasks.task import Task
 
 _MAX_PAIRS, _MAX_VALUES, _MAX_TILES = 10, 10, 6
-# Plain words for the columns of a flight.
-_PLAIN_COLUMNS = {
-    "seconds": "time since the first photo",
-    "altitude": "height of the drone",
-    "heading": "direction that the photo's top points",
-    "pitch": "tilt of the camera",
-    "roll": "tilt of the camera to the side",
-    "heading from": "source of the direction",
-    "sequence off tag": "distance from GPS, by its neighbours",
-    "registration off tag": "distance from GPS, by its details",
-    "registration": "outcome by its details",
-    "inliers": "number of details that agree",
-}
 
 
 class _Line(NamedTuple):
@@ -107,7 +94,7 @@ def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card
         if 1 < len(state.failure_rates(findings, everything, column)) <= most
     ]
     drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace), _hub_card(findings, lab, workspace)]
-    if _shows_places(findings.task) and len(findings.task.gallery) <= near_duplicates.MAX_TILES:
+    if shows_places(findings.task) and len(findings.task.gallery) <= near_duplicates.MAX_TILES:
         drawn.append(_alike_card(findings, lab, workspace))
     return drawn + [_rate_card(findings, lab, column, state.failure_rates(findings, lab, column)) for column in columns]
 
@@ -197,11 +184,6 @@ def _near_duplicates(task: Task) -> list[NearDuplicate]:
     return near_duplicates.near_duplicates(task.sides()[1], task.gallery_labels, _MAX_TILES, task.weights)
 
 
-def _shows_places(task: Task) -> bool:
-    """Return True if tiles show the places of queries, unlike the overlapping windows of a map, and are in memory."""
-    return task.depth is None and task.truth is None and bool(np.isin(task.gallery_labels, task.query_labels).any())
-
-
 def _apart(task: Task, pair: NearDuplicate) -> str:
     """Return the distance of two tiles on the ground in words; empty if it is not known."""
     if task.geometry is None:
@@ -229,7 +211,7 @@ def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Ra
         word = PLAIN_VERDICTS.get(rate.name, rate.name) if column.name == "verdict" and plain() else rate.name
         content = (word, _rate_bar(rate, overall), rate.share)
         lines.append(_Line("lab-bin", value, f"{column.name} {rate.name}" == chosen, hint, content))
-    name = _PLAIN_COLUMNS.get(column.name, column.name) if plain() else column.name
+    name = column_name(column.name)
     listed = f"; {_MAX_VALUES} of {len(rates)} values" if len(rates) > _MAX_VALUES else ""
     count = sum(rate.queries for rate in rates)
     queries = f"{'all ' if count == len(findings.table) else ''}{count:,} {say('query', count)}"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from explorer import lab_choices, session_state
 from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
-from explorer.panels import answer_text, place_text
+from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
@@ -128,7 +128,10 @@ class FirstScreen:
             "workbench": lambda state: replace(state, first_screen=False, why=False),
             "cells": lambda state: replace(state, first_screen=False, why=True, why_tab="comparison"),
             "lab": lambda state: self._to_lab(state, "table"),
-            "fails": lambda state: self._to_lab(state, "breakdown"),
+            "fails": self._to_fails,
+            "charts": lambda state: self._to_lab(state, "breakdown"),
+            "fail-next": navigation.next,
+            "fail-previous": navigation.previous,
             "map": lambda state: replace(state, map=True, why=False),
             "apart": lambda state: replace(state, exploded=True, why=False),
             "flight": lambda state: replace(state, flight=True, why=False),
@@ -152,6 +155,13 @@ class FirstScreen:
     def fail(self, reason: str) -> None:
         """Say why there is no first answer, with buttons that load the page again and choose another picture."""
         self._html.show(run(call("unopened", reason, True)))
+
+    def _to_fails(self, state: SessionState) -> SessionState:
+        """Show the wrong answers in plain words; else, without any, or before they are known, the laboratory's charts."""
+        wrong = wrong_answer.rows(self._workspace, state) if state.plain else None
+        if wrong is None or not len(wrong):
+            return self._to_lab(state, "breakdown")
+        return session_state.show_fails(state, int(wrong[0]), len(self._workspace.tasks[state.task].queries))
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
@@ -185,6 +195,7 @@ def page(
     elif disputed:
         look = None, "Its GPS tag and the map disagree", _DISPUTED[look[0] is True]
     right, headline, sentence = look
+    wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
     lead = answer_text.lead(analysis) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
@@ -194,13 +205,15 @@ def page(
     positive, third = analysis.positive, None if lead is None else lead.index
     own = analysis.registered
     located = workspace.located(analysis)
-    laid = None if state.why else _laid(located, workspace, own is not None)
-    if third is None and laid is None and look_errs and positive is not None and not positive.beyond:
+    laid = None if state.why or wrong else _laid(located, workspace, own is not None)
+    if third is None and laid is None and (look_errs or wrong) and positive is not None and not positive.beyond:
         third = positive.index
     place = place_text.place(workspace)
     because = _because(analysis, workspace, lead, cells_of_parts)
     return render(
-        "first_screen",
+        "wrong_answer" if wrong else "first_screen",
+        wrong=wrong,
+        third_name="" if third is None else place_text.piece(task.gallery[third]),
         workspace=workspace,
         task=task,
         state=state,

@@ -9,6 +9,7 @@ from random import Random
 import numpy as np
 
 from explorer import session_state
+from explorer.panels import wrong_answer
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
@@ -91,6 +92,9 @@ class Navigation:
         return choose
 
     def _step(self, state: SessionState, by: int) -> SessionState:
+        if state.fails and (wrong := wrong_answer.rows(self._workspace, state)) is not None:
+            chosen = session_state.step_in_order(state, by, wrong, self._count(state)).query
+            return session_state.show_fails(state, chosen, self._count(state))
         if state.upload is not None and (own := self.step_own(state, by)) is not None:
             return own
         order, count = self.order(state), self._count(state)

@@ -192,8 +192,64 @@ def describe_failure(outcomes: Outcomes, table: Table, query: int) -> str:
     return f"This picture's {column.name} is {within}{rate.name}; {share} of such pictures fail {of_all}."
 
 
+@dataclass(frozen=True)
+class FailingKind:
+    """A kind of picture that fails more often than chance explains.
+
+    Attributes:
+        column: of the table, whose values tell the kind.
+        rate: the queries of the kind, and those that failed.
+        failures, queries: of all.
+    """
+
+    column: Column
+    rate: Rate
+    failures: int
+    queries: int
+
+    def name(self, column: str = "") -> str:
+        """Return the kind in words.
+
+        Args:
+            column: the name of its column in words; by default as it is in the table.
+        """
+        if (self.column.name, self.rate.name) == ("twins", "yes"):
+            return "pictures of buildings with a twin elsewhere"
+        return f"pictures whose {column or self.column.name} is {self.rate.name}"
+
+    @property
+    def numbers(self) -> str:
+        """How many of the kind failed, and how many of all others, in words."""
+        rate = self.rate
+        others = f"{self.failures - rate.failures:,} of {self.queries - rate.queries:,} others"
+        return f"{rate.failures:,} of {rate.queries:,} are wrong, against {others}"
+
+
 def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()) -> str:
-    """Say how many queries fail, and which kind of picture fails most, if that is more than chance; a sentence or two.
+    """Say how many queries fail, and which kind of picture fails most, see `failing_kinds`; a sentence or two."""
+    known = np.flatnonzero(outcomes.known)
+    failures, queries = int(outcomes.failed[known].sum()), len(known)
+    if not queries:
+        return ""
+    wrong = f"The first answer is wrong for {failures:,} of {queries:,} pictures"
+    kinds = failing_kinds(outcomes, table, query_labels, besides)
+    if kinds is None:
+        return f"{wrong}."
+    if not kinds:
+        return f"{wrong}; {by_chance(failures)}."
+    return f"{wrong}. It fails most for {kinds[0].name()}: {kinds[0].numbers}."
+
+
+def by_chance(failures: int) -> str:
+    """Say of a number of failures that no kind of picture fails more often than by chance."""
+    few = "with so few, " if failures < _FEWEST else ""
+    return f"{few}no kind of picture fails more often than by chance"
+
+
+def failing_kinds(
+    outcomes: Outcomes, table: Table, query_labels: Int64Array, besides: Collection[str] = ()
+) -> list[FailingKind] | None:
+    """Return the kinds of picture that fail more often than by chance, the least likely first; None if none can be told apart.
 
     Chance is the hypergeometric tail of a kind's failures among all (Fisher's exact test, one-sided), times the number of kinds
     that are looked at (Bonferroni). Pictures of one place fail together, so their numbers are divided by
@@ -205,12 +261,9 @@ def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array
     """
     known = np.flatnonzero(outcomes.known)
     failures, queries = int(outcomes.failed[known].sum()), len(known)
-    if not queries:
-        return ""
-    wrong = f"The first answer is wrong for {failures:,} of {queries:,} pictures"
     if failures in (0, queries):
-        return f"{wrong}."
-    kinds: list[tuple[float, Rate, Column]] = []
+        return None
+    kinds: list[tuple[float, FailingKind]] = []
     alike = breakdown.design_effect(outcomes.failed[known], query_labels[known])
     for column in picture_columns(table):
         rates = breakdown.rates(outcomes.failed, column, rows=known)
@@ -218,19 +271,9 @@ def describe_failures(outcomes: Outcomes, table: Table, query_labels: Int64Array
             continue
         for rate in rates:
             counts = (int(count / alike) for count in (rate.failures, rate.queries, failures, queries))
-            kinds.append((breakdown.chance(*counts), rate, column))
-    if not kinds:
-        return f"{wrong}."
-    chance, rate, column = min(kinds, key=lambda kind: kind[0])
-    if chance * len(kinds) >= _BY_CHANCE:
-        few = "with so few, " if failures < _FEWEST else ""
-        return f"{wrong}; {few}no kind of picture fails more often than by chance."
-    if (column.name, rate.name) == ("twins", "yes"):
-        where = "for buildings with a twin elsewhere"
-    else:
-        where = f"where {column.name} is {rate.name}"
-    others = f"{failures - rate.failures:,} of {queries - rate.queries:,} others"
-    return f"{wrong}. It fails most {where}: for {rate.failures:,} of {rate.queries:,}, against {others}."
+            kinds.append((breakdown.chance(*counts), FailingKind(column, rate, failures, queries)))
+    likely = sorted((kind for kind in kinds if kind[0] * len(kinds) < _BY_CHANCE), key=lambda kind: kind[0])
+    return [kind for _, kind in likely] if kinds else None
 
 
 def _rate_of(outcomes: Outcomes, column: Column, query: int) -> Rate | None:

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.retrieval.scoring import part_weights
+from lpn.tasks.task import Task
 
 # The largest gallery whose tiles are compared with one another: the cost grows with its square.
 MAX_TILES = 5000
@@ -60,3 +61,8 @@ def near_duplicates(
         ]
         best = sorted(best, key=lambda pair: (-pair.cosine, pair.tiles))[:count]
     return best
+
+
+def shows_places(task: Task) -> bool:
+    """Return True if tiles show the places of queries, unlike the overlapping windows of a map, and are in memory."""
+    return task.depth is None and task.truth is None and bool(np.isin(task.gallery_labels, task.query_labels).any())

@@ -60,6 +60,22 @@ WORDS: Mapping[str, Word] = {
     "audit": Word("contradictions", "audit"),
 }
 
+# Plain words for columns that describe pictures; a name that is not here is plain enough.
+_COLUMNS: Mapping[str, str] = {
+    "seconds": "time since the first photo",
+    "altitude": "height of the drone",
+    "heading": "direction that the photo's top points",
+    "tilt": "tilt of the camera",
+    "pitch": "tilt of the camera",
+    "roll": "tilt of the camera to the side",
+    "fov": "field of view of the camera",
+    "heading from": "source of the direction",
+    "sequence off tag": "distance from GPS, by its neighbours",
+    "registration off tag": "distance from GPS, by its details",
+    "registration": "outcome by its details",
+    "inliers": "number of details that agree",
+}
+
 
 @dataclass(frozen=True)
 class Vocabulary:
@@ -104,6 +120,11 @@ def say(term: str, number: int = 1) -> str:
     if number == 1:
         return text
     return f"{text[:-1]}ies" if text.endswith("y") else f"{text}s"
+
+
+def column_name(name: str) -> str:
+    """Return the name of a column of a table in the vocabulary that is spoken."""
+    return _COLUMNS.get(name, name) if plain() else name
 
 
 def unit() -> str:

@@ -64,7 +64,8 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         map=rng.choice(chance),
         city=rng.choice(chance),
         dark=rng.choice(chance),
-        first_screen=rng.choice(chance),
+        first_screen=(first := rng.choice(chance)),
+        fails=first and rng.choice(chance),
     )
 
 
@@ -225,7 +226,7 @@ def test_the_page_that_holds_ones_own_picture_finds_it_by_its_address(workspace:
 
 def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> None:
     state = SessionState("drone-to-satellite", 4)
-    left_out = {"n_parts", "upload", "find", "page", "under_flight", "from_first_screen"}
+    left_out = {"n_parts", "upload", "find", "page", "under_flight", "from_first_screen", "came_from"}
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {
         "heat_part": "part",

@@ -79,11 +79,11 @@
     document.querySelector(SELECTORS.app)?.setAttribute("inert", "");
   };
 
-  // Escape closes the reason, unless it closes what lies over it; in the capture phase all of that is still there.
+  // Escape closes the reason, or the wrong answers, unless it closes what lies over it; in the capture phase all of that is still there.
   const OVER = "#lpn-term, " + SELECTORS.dialog;
   const escaped = (event) => {
     if (event.key !== "Escape" || lpn.telling() || document.querySelector(OVER)) return;
-    document.querySelector("#lpn-first:has(.reason) [data-act='why']")?.click();
+    document.querySelector("#lpn-first:has(.reason) [data-act='why'], #lpn-first .wrong [data-act='start']")?.click();
   };
   window.addEventListener("keydown", escaped, true);
 

@@ -133,7 +133,7 @@ def test_the_kind_that_fails_most_is_named_if_it_is_no_chance(outcomes: Outcomes
     low = number_column("altitude", np.where(wrong | (places < 5), 50.0, 200.0).tolist(), "m")
     said = answer_context.describe_failures(outcomes, table(low), places)
     assert said.startswith(
-        "The first answer is wrong for 20 of 100 pictures. It fails most where altitude is 50 m: for 20 of "
+        "The first answer is wrong for 20 of 100 pictures. It fails most for pictures whose altitude is 50 m: 20 of "
     )
     # Were all pictures of four places, nothing would be known of them.
     assert answer_context.describe_failures(outcomes, table(low), places // 25).endswith(

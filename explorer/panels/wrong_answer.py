@@ -1,0 +1,194 @@
+"""The page *Where it fails* in words: the number of wrong answers, one of them at a time, and the kinds of picture that fail."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from explorer.panels import place_text
+from explorer.panels.answer_text import pictures_of
+from explorer.session_state import SessionState
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis import answer_context, wrong_answers
+from lpn.analysis.answer_context import FailingKind
+from lpn.analysis.near_duplicates import shows_places
+from lpn.core.arrays import Int64Array
+from lpn.core.numbers import distance
+from lpn.drawing import verdicts, words
+from lpn.locate.belief import Belief, beliefs, disagreements
+from lpn.maps.named_window import WindowCut
+
+# Kinds of picture that are listed at most.
+_MOST_KINDS = 5
+# A photo's middle that lies this share of the answer's width beyond its edge, or less, is near it.
+_NEAR = 0.25
+# A wrong answer is close if at least this share of the right ones lead by more than its positive lacks.
+_CLOSE = 0.9
+_UNEXPLAINED = "Nothing that was measured tells why. “Why?” shows the places that speak for either picture."
+
+
+@dataclass(frozen=True)
+class WrongAnswer:
+    """One wrong answer among all of its task.
+
+    Attributes:
+        number, count: its position, from 1, the most wrong first, and the number of all.
+        overall: how many answers are wrong, and how many of them another method mends.
+        kinds: of picture, that fail more often than by chance, the least likely first.
+        chance: a sentence that there are none; "" if there are, or if no kinds can be told apart.
+        sentence: how far and in which direction the answer lies, and at which place in the list the right one came.
+        reasons: what was measured that may be why.
+        mended: the verdict of all methods on a photo of a flight; None without another method.
+    """
+
+    number: int
+    count: int
+    overall: str
+    kinds: Sequence[str]
+    chance: str
+    sentence: str
+    reasons: Sequence[str]
+    mended: Belief | None
+
+
+def rows(workspace: Workspace, state: SessionState) -> Int64Array | None:
+    """Return the queries of a state's task whose first answer is wrong, the most wrong first; None if that is not known."""
+    known = workspace.outcomes(workspace.task_of(state))
+    return None if known is None else wrong_answers.worst_first(*known)
+
+
+def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) -> WrongAnswer | None:
+    """Return the wrong answer that the page of them shows; None if it is closed, or the answer is none of them.
+
+    Args:
+        disputed: the photo's tag and its details contradict each other on whether the answer is right.
+    """
+    state, task = analysis.state, analysis.task
+    known = workspace.outcomes(task) if state.fails and not state.upload and analysis.matches[0].true is False else None
+    if known is None:
+        return None
+    outcomes, table = known
+    listed = wrong_answers.worst_first(outcomes, table)
+    at = np.flatnonzero(listed == state.query)
+    if not len(at):
+        return None
+    kinds = answer_context.failing_kinds(outcomes, table, task.query_labels)
+    verdicts_of_all = _verdicts(workspace)
+    by_chance = answer_context.by_chance(len(listed))
+    return WrongAnswer(
+        int(at[0]) + 1,
+        len(listed),
+        _overall(listed, int(outcomes.known.sum()), verdicts_of_all),
+        [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
+        "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
+        _sentence(analysis),
+        _reasons(analysis, workspace, disputed, kinds or ()) or [_UNEXPLAINED],
+        None if verdicts_of_all is None else verdicts_of_all[state.query],
+    )
+
+
+def _name(kind: FailingKind) -> str:
+    return kind.name(words.column_name(kind.column.name))
+
+
+def _verdicts(workspace: Workspace) -> list[Belief] | None:
+    """Return the verdicts on all photos of a flight; None without one, and before they are registered."""
+    flight = workspace.flight
+    if flight is None or not any("registration" in located.stages for located in flight.frames):
+        return None
+    return beliefs(flight.frames, disagreements(flight.frames))
+
+
+def _overall(listed: Int64Array, graded: int, verdicts_of_all: Sequence[Belief] | None) -> str:
+    wrong = f"he first answer is wrong for {len(listed):,} of {graded:,} pictures ({100 * len(listed) / graded:.0f} %)."
+    if verdicts_of_all is None:
+        return f"T{wrong}"
+    mended = sum(verdicts_of_all[row].sign is True for row in listed.tolist())
+    all_of_them = f"all {mended:,}" if mended == len(listed) else f"{mended:,} of these {len(listed):,}"
+    return f"By their look alone, t{wrong} By their details, {all_of_them} are placed all the same."
+
+
+def _sentence(analysis: StateAnalysis) -> str:
+    compared = f"The model compared {analysis.task.tiles:,} {pictures_of(analysis.task)} and chose"
+    positive = analysis.positive
+    if positive is None:
+        came = "none of them shows the place"
+    else:
+        came = (
+            "the right one is not near the top"
+            if positive.beyond
+            else f"the right one came {verdicts.ordinal(positive.rank)}"
+        )
+    return f"{compared} {_away(analysis)}; {came}."
+
+
+def _away(analysis: StateAnalysis) -> str:
+    """Say how far from the place, and in which direction, the answer lies."""
+    offset, metres = _offset(analysis), analysis.errors_m
+    if offset is None or metres is None:
+        return "another place"
+    direction = verdicts.compass(math.degrees(math.atan2(*offset)))
+    return f"one that lies {distance(float(metres[analysis.matches[0].index]))} to the {direction}"
+
+
+def _offset(analysis: StateAnalysis) -> tuple[float, float] | None:
+    """Return the metres east and north from the place that the query shows to the middle of the answer; None if not known."""
+    places, answer = analysis.task.geometry, analysis.matches[0].index
+    if places is None:
+        return None
+    east, north = (places.ground[answer] - places.query_ground[analysis.state.query]).tolist()
+    return (east, north) if math.isfinite(east) and math.isfinite(north) else None
+
+
+def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kinds: Sequence[FailingKind]) -> list[str]:
+    """Say what was measured of a wrong answer that may be why."""
+    task, answer = analysis.task, analysis.matches[0].index
+    tile = task.gallery[answer]
+    reasons = []
+    if (black := place_text.share_off_map(tile)) > 0:
+        reasons.append(f"{100 * black:.0f} % of this answer is off the map, and black to the model.")
+    if disputed:
+        reasons.append(
+            "By its details the photo lies on this answer, by its GPS tag elsewhere: one of the two is wrong."
+        )
+    offset = _offset(analysis)
+    if isinstance(tile.cut, WindowCut) and offset is not None and not disputed:
+        window = tile.cut.window
+        beyond = max(map(abs, offset)) - window.size / 2
+        if 0 <= beyond < _NEAR * window.size:
+            reasons.append(f"A near miss: the photo's middle lies {distance(beyond)} beyond the edge of this answer.")
+    reasons += _look_alike(analysis)
+    reasons += [
+        f"It is of a kind that fails more often: {_name(kind)}."
+        for kind in kinds[:_MOST_KINDS]
+        if kind.rate.holds(kind.column)[analysis.state.query]
+    ]
+    return reasons + _close(analysis, workspace)
+
+
+def _look_alike(analysis: StateAnalysis) -> list[str]:
+    """Say if no other place looks more like the right one to the model than the answer's."""
+    task, positive = analysis.task, analysis.positive
+    if positive is None or positive.beyond or not shows_places(task):
+        return []
+    alike = wrong_answers.most_alike(task.sides()[1], task.gallery_labels, positive.index, task.weights)
+    if alike != task.gallery_labels[analysis.matches[0].index]:
+        return []
+    return ["To the model, no other place looks more like the right one than this answer does."]
+
+
+def _close(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
+    """Say if the answer was a close one: by how much the right one is behind, among the leads of right answers."""
+    known, positive = workspace.outcomes(analysis.task), analysis.positive
+    if known is None or positive is None or positive.beyond:
+        return []
+    behind = -float(known[0].margin[analysis.state.query])
+    larger = wrong_answers.share_of_larger_leads(known[0], behind)
+    if larger is None or larger < _CLOSE:
+        return []
+    return [
+        f"It was close: the right one is {behind:.3f} behind, and {100 * larger:.0f} % of right answers lead by more."
+    ]
