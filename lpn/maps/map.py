@@ -100,6 +100,7 @@ class Map:
         self._check_pixels()
         self._boxes = boxes
         self._coverage = coverage
+        self._sums: Float64Array | None = None
         self._lock, self._overview_lock = Lock(), Lock()
         self._overview: tuple[UInt8Array, BoolArray] | None = None
 
@@ -228,8 +229,10 @@ class Map:
         """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""
         coverage = self.coverage()
         cell = self._side / max(coverage.shape)
-        # sums[r, c] is the sum of all cells above row r and left of column c.
-        sums = np.pad(coverage.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+        # sums[r, c] is the sum of all cells above row r and left of column c. Two threads may both make it.
+        if self._sums is None:
+            self._sums = np.pad(coverage.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+        sums = self._sums
         low, high = centres - size / 2, centres + size / 2
         left, right = ((x - self.bounds[0]) / cell for x in (low[:, 0], high[:, 0]))
         top, bottom = ((self.bounds[3] - y) / cell for y in (high[:, 1], low[:, 1]))

@@ -55,7 +55,11 @@ def test_each_wrong_answer_has_its_pictures_and_a_reason(workspace: Workspace) -
     assert f"The first answer is wrong for {len(rows)} of {graded} pictures" in said
     assert f"{len(rows)} of {len(rows)}, the worst first" in said
     assert "chose another place; the right one came " in said
-    assert "Why?” shows the places" in said or "To the model, no other place looks more like" in said or "It was close" in said
+    assert (
+        "Why?” shows the places" in said
+        or "To the model, no other place looks more like" in said
+        or "It was close" in said
+    )
     # A right answer is none of them, and neither is a reason.
     right = int(np.flatnonzero(~workspace.rankings[TASK].failed)[0])
     assert "Where it fails" not in page(workspace, replace(last, query=right)).split("</h1>")[0]
@@ -67,10 +71,15 @@ def test_kinds_that_fail_more_often_are_named(workspace: Workspace, monkeypatch:
     assert known is not None
     outcomes, table = known
     low = np.where(outcomes.failed, 50.0, 200.0)
-    state = SessionState(TASK, 4, query=int(np.flatnonzero(outcomes.failed)[0]), first_screen=True, plain=True, fails=True)
+    state = SessionState(
+        TASK, 4, query=int(np.flatnonzero(outcomes.failed)[0]), first_screen=True, plain=True, fails=True
+    )
     for heights, said in (
         (low, "Pictures whose height of the drone is 50 m: 2 of 2 are wrong, against 0 of 12 others."),
-        (np.where(np.arange(len(low)) % 2, 50.0, 200.0), "With so few, no kind of picture fails more often than by chance."),
+        (
+            np.where(np.arange(len(low)) % 2, 50.0, 200.0),
+            "With so few, no kind of picture fails more often than by chance.",
+        ),
     ):
         columns = table.with_columns([number_column("altitude", heights.tolist(), "m")])
         monkeypatch.setattr(workspace, "outcomes", lambda _, columns=columns: (outcomes, columns))

@@ -15,7 +15,9 @@ from lpn.tasks.query_outcomes import Outcomes
 def outcomes(rank: list[int], margin: list[float]) -> Outcomes:
     tiles = np.zeros(len(rank), np.int64)
     parts = np.array(margin)[:, None]
-    return Outcomes(np.array(rank), tiles, tiles, tiles, parts, parts[:, 0], tiles, np.ones(1), np.ones(len(rank), bool))
+    return Outcomes(
+        np.array(rank), tiles, tiles, tiles, parts, parts[:, 0], tiles, np.ones(1), np.ones(len(rank), bool)
+    )
 
 
 def test_the_farthest_answer_comes_first_and_then_the_last_right_one() -> None:
