@@ -42,6 +42,8 @@ PLAIN_VERDICTS = {
     "not verified": "only guessed",
     "not located": "no place",
 }
+# The bar's choices in plain words.
+_PLAIN_CHOICES = {"breakdown": "charts", "failed": "wrong", "found": "right"}
 # Examples of filters, without and with a second model.
 _EXAMPLE, _EXAMPLE_OF_TWO = "rank > 5", f"{RANK_A} > 1 and {RANK_B} = 1"
 
@@ -70,6 +72,7 @@ def bar(findings: Findings, lab: LabState, selected: int, chosen: int = 0, tall:
         "failure_lab/bar",
         lab=lab,
         tabs=get_args(Tab),
+        plain_choices=_PLAIN_CHOICES if words.plain() else {},
         counts=counts,
         names=names,
         number=chosen or selected,

@@ -135,9 +135,9 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         return False, "Wrong", none
     if first.true:
         details = workspace.flight is not None and workspace.flight.late_tags is not None
-        place = "where its details place the photo" if details else "the place photographed"
-        off = "" if error_m is None else f" Its middle lies {distance(error_m)} from {place}."
-        return True, "Right", f"The model compared {pictures} and found the right one.{off}"
+        place = "where details place the photo" if details else "the place photographed"
+        off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
+        return True, "Right", f"The model compared {pictures} and found the right one{off}."
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."

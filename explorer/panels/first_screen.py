@@ -259,6 +259,7 @@ def page(
         overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
         criterion="" if state.upload else place_text.criterion(workspace, task),
+        season="" if state.upload else place_text.season(workspace),
         alterations=alterations,
     )
 

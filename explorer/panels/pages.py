@@ -13,7 +13,7 @@ from explorer.panels import answer_text
 from explorer.stage import pair_picture
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.drawing import overlays
+from lpn.drawing import overlays, words
 from lpn.tasks.task import Task
 
 _SCALE = 90, 8  # width and height of the heatmap legend's colours in pixels
@@ -115,7 +115,9 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
         comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
         alone=workspace.has_flight and analysis.state.upload is None,
         note=" ".join(
-            filter(None, (f"The query: {note}." if note else "", answer_text.own_shape(analysis, workspace)))
+            filter(
+                None, (f"The {words.say('query')}: {note}." if note else "", answer_text.own_shape(analysis, workspace))
+            )
         ),
         all_parts_off=all_parts_off,
         alterations=session_state.alterations(analysis.state, math.prod(workspace.map_sizes[analysis.task.query_view])),

@@ -61,7 +61,7 @@ def share_off_map(tile: Picture) -> float:
 
 
 def criterion(workspace: Workspace, task: Task) -> str:
-    """Say within what an answer counts as right, who is the judge, and how far apart map and photos of a flight are in time."""
+    """Say within what an answer counts as right, and who is the judge."""
     flight = workspace.flight
     if flight is None or flight.retrieval is None:
         judge = "the plan of the rendered city" if shows_rendered(workspace.root) else "the data set"
@@ -70,16 +70,18 @@ def criterion(workspace: Workspace, task: Task) -> str:
     width = f"{low:.0f} to {high:.0f} m wide" if round(low) < round(high) else f"{high:.0f} m wide"
     right = f"Right is a piece, {width}, on which the photo's middle lies"
     if (audit := flight.late_tags) is None or audit.lag is None:
-        return f"{right}; its GPS tag is the judge. {_season(workspace, flight)}".rstrip()
+        return f"{right}; its GPS tag is the judge."
     return (
         f"{right}. GPS tags here lie {distance(audit.median)} off in the median, some of which a lag of {abs(audit.lag):.1f} s "
-        "explains, so the judge is the program's second method, which lays the photo's details over the map. "
-        f"{_season(workspace, flight)}"
-    ).rstrip()
+        "explains, so the judge is the program's second method, which lays the photo's details over the map."
+    )
 
 
-def _season(workspace: Workspace, flight: LocatedFlight) -> str:
+def season(workspace: Workspace) -> str:
     """Say if map and photos of a flight are of two seasons; of one whose are of the same day, name a flight of two beside it."""
+    flight = workspace.flight
+    if flight is None:
+        return ""
     if _seasons_differ(flight):
         return "Map and photos are of different seasons."
     if flight.flight.day is None or flight.flight.day != flight.basemap.place.day:

@@ -80,7 +80,10 @@ def test_the_first_screen_has_two_pictures_one_sentence_and_one_button(workspace
     assert sentence.startswith(f"The model compared {len(analysis.task.gallery)} satellite pictures")
     if found:
         placed = replace(analysis, errors_m=np.full(len(analysis.task.gallery), 3.2))
-        assert "Its middle lies 3 m from the place photographed." in answer_text.plain_verdict(placed, workspace)[2]
+        assert (
+            "found the right one, whose middle lies 3 m from the place photographed."
+            in answer_text.plain_verdict(placed, workspace)[2]
+        )
     else:
         assert analysis.positive is not None
         assert re.search(rf"the right one came {analysis.positive.rank}(st|nd|rd|th)\.$", sentence)
@@ -251,7 +254,7 @@ def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch:
     monkeypatch.setattr(Workspace, "has_flight", True)
     assert "searched by itself, without the flight:" in pages.header(workspace, workspace.tasks[TASK])
     assert "This photo searched by itself:" in pages.verdict(query(workspace, True), workspace)
-    assert "%), each searched by itself. Right is an answer that shows the same place" in text(
+    assert "%), each searched by itself. How that is judged Right is an answer that shows the same place" in text(
         first_screen.page(query(workspace, True), workspace)
     )
 

@@ -34,8 +34,9 @@ def test_a_real_place_has_a_coordinate_and_a_day() -> None:
     workspace = workspace_of(DEMO_PLACE)
     html = place_text.place(workspace)
     assert text(html).startswith(
-        "The program looks for it on one map of Caliterra in Dripping Springs, Texas, 186 m by 166 m, and knows no other "
-        "ground. The map's middle lies at latitude 30.17117, longitude -98.08956 (OpenStreetMap). Map and photos are of 19 Oct"
+        "A drone without GPS can find its place so: the program looks for its picture on one map of Caliterra in Dripping "
+        "Springs, Texas, 186 m by 166 m, and knows no other ground. The map's middle lies at latitude 30.17117, longitude "
+        "-98.08956 (OpenStreetMap). Map and photos are of 19 Oct"
     )
     links = re.findall(r'<a href="(https://www\.openstreetmap[^"]*)" target="_blank" rel="noopener noreferrer"', html)
     assert links == ["https://www.openstreetmap.org/?mlat=30.171165&amp;mlon=-98.089561#map=18/30.171165/-98.089561"]
@@ -44,7 +45,10 @@ def test_a_real_place_has_a_coordinate_and_a_day() -> None:
 def test_a_rendered_place_has_no_coordinate() -> None:
     workspace = workspace_of(DEMO_FLIGHT)
     said = text(place_text.place(workspace))
-    assert said.startswith("The program looks for it on one map, 720 m by 720 m, and knows no other ground.")
+    assert said.startswith(
+        "A drone without GPS can find its place so: the program looks for its picture on one map, 720 m by 720 m, and knows no "
+        "other ground."
+    )
     assert "This is no real place: map and photos are rendered. The map is of spring and the photos are of 14" in said
     assert "latitude" not in said
     assert place_text.place(cast(Any, SimpleNamespace(flight=None, basemap=None))) == ""
@@ -68,7 +72,10 @@ def test_the_judge_of_right_answers_is_named() -> None:
     place.flight.late_tags = None
     task = cast(Any, SimpleNamespace(lists_gallery=True))
     said = "Right is a piece, 99 m wide, on which the photo's middle lies; its GPS tag is the judge."
-    assert place_text.criterion(place, task) == f"{said} Map and photos are of different seasons."
+    assert (place_text.criterion(place, task), place_text.season(place)) == (
+        said,
+        "Map and photos are of different seasons.",
+    )
     place.rankings = {"a": SimpleNamespace(result=SimpleNamespace(results={"queries": 40.0, "recall@1": 42.5}))}
     place.tasks, place.choices = {"": SimpleNamespace(key="a")}, {"other": "an autumn"}
 
@@ -79,7 +86,9 @@ def test_the_judge_of_right_answers_is_named() -> None:
     assert place_text.criterion(same, task) == (
         "Right is a piece, 26 to 100 m wide, on which the photo's middle lies. GPS tags here lie 15 m off in the median, some of "
         "which a lag of 2.7 s explains, so the judge is the program's second method, which lays the photo's details over the "
-        "map. "
+        "map."
+    )
+    assert place_text.season(same) == (
         "Where map and photos are of different seasons (an autumn), the first answer is right 17 of 40 times."
     )
 
