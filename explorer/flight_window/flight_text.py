@@ -19,7 +19,7 @@ from lpn.locate.belief import TAG_RADIUS, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import RIGHT_CALIBRATION
-from lpn.locate.summary import FlightAccuracy, flight_accuracy
+from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy
 
 # Three right radii hold 99 % of the errors; a smaller share than this says that radii or tags are wrong.
 _RIGHT_SHARE = 90.0
@@ -30,11 +30,11 @@ EVIDENCE = (
     "of them errs."
 )
 WORST = (
-    "Each photo by the one of its answers that lies farthest from its GPS tag, or its correction by hand: the error of both "
-    "together. The answer that counts stands behind it, where it is another one."
+    "Contradicted photos come first, by how far they are beyond what their errors allow. The others follow by how far the answer "
+    "that counts lies from the GPS tag, or the correction by hand: the error of both together. Mere guesses are last."
 )
-# Fewer places of a photo tell nothing of the rest.
-_FEW_PLACES = 3
+# What the radius of a place is, wherever one is explained.
+SIGMA = "1 sigma along each axis"
 _METHODS = {
     "retrieval": "the most similar piece of the map",
     "sequence": "the path of the flight through such pieces",
@@ -85,6 +85,12 @@ def apart(view: FlightView, one: Disagreement) -> str:
     if view.beliefs[one.frame].sign:  # tag and details agree, and the neighbours alone differ
         place = "here" if one.one == "registration" else _ENDS[one.other]
         return f"Its neighbours would place it {one.metres:.1f} m from {place}."
+    if one.other == "map":
+        return (
+            f"Places beside its middle lie {one.metres:.1f} m from where the map has them in the median, and {one.allowed:.1f} m "
+            "are allowed: three times its radius on this map. Photo and map do not have the same shape here, so the radius may "
+            "hold for the middle alone."
+        )
     tilt = f", and {one.tilt:.1f} m as a tilted camera looks aside" if one.tilt else ""
     return (
         f"{capitalised(_ENDS[one.one])} and {_ENDS[one.other]} lie {one.metres:.1f} m apart, and {one.allowed:.1f} m are "
@@ -104,23 +110,32 @@ def reason(view: FlightView, frame: int) -> str:
     against = [one for one in view.contradictions if one.frame == frame and one.one == "registration"]
     error = located.error("registration")
     if error is not None and all(one.other != "tag" for one in against):
-        sentences.append(
-            f"The place lies {error:.1f} m from {'the correction by hand' if located.by_hand else 'its GPS tag'}."
-        )
+        sentences.append(f"The place lies {error:.1f} m from {_truth(located)}.")
     return " ".join([*sentences, *(apart(view, one) for one in against)])
 
 
-def agreement(measured: MapAgreement) -> str:
-    """Say how far places of a photo lie from where the map has them; "" where too few are found to tell."""
-    if len(measured.metres) < _FEW_PLACES:
+def _truth(located: LocatedFrame) -> str:
+    return "the correction by hand" if located.by_hand else "its GPS tag"
+
+
+def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
+    """Say how far places of a photo lie from where the map has them, and whether that fits; "" if too few tell."""
+    median, largest = measured.median, measured.largest
+    if median is None or largest is None:
         return ""
-    farthest = int(measured.metres.argmax())
-    return (
-        f"Beside its middle, {len(measured.metres)} places of the photo were found on the map one by one, looked for within "
-        f"± {measured.reach:.1f} m: they lie {np.median(measured.metres):.1f} m from where the photo has them in the median, and "
-        f"{measured.metres[farthest]:.1f} m at most, {_side(*measured.places[farthest].tolist())}. "
-        "The radius is that of the photo's middle alone."
+    side = _side(*measured.places[measured.metres.argmax()].tolist())
+    beyond = ", as nothing beyond was looked for" if measured.may_be_larger else ""
+    text = (
+        f"Beside its middle, {len(measured.rows)} places of the photo were found on the map one by one, looked for within "
+        f"± {measured.reach:.1f} m: their median lies {median:.1f} m from where the photo has it, and the farthest "
+        f"{'at least ' if beyond else ''}{largest:.1f} m, {side}{beyond}."
     )
+    answer = view.flight.frames[frame].stages.get("registration")
+    if view.corrected(frame) is not None or answer is None or answer.radius_on_map is None:
+        return text
+    if any((one.frame, one.other) == (frame, "map") for one in view.contradictions):
+        return f"? {text}"
+    return f"\u2713 {text} That fits ± {answer.radius_on_map:.1f} m on this map, of which three times are allowed."
 
 
 def _side(across: float, down: float) -> str:
@@ -133,38 +148,40 @@ def _side(across: float, down: float) -> str:
 
 
 def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
-    """Return frame, name, and words of each photo that has a place, by the answer that lies farthest from its GPS tag.
+    """Return frame, name, and words of each photo that has a place, the worst first.
 
-    Answers that are refused do not count. Photos without a tag come last, the largest radius first.
+    Contradicted answers are first, by how many times more they are off than is allowed, then the others by their metres from
+    the GPS tag, without a tag by their radii, and best guesses last.
     """
+    doubts: dict[int, list[Disagreement]] = {}
+    for one in view.contradictions:
+        doubts.setdefault(one.frame, []).append(one)
     placed = []
     for i, (located, verdict) in enumerate(zip(view.flight.frames, view.beliefs, strict=True)):
         if verdict.stage is None:
             continue
-        answered = [
-            name for name, answer in located.stages.items() if answer.state != "refused" and answer.x is not None
-        ]
-        errors = {name: error for name in answered if (error := located.error(name)) is not None}
-        farthest = max(errors, key=lambda name: errors[name], default=verdict.stage)
-        if errors.get(verdict.stage) == errors.get(farthest):
-            farthest = verdict.stage
-        words = [_answered(view, i, name) for name in dict.fromkeys((farthest, verdict.stage))]
-        order = errors.get(farthest, -math.inf), located.stages[verdict.stage].radius or 0.0
-        placed.append((order, i, printable(located.frame.name), ["; ".join(words)]))
+        against = [one for one in doubts.get(i, ()) if verdict.stage == "registration" and not verdict.sign]
+        answer, error = located.stages[verdict.stage], located.error(verdict.stage)
+        radius = answer.radius or 0.0
+        order = (
+            (2, max(one.metres / one.allowed for one in against))
+            if against
+            else (1 if verdict.stage in PLACED else 0, error or 0.0)
+        )
+        words = [] if error is None else [f"{error:.1f} m from {_truth(located)}{_allowed(against, 'tag')}"]
+        words.append(say(verdict.stage))
+        words.append("not verified" if answer.radius is None else f"± {radius:.1f} m {on_what(answer)}")
+        misfit = None if answer.agreement is None else answer.agreement.median
+        if misfit is not None:
+            words.append(f"beside its middle {misfit:.1f} m off{_allowed(against, 'map')}")
+        line = f"{'? ' if against else ''}{', '.join(words)}"
+        placed.append(((*order, radius), i, printable(located.frame.name), [line]))
     placed.sort(key=lambda one: one[0], reverse=True)
-    return [(i, name, words) for _, i, name, words in placed]
+    return [(i, name, lines) for _, i, name, lines in placed]
 
 
-def _answered(view: FlightView, frame: int, stage: str) -> str:
-    """Return a stage's answer in words: metres from the tag, the stage, its radius, and whether it is contradicted."""
-    located, verdict = view.flight.frames[frame], view.beliefs[frame]
-    answer, error = located.stages[stage], located.error(stage)
-    words = [] if error is None else [f"{error:.1f} m"]
-    words.append(say(stage))
-    words.append("not verified" if answer.radius is None else f"± {answer.radius:.1f} m {on_what(answer)}")
-    if stage == verdict.stage == "registration" and not verdict.sign:
-        words.append("contradicted")
-    return ", ".join(words)
+def _allowed(against: Sequence[Disagreement], other: str) -> str:
+    return next((f" where {one.allowed:.1f} m are allowed" for one in against if one.other == other), "")
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
@@ -201,30 +218,28 @@ def _error(value: float, unit: str, digits: int = 1) -> str:
     return f"(±\N{NO-BREAK SPACE}{value:.{digits}f}{unit})"
 
 
-def accuracy(view: FlightView, agreements: Sequence[MapAgreement] = ()) -> tuple[str, list[AccuracyLine]] | None:
-    """Return how accurate the places of a flight are, in one line and source by source; None if no photo is placed.
-
-    Args:
-        agreements: of photos with the map, as far as they are compared.
-    """
+def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
+    """Return how accurate the places of a flight are, in one line and source by source; None if no photo is placed."""
     known = flight_accuracy(view.flight, view.beliefs)
     if known is None:
         return None
     on_earth, earth = _on_earth(view.flight, known)
-    lines = [_on_map(known), *_whole_photos(agreements), earth]
+    shape, shape_failed = _whole_photos(view)
+    lines = [_on_map(known), *shape, earth]
     audit = view.flight.audit
     if audit is not None and audit.frames:
         lines.append(AccuracyLine("GPS tags", f"{audit.median:.1f} m", _tags(audit)))
-    if (radii := _radii(view.flight, known)) is not None:
-        lines.append(radii)
+    radii, radii_failed = _radii(view.flight, known)
+    lines += radii
     if known.place_error is not None:
         on_earth = f"± {known.radius:.1f} m on earth, as far as the tags of the map do not all err alike"
-        return f"{lines[0].figure} on this map; {on_earth}.", lines
-    return f"± {known.radius:.1f} m on this map; {on_earth}.", lines
+    failed = [text for text in (radii_failed, shape_failed) if text]
+    checks = f" Not confirmed: {', and '.join(failed)}." if failed else ""
+    return f"{lines[0].figure} on this map ({SIGMA}); {on_earth}.{checks}", lines
 
 
 def _on_map(known: FlightAccuracy) -> AccuracyLine:
-    source = f"1-sigma radius, the median of {known.photos} photos."
+    source = f"{capitalised(SIGMA)}, the median of {known.photos} photos."
     radius = math.sqrt(max(known.radius**2 - (known.place_error or 0.0) ** 2, 0.0))
     if known.details is not None and known.map_error:
         assumed = math.sqrt(known.map_error**2 - (known.place_error or 0.0) ** 2)
@@ -235,18 +250,28 @@ def _on_map(known: FlightAccuracy) -> AccuracyLine:
     return AccuracyLine("On this map", f"± {radius:.1f} m", source)
 
 
-def _whole_photos(agreements: Sequence[MapAgreement]) -> list[AccuracyLine]:
-    """Return how far places of the photos lie from where the map has them; nothing where too few are found."""
-    metres = np.concatenate([one.metres for one in agreements]) if agreements else np.zeros(0)
-    if len(metres) < _FEW_PLACES:
-        return []
-    reaches = [one.reach for one in agreements if len(one.metres)]
+def _whole_photos(view: FlightView) -> tuple[list[AccuracyLine], str]:
+    """Return how far places of the photos lie from where the map has them, and a clause on those that do not fit it.
+
+    Both are empty where too few places are found.
+    """
+    answers = [located.stages.get("registration") for located in view.flight.frames]
+    compared = [
+        answer.agreement for answer in answers if answer and answer.agreement and answer.agreement.median is not None
+    ]
+    if not compared:
+        return [], ""
+    metres = np.concatenate([one.metres for one in compared])
+    unfit = sum(one.other == "map" for one in view.contradictions)
     source = (
-        f"Median of {len(metres)} places of {len(reaches)} photos that were found on the map one by one, {metres.max():.1f} m at "
-        f"most: what one transformation of a photo leaves, where the map or the ground is uneven. They were looked for within "
-        f"± {min(reaches):.1f} m at least. The radius is that of a photo's middle."
+        f"Median of {len(metres)} places of {len(compared)} photos that were found on the map one by one, "
+        f"{metres.max():.1f} m at most: what one transformation of a photo leaves, where the map or the ground is uneven. They "
+        f"were looked for within ± {min(one.reach for one in compared):.1f} m at least. The radius is that of a photo's middle."
     )
-    return [AccuracyLine("All of a photo", f"{np.median(metres):.1f} m", source)]
+    failed = f"{unfit} of {len(compared)} photos do not fit the map beside their middle" if unfit else ""
+    if failed:
+        source += f" {failed}: their median is more than three times their radius."
+    return [AccuracyLine("All of a photo", f"{np.median(metres):.1f} m", source)], failed
 
 
 def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, AccuracyLine]:
@@ -283,28 +308,33 @@ def _tags(audit: TagAudit) -> str:
     )
 
 
-def _radii(flight: LocatedFlight, known: FlightAccuracy) -> AccuracyLine | None:
-    """Return whether the radii hold against the tags; None where no tag tells."""
+def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyLine], str]:
+    """Return whether the radii hold against the tags, and a clause if they do not; both are empty where no tag tells."""
     summary = flight.summaries().get("registration")
     if summary is None or not summary.calibration:
-        return None
+        return [], ""
     right = ", ".join(f"{share:.0f}" for share in RIGHT_CALIBRATION.values())
-    if summary.calibration[3] >= _RIGHT_SHARE:
+    within = summary.calibration[3]
+    failed = ""
+    if within >= _RIGHT_SHARE:
         verdict = "Radii and tags agree."
-    elif flight.audit is not None and flight.audit.has_lag:
-        verdict = (
-            "A part is the lag of the tags or the direction of the camera, which no radius holds, so this does not tell if the "
-            "radii fail."
-        )
-    elif known.radius < TAG_RADIUS:
-        verdict = (
-            f"GPS tags alone err by some {TAG_RADIUS:.0f} m, more than these radii, so this does not tell which of the two "
-            "fails."
-        )
     else:
-        verdict = "Radii or tags are worse than they should be, and this does not tell which."
-    return AccuracyLine(
+        failed = f"only {within:.0f} % of the GPS tags lie within 3 radii, where {RIGHT_CALIBRATION[3]:.0f} % should"
+        if flight.audit is not None and flight.audit.has_lag:
+            verdict = (
+                "A part is the lag of the tags or the direction of the camera, which no radius holds, so this does not tell if "
+                "the radii fail."
+            )
+        elif known.radius < TAG_RADIUS:
+            verdict = (
+                f"GPS tags alone err by some {TAG_RADIUS:.0f} m, more than these radii, so this does not tell which of the two "
+                "fails."
+            )
+        else:
+            verdict = "Radii or tags are worse than they should be, and this does not tell which."
+    line = AccuracyLine(
         "Check of the radii",
         f"{', '.join(f'{share:.0f}' for share in summary.calibration.values())} %",
         f"The share of the tags within 1, 2, and 3 radii; right radii and exact tags would have {right} %. {verdict}",
     )
+    return [line], failed

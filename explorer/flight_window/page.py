@@ -142,7 +142,7 @@ def card(
 
     Args:
         retrieval_right: whether the page's other panels call the answer of retrieval right; None where they cannot tell.
-        agreement: of places of the photo with the map; None until it is measured.
+        agreement: of places of the photo with the map; None where it was not compared.
     """
     located = view.flight.frames[frame]
     verdict = view.beliefs[frame]
@@ -163,7 +163,7 @@ def card(
         reason=flight_text.reason(view, frame),
         refusals=flight_text.refusals(located),
         drone=flight_text.drone(view.flight, located),
-        agreement="" if agreement is None else flight_text.agreement(agreement),
+        agreement="" if agreement is None else flight_text.agreement(view, frame, agreement),
         place=place,
         at=at,
         ground=ground,
@@ -248,9 +248,9 @@ def sentence(view: FlightView, running: bool) -> str:
     return f"{describe_flight(view.flight.frames, view.beliefs)}{more}"
 
 
-def accuracy(view: FlightView, agreements: Sequence[MapAgreement]) -> str:
+def accuracy(view: FlightView) -> str:
     """Return how accurate the flight's places are, and where each figure comes from; see `flight_text.accuracy`."""
-    return render("flight/accuracy", known=flight_text.accuracy(view, agreements))
+    return render("flight/accuracy", known=flight_text.accuracy(view))
 
 
 def answer_window(view: FlightView, analysis: StateAnalysis) -> list[float] | None:
@@ -326,9 +326,7 @@ def lists(view: FlightView) -> dict[str, str]:
         ),
         "worst": _list(flight_text.worst(view), flight_text.WORST, "No photo has a place."),
         "notes": render("flight/notes", notes=notes),
-        "counts": render(
-            "flight/counts", refused=len(refused), partly=len(partly), apart=len({one[0] for one in apart})
-        ),
+        "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
     }
 
 

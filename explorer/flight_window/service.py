@@ -5,19 +5,17 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from explorer.compute.background_jobs import BackgroundJob, ReportProgress, in_turn
+from explorer.compute.cache import SingleFlightCache
 from explorer.compute.watchers import Watchers
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import DataError, LPNError, PictureError
-from lpn.core.resources import yield_cores
 from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement, map_agreement
 from lpn.locate.belief import Belief, Disagreement, beliefs, best_track, disagreements
@@ -29,8 +27,8 @@ from lpn.locate.tracks import track_bytes
 
 # Longer side in pixels of a photo that is compared with the map.
 _COMPARED = 960
-# Photos of a flight that are compared with the map for its accuracy, at most.
-_MOST_COMPARED = 40
+# Comparisons of corrected photos in the cache.
+_COMPARISONS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,20 +80,16 @@ class FlightService:
     """The view of a workspace's flight; thread-safe.
 
     Attributes:
-        watchers: are told of each correction, and of each photo that is compared with the map.
+        watchers: are told of each correction.
     """
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._lock = workspace, threading.RLock()
         self.watchers = Watchers()
         self._view: FlightView | None = None
-        # By the frame and the matrix that lays its photo over the map.
-        self._agreements: dict[tuple[int, bytes], MapAgreement | None] = {}
-        # The frames on which clients stand, by the client's id.
-        self._stands: dict[int, int | None] = {}
-        self._comparison: BackgroundJob[None] | None = None
-        # A job may begin while a cancelled one compares its last photo.
-        self._turn = threading.Lock()
+        self._agreements: SingleFlightCache[tuple[int, Correction], MapAgreement | None] = SingleFlightCache(
+            _COMPARISONS
+        )
 
     @property
     def corrections_file(self) -> Path:
@@ -136,81 +130,23 @@ class FlightService:
     def agreement(self, frame: int) -> MapAgreement | None:
         """Return how well places of a frame's photo agree with the map where it is laid.
 
-        It is None until `compare` has measured it, and where the photo is not laid or not readable.
+        It is None where the photo is not laid, or could not be compared. A photo that a person has laid is compared at once.
         """
-        matrix = self.view().homography(frame)
-        return None if matrix is None else self._agreements.get((frame, matrix.tobytes()))
-
-    def agreements(self) -> list[MapAgreement]:
-        """Return how photos of the flight, laid ones at even steps, agree with the map; none before all of them are compared."""
-        frames = self._compared_frames()
-        if any(map(self._is_missing, frames)):
-            return []
-        return [agreement for agreement in map(self.agreement, frames) if agreement is not None]
-
-    def compare(self, client: object, frame: int | None) -> BackgroundJob[None] | None:
-        """Compare photos with the map in the background: those on which browsers stand, then those of `agreements`.
-
-        One job does so for all browsers, and `watchers` are told of each photo. It ends early when all clients have left; then
-        the photo in progress is still compared.
-
-        Args:
-            frame: the client stands on it; None for no frame.
-
-        Returns:
-            The job; None if nothing is left to compare.
-        """
-        with self._lock:
-            self._stands[id(client)] = frame
-            if self._next_compared() is None:
-                return None
-            if self._comparison is None or not self._comparison.join(client):
-                self._comparison = BackgroundJob(self._compare, client)
-            return self._comparison
-
-    def leave(self, client: object) -> None:
-        """Compare no photo for a client any more."""
-        with self._lock:
-            self._stands.pop(id(client), None)
-            if self._comparison is not None:
-                self._comparison.leave(client)
-
-    def _compare(self, report: ReportProgress) -> None:
-        yield_cores()
-        with in_turn(self._turn, report):
-            while True:
-                with self._lock:
-                    if (frame := self._next_compared()) is None:
-                        self._comparison = None  # under the lock, so that no client joins a job that ends
-                        return
-                report(0, 0)
-                self._compare_photo(frame)
-                self.watchers.tell()
-
-    def _compare_photo(self, frame: int) -> None:
         view = self.view()
+        located = view.flight.frames[frame]
+        correction, answer = view.corrections.get(located.frame.name), located.stages.get("registration")
+        if correction is None:
+            return None if answer is None else answer.agreement
+        return self._agreements.get((frame, correction), lambda: self._compare(view, frame))
+
+    def _compare(self, view: FlightView, frame: int) -> MapAgreement | None:
         located, matrix = view.flight.frames[frame].frame, view.homography(frame)
-        if matrix is None:  # its correction was removed meanwhile
-            return
-        agreement = None
-        # Without a photo that cannot be read, the others can still be compared.
+        assert matrix is not None
+        # Without a photo or a part of the map that cannot be read, it can still be laid.
         with suppress(DataError, PictureError):
             photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
-            agreement = map_agreement(view.flight.basemap, photo, matrix, (located.width, located.height))
-        self._agreements[frame, matrix.tobytes()] = agreement
-
-    def _next_compared(self) -> int | None:
-        stands = (frame for frame in self._stands.values() if frame is not None)
-        return next(filter(self._is_missing, chain(stands, self._compared_frames())), None)
-
-    def _is_missing(self, frame: int) -> bool:
-        matrix = self.view().homography(frame)
-        return matrix is not None and (frame, matrix.tobytes()) not in self._agreements
-
-    def _compared_frames(self) -> list[int]:
-        view = self.view()
-        laid = [i for i in range(len(view.flight.frames)) if view.homography(i) is not None]
-        return laid[:: -(-len(laid) // _MOST_COMPARED) or 1]
+            return map_agreement(view.flight.basemap, photo, matrix, (located.width, located.height))
+        return None
 
     def positions(self, suffix: str) -> bytes:
         """Return one position a photo, that of its correction or of the stage that counts, as a track's file with a suffix."""

@@ -39,8 +39,6 @@ _FRAME_HEIGHT = 52
 _INTERVAL = 1.0
 # Seconds for which the window tells what a correction led to.
 _SHOWN = 15.0
-# Seconds on one frame after which photos are compared with the map in the background; a flight that plays moves on before.
-_REST = 0.7
 _NO_PLACE = "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
 
 
@@ -101,8 +99,6 @@ class FlightWindow:
         self._resized = False
         self._message: _Message | None = None
         self._saves = 0
-        # The frame that is shown, and since when; only the worker uses it.
-        self._standing: tuple[int | None, float] | None = None
         # The newest message to the page about the frame that it shows, and its number.
         self._followed: dict[str, Any] = {}
         self._sequence = 0
@@ -135,7 +131,6 @@ class FlightWindow:
         """Stop working for a browser that left."""
         self._service.watchers.unwatch(self._worker.wake)
         self._worker.stop()
-        self._service.leave(self)
 
     def _paint(self, part: Painted) -> None:
         self._change(session_state.open_flight)
@@ -217,7 +212,6 @@ class FlightWindow:
         is_open = state.flight and not state.why and not state.lab
         self._place(choices.full_height if is_open else None)
         if not is_open:
-            self._service.leave(self)
             return None
         job = self._workspace.registration
         running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
@@ -230,13 +224,12 @@ class FlightWindow:
         frame = None if state.upload or state.query >= len(view.flight.frames) else state.query
         right = analysis.matches[0].true
         message = self._message_of(frame)
-        rest = self._rest_of(frame)
         agreement = None if frame is None else self._service.agreement(frame)
         self._progress.show(
             page.calls(
                 {
                     "sentence": page.sentence(view, running),
-                    "accuracy": page.accuracy(view, self._service.agreements()),
+                    "accuracy": page.accuracy(view),
                     "status": (message and message.text) or page.progress(job, len(view.flight.frames)),
                 }
             )
@@ -257,26 +250,12 @@ class FlightWindow:
             html = page.spot_list(view, frames, choices.spot)
             self._spot.show(page.calls({"spot": {"spot": choices.spot, "frames": frames, "html": html}}))
         if running:
-            self._service.leave(self)
             return _INTERVAL
-        if rest > 0:
-            self._service.leave(self)
-        else:
-            self._service.compare(self, frame)
-        waits = [rest] if rest > 0 else []
-        if message is not None:
-            waits.append(max(message.until - time.monotonic(), 0.0))
-        return min(waits, default=None)
+        return None if message is None else max(message.until - time.monotonic(), 0.0)
 
     def _own_picture(self, analysis: StateAnalysis, view: FlightView) -> dict[str, Any] | None:
         """Return what the page shows of the own picture; None without one."""
         return None if analysis.state.upload is None else own_picture(analysis, self._workspace, view.flight)
-
-    def _rest_of(self, frame: int | None) -> float:
-        """Return the seconds until the window has stood on a frame for long enough to compare its photo with the map."""
-        if self._standing is None or self._standing[0] != frame:
-            self._standing = frame, time.monotonic()
-        return max(self._standing[1] + _REST - time.monotonic(), 0.0)
 
     @property
     def _panel_height(self) -> int:

@@ -216,13 +216,21 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
                 return False, "Not on this map", sentence
             return None, "Probably not on this map", sentence
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
-    sign = belief(own.located, disagreements([own.located])).sign
+    contradictions = disagreements([own.located])
+    sign, against_tag = belief(own.located, contradictions).sign, any(one.other == "tag" for one in contradictions)
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
         fits += f"; its GPS tag lies {distance(error)} from there"
-    against = "" if sign else ", more than the errors of both allow, so one of the two is wrong"
-    headline = "On this map" if sign else "On this map by its details, elsewhere by its GPS tag"
+    against, headline = "", "On this map"
+    if against_tag:
+        against = ", more than the errors of both allow, so one of the two is wrong"
+        headline = "On this map by its details, elsewhere by its GPS tag"
+    elif not sign:
+        against, headline = (
+            ". Beside its middle the map does not fit it",
+            "On this map, but it does not fit beside its middle",
+        )
     off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
     look = " Its look alone agrees."
     if off_answer is None or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
@@ -423,6 +431,8 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     pairs = [{(one.one, one.other) for one in disagreements([located])} for located in placed]
     if doubted := sum(("registration", "tag") in of_photo for of_photo in pairs):
         look += f", {doubted} of them against {'its' if doubted == 1 else 'their'} GPS tag"
+    if unfit := sum(("registration", "map") in of_photo for of_photo in pairs):
+        look += f", {unfit} against the map beside {'its' if unfit == 1 else 'their'} middle"
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"

@@ -438,7 +438,8 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
 
     for colour, thickness in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
         cv2.polylines(drawn, [pixels(ground.corners)], True, colour, thickness, cv2.LINE_AA)
-    sign = belief(located, disagreements([located])).sign
+    contradictions = disagreements([located])
+    sign = belief(located, contradictions).sign
     at = answer.x, answer.y
     sentence = ""
     if located.tag is not None:
@@ -446,7 +447,7 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         cv2.line(drawn, place.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         sentence = f"Its GPS tag, the white circle, lies {distance(located.error('registration') or 0.0)} from there"
-        if sign is None:
+        if any(one.other == "tag" for one in contradictions):
             sentence += ", more than the errors of both allow"
         sentence += "."
     return LaidPhoto(

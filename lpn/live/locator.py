@@ -435,7 +435,7 @@ class LiveLocator:
             track.heading,
             quick=len(track.ratios) >= _TURNS,
         )
-        answer = with_map_error(register_photo(search), self._map_error, self.basemap.tells(self._map_error))
+        answer = with_map_error(register_photo(search), self._map_error, self.basemap.place_error(self._map_error))
         if answer.accepted:
             answer = self._continuous(answer, frame)
         self._fresh = answer.accepted

@@ -6,10 +6,10 @@ photo are matched with the map around them by normalised cross-correlation, and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import cast
 
 import cv2
+import msgspec
 import numpy as np
 
 from lpn.core import images
@@ -29,26 +29,59 @@ _BLUR = 8.0
 _LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
 # The share of a place that photo and map must show, and its least contrast in grey levels.
 _SHOWN, _CONTRAST = 0.98, 2.0
+# Fewer places of a photo tell nothing of the rest.
+_FEW_PLACES = 3
+# A place that lies so near the border of what was searched, as a share of it, may have others beyond.
+_BORDER = 0.9
 
 
-@dataclass(frozen=True, eq=False)
-class MapAgreement:
+class MapAgreement(msgspec.Struct, frozen=True):
     """Places of a photo, and how far from them the map has what they show.
 
     Attributes:
-        places: as shares of the photo's width and height, (N, 2).
-        offsets: from where the photo has them to where the map has them, metres east and north, (N, 2).
+        rows: for each place its shares of the photo's width and height, then from where the photo has it to where the map has
+            it, metres east and north.
         reach: metres east, west, north, and south within which a place was looked for.
     """
 
-    places: Float64Array
-    offsets: Float64Array
+    rows: list[tuple[float, float, float, float]]
     reach: float
+
+    @classmethod
+    def of(cls, places: Float64Array, offsets: Float64Array, reach: float) -> MapAgreement:
+        """Keep places (N, 2) and offsets (N, 2), to centimetres."""
+        rounded = np.hstack([places.round(4), offsets.round(2)]).tolist()
+        return cls([(across, down, east, north) for across, down, east, north in rounded], round(reach, 2))
+
+    @property
+    def places(self) -> Float64Array:
+        """Where the places lie, as shares of the photo's width and height, (N, 2)."""
+        return np.array(self.rows, np.float64).reshape(-1, 4)[:, :2]
+
+    @property
+    def offsets(self) -> Float64Array:
+        """From where the photo has them to where the map has them, metres east and north, (N, 2)."""
+        return np.array(self.rows, np.float64).reshape(-1, 4)[:, 2:]
 
     @property
     def metres(self) -> Float64Array:
         """The lengths of `offsets`, (N,)."""
         return cast(Float64Array, np.hypot(*self.offsets.T))
+
+    @property
+    def median(self) -> float | None:
+        """Median of `metres`; None where too few places are found to tell."""
+        return float(np.median(self.metres)) if len(self.rows) >= _FEW_PLACES else None
+
+    @property
+    def largest(self) -> float | None:
+        """The most of `metres`; None where too few places are found to tell."""
+        return float(self.metres.max()) if len(self.rows) >= _FEW_PLACES else None
+
+    @property
+    def may_be_larger(self) -> bool:
+        """Whether the farthest place lies so near the border of what was searched that others may lie beyond."""
+        return bool(self.rows) and float(np.abs(self.offsets[self.metres.argmax()]).max()) >= _BORDER * self.reach
 
 
 def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, size: tuple[int, int]) -> MapAgreement:
@@ -63,7 +96,7 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
     middle = apply_homography(homography, middle_pixel(*size))
     extent = 2 * float(np.abs(corners - middle).max())
     if not extent <= _LARGEST:  # a border of the photo looks above the horizon, or nearly so
-        return MapAgreement(np.zeros((0, 2)), np.zeros((0, 2)), 0.0)
+        return MapAgreement([], 0.0)
     scale = _PHOTO / extent
     side = _SIDE / scale
     photo = images.shrink(photo, _PHOTO)
@@ -89,7 +122,7 @@ def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, siz
                 matched.append((x, y))
                 offsets.append(((there[0] - x) / scale, (y - there[1]) / scale))
     pixels = apply_homography(inverse(to_square @ homography), np.array(matched, np.float64).reshape(-1, 2))
-    return MapAgreement((pixels + 0.5) / size, np.array(offsets, np.float64).reshape(-1, 2), _REACH / scale)
+    return MapAgreement.of((pixels + 0.5) / size, np.array(offsets, np.float64).reshape(-1, 2), _REACH / scale)
 
 
 def _edges(picture: UInt8Array) -> Float32Array:

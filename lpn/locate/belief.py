@@ -16,6 +16,12 @@ TAG_RADIUS = 5.0
 SIGMAS = 3.0
 # A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
 _TILT = 15.0
+# The answers that may contradict a registration, in words.
+_AGAINST = {
+    "tag": "its GPS tag disagrees",
+    "map": "the map beside its middle disagrees",
+    "sequence": "its neighbours disagree",
+}
 
 
 @dataclass(frozen=True)
@@ -26,12 +32,14 @@ class Belief:
         sign: True if its position may be believed, None if nothing has verified it or answers contradict each other, False if
             there is no position.
         headline: the verdict in some words.
+        summary: the same without figures.
         reason: its grounds in a sentence.
         stage: the stage whose position counts; None without a position.
     """
 
     sign: bool | None
     headline: str
+    summary: str
     reason: str
     stage: str | None = None
 
@@ -42,8 +50,8 @@ class Disagreement:
 
     Attributes:
         frame: position in the flight.
-        one, other: stages, or "tag".
-        metres: between them.
+        one, other: stages, or "tag"; "map" is what the map has at places beside the photo's middle.
+        metres: between them; the median of such places.
         allowed: metres that their radii allow.
         tilt: metres of these for an unknown tilt.
     """
@@ -58,16 +66,22 @@ class Disagreement:
     @property
     def sentence(self) -> str:
         """The finding in words."""
+        if self.other == "map":
+            return (
+                f"Places beside the photo's middle lie {self.metres:.1f} m from where the map has them in the median; three "
+                f"radii on this map are {self.allowed:.1f} m."
+            )
         return f"{self.one.capitalize()} and {self.other} lie {self.metres:.1f} m apart; their radii allow {self.allowed:.1f} m."
 
 
 def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
-    """Return the contradictions between accepted registration, accepted sequence, and tag, frame by frame.
+    """Return the contradictions between accepted registration, accepted sequence, tag, and map, frame by frame.
 
     Two answers contradict each other if they lie farther apart than three times the root of the sum of their squared 1-sigma
     radii. The map's error moves registration and sequence alike, so it counts against the tag alone, which has 5 m. An answer
     that is the picture's middle is moved by an unknown tilt: the tangent of 15 degrees times the flying height, or times half of
-    the picture's width on the ground, is allowed in addition.
+    the picture's width on the ground, is allowed in addition. A registration contradicts the map where the median of its
+    `MapAgreement` is more than three times its radius on this map.
     """
     pairs = []
     for i, located in enumerate(frames):
@@ -85,7 +99,17 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
             allowed = SIGMAS * math.hypot(a[radius], b[radius]) + tilt
             if metres > allowed:
                 pairs.append(Disagreement(i, one, other, metres, allowed, tilt))
+        if (misfit := _misfit(i, located.stages.get("registration"))) is not None:
+            pairs.append(misfit)
     return pairs
+
+
+def _misfit(frame: int, answer: StageRecord | None) -> Disagreement | None:
+    """Return that places beside the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
+    if answer is None or not answer.accepted or answer.agreement is None or answer.radius_on_map is None:
+        return None
+    metres, allowed = answer.agreement.median, SIGMAS * answer.radius_on_map
+    return None if metres is None or metres <= allowed else Disagreement(frame, "registration", "map", metres, allowed)
 
 
 def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]) -> list[Belief]:
@@ -125,7 +149,8 @@ def best_track(flight: LocatedFlight) -> list[TrackPoint]:
                 point,
                 state="contradicted" if verdict.sign is None and stage == "registration" else point.state,
                 doubt=doubts.get((i, stage), ()),
-                reason=f"{verdict.headline}. {verdict.reason}",
+                reason=verdict.summary,
+                note=verdict.reason,
             )
         )
     return points
@@ -146,7 +171,7 @@ def _doubts(
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -> Belief:
     """Return the verdict on a frame.
 
-    A registration is believed unless its tag contradicts it or, without a tag, the sequence does.
+    A registration is believed unless its tag contradicts it, the map beside its middle does, or, without a tag, the sequence.
 
     Args:
         contradictions: those of this frame.
@@ -154,29 +179,34 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
     registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
     why = "" if registration is None else registration.sentence
     if registration is not None and registration.accepted:
-        headline = f"Placed by its details, ± {registration.radius or 0:.1f} m {on_what(registration)}"
+        summary = "Placed by its details"
+        headline = f"{summary}, ± {registration.radius or 0:.1f} m {on_what(registration)}"
         error = located.error("registration")
         beside = "" if error is None else f" It lies {error:.1f} m from the tag."
         against = {one.other: one for one in contradictions if one.one == "registration"}
-        doubt = against.get("tag") or against.get("sequence")
+        doubt = against.get("tag") or against.get("map") or against.get("sequence")
         if doubt is None:
-            return Belief(True, headline, why + beside, "registration")
-        if "tag" not in against and located.tag is not None:  # two of three agree
+            return Belief(True, headline, summary, why + beside, "registration")
+        if doubt.other == "sequence" and located.tag is not None:  # two of three agree
             beside += f" Its neighbours would place it {doubt.metres:.1f} m from here."
-            return Belief(True, headline, why + beside, "registration")
-        against_it = "its GPS tag disagrees" if doubt.other == "tag" else "its neighbours disagree"
-        return Belief(None, f"{headline}, but {against_it}", doubt.sentence, "registration")
+            return Belief(True, headline, summary, why + beside, "registration")
+        but = f", but {_AGAINST[doubt.other]}"
+        return Belief(None, headline + but, summary + but, doubt.sentence, "registration")
     if sequence is not None and sequence.accepted:
+        summary = "Placed by its neighbours only"
         return Belief(
             None,
-            f"Placed by its neighbours only, ± {sequence.radius or 0:.0f} m on this map",
+            f"{summary}, ± {sequence.radius or 0:.0f} m on this map",
+            summary,
             why or sequence.sentence,
             "sequence",
         )
     if retrieval is not None and retrieval.x is not None:
         refused = _first_refusal(registration, sequence)
-        return Belief(None, "Not placed, a best guess only", refused or retrieval.sentence, "retrieval")
-    return Belief(False, "Not located", _first_refusal(registration, sequence, retrieval) or "No stage has an answer.")
+        guess = "Not placed, a best guess only"
+        return Belief(None, guess, guess, refused or retrieval.sentence, "retrieval")
+    why = _first_refusal(registration, sequence, retrieval) or "No stage has an answer."
+    return Belief(False, "Not located", "Not located", why)
 
 
 def on_what(answer: StageRecord) -> str:

@@ -16,6 +16,7 @@ from lpn.core.homography import apply_homography, middle_pixel
 from lpn.datasets.rendered import is_rendered_flight
 from lpn.flights import Flight, Frame
 from lpn.locate import measures
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.options import TOP
@@ -43,7 +44,7 @@ class WindowRecord(msgspec.Struct, frozen=True):
     contributions: list[float]
 
 
-class StageRecord(msgspec.Struct, frozen=True):
+class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     """One stage's answer for a frame.
 
     Attributes:
@@ -60,8 +61,9 @@ class StageRecord(msgspec.Struct, frozen=True):
         homography: from pixels to metres, 9 numbers by rows.
         unverified: whether it is refused for one reason alone: nothing shows that the map is of this place.
         pose: of the camera; None where the matches do not tell it.
-        on_earth: whether the radius holds the error of the map's place on earth, as the map tells it.
         map_error: 1-sigma error of the map in metres that the radius holds; it moves all places on the map alike.
+        place_error: the part of it that is the error of the map's place on earth, as the map tells it; 0 if it does not.
+        agreement: of places beside the photo's middle with the map; None while they are not compared.
     """
 
     state: State
@@ -77,8 +79,19 @@ class StageRecord(msgspec.Struct, frozen=True):
     homography: list[float] | None = None
     unverified: bool = False
     pose: CameraPose | None = None
-    on_earth: bool = False
     map_error: float = 0.0
+    place_error: float = 0.0
+    agreement: MapAgreement | None = None
+
+    @property
+    def on_earth(self) -> bool:
+        """Whether the radius holds the error of the map's place on earth, as the map tells it."""
+        return self.place_error > 0
+
+    @property
+    def radius_on_map(self) -> float | None:
+        """The radius in metres without the error of the map's place on earth; None without a radius."""
+        return None if self.radius is None else math.sqrt(max(self.radius**2 - self.place_error**2, 0.0))
 
     @property
     def own_radius(self) -> float:
@@ -256,22 +269,32 @@ class LocatedFlight:
 
     def point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
         """Return the track's point of a frame's answer by a stage."""
-        latitude = longitude = None
+        latitude = longitude = easting = northing = projection = None
         if answer.x is not None and answer.y is not None:
-            latitude, longitude = (float(value) for value in self.basemap.frame.degrees([(answer.x, answer.y)])[0])
+            frame = self.basemap.frame
+            latitude, longitude = frame.degrees([(answer.x, answer.y)])[0].tolist()
+            easting, northing = frame.utm([(answer.x, answer.y)])[0].tolist()
+            projection = frame.utm_zone
+        reason, note = short_reason(located.by_hand_sentence if stage == BY_HAND else answer.sentence)
         return TrackPoint(
             located.frame.name,
             stage,
             answer.state,
-            located.by_hand_sentence if stage == BY_HAND else answer.sentence,
+            reason,
             located.frame.time,
             latitude,
             longitude,
             answer.camera,
-            self._on_map(answer),
+            answer.radius_on_map,
             answer.radius if answer.on_earth else None,
             answer.heading,
             self._metres_from_tag(located, answer),
+            note=note,
+            easting=easting,
+            northing=northing,
+            projection=projection,
+            misfit=None if answer.agreement is None else answer.agreement.median,
+            largest_misfit=None if answer.agreement is None else answer.agreement.largest,
             **_of_pose(answer.pose),
         )
 
@@ -281,12 +304,6 @@ class LocatedFlight:
         if self.tags_corrected and frame.latitude is not None and frame.longitude is not None:
             tag = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
         return None if tag is None or answer.x is None else answer.distance(tag)
-
-    def _on_map(self, answer: StageRecord) -> float | None:
-        """Return the radius of an answer without the error of the map's place on earth."""
-        if answer.radius is None or not answer.on_earth:
-            return answer.radius
-        return math.sqrt(max(answer.radius**2 - (self.basemap.error or 0.0) ** 2, 0.0))
 
     def without_lag(self) -> LocatedFlight:
         """Return the flight with the tags of `tags_without_lag`; itself if there are none, or it has them already."""
@@ -353,6 +370,12 @@ class LocatedFlight:
         if len(read):
             figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
         return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
+
+
+def short_reason(text: str) -> tuple[str, str]:
+    """Return the first sentence of a text, and the others."""
+    first, end, rest = text.partition(". ")
+    return (f"{first}.", rest) if end else (text, "")
 
 
 def _of_pose(pose: CameraPose | None) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from lpn.flights import Frame, ground_width
 from lpn.locate.ground import MapFeatures
 from lpn.locate.located import LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.options import LocateOptions
-from lpn.locate.registered_stage import PhotoSearch, register_photo, tried_widths, with_map_error
+from lpn.locate.registered_stage import PhotoSearch, compared, register_photo, tried_widths, with_map_error
 from lpn.maps import Map, Window
 
 
@@ -78,5 +78,6 @@ def register_own_photo(
     search = PhotoSearch(
         basemap, features, located, plain, LocateOptions(), side=side, on_progress=on_progress, anywhere=True
     )
-    located.stages["registration"] = with_map_error(register_photo(search), map_error, basemap.tells(map_error))
+    answer = compared(basemap, register_photo(search), plain)
+    located.stages["registration"] = with_map_error(answer, map_error, basemap.place_error(map_error))
     return OwnPhoto(located, whole_map)

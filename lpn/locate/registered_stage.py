@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any
@@ -15,11 +16,12 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
-from lpn.core.errors import PictureError
+from lpn.core.errors import DataError, PictureError
 from lpn.core.files import cache_folder
 from lpn.core.progress import CountProgress, Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
+from lpn.locate.agreement import map_agreement
 from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
 from lpn.locate.camera_pose import DEFAULT_FOV, CameraPose
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
@@ -103,9 +105,13 @@ def register_frames(
         if answer is None:
             answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading)
             records.append(trail, answer)
+        elif answer.accepted and answer.agreement is None:  # it was kept before places were compared
+            with suppress(PictureError):  # it is gone since then
+                answer = compared(basemap, answer, _photo(located.frame))
+                records.append(trail, answer)
         answers.append(answer)
         map_error = options.map_error or 0.0
-        located.stages["registration"] = with_map_error(answer, map_error, basemap.tells(map_error))
+        located.stages["registration"] = with_map_error(answer, map_error, basemap.place_error(map_error))
         if answer.accepted and answer.width is not None:
             heading = answer.heading
             widths.append(answer.width)
@@ -150,8 +156,11 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
             continue
         for (located, answer, *_), spread, height in zip(of_cameras, spreads, heights, strict=True):
             radius = math.hypot(spread, height * math.tan(math.radians(degrees)))
-            changed, on_earth = msgspec.structs.replace(answer, radius=radius), located.stages["registration"].on_earth
-            located.stages["registration"] = with_map_error(changed, map_error, on_earth)
+            changed, place_error = (
+                msgspec.structs.replace(answer, radius=radius),
+                located.stages["registration"].place_error,
+            )
+            located.stages["registration"] = with_map_error(changed, map_error, place_error)
         notes.append(
             f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "
             f"{COMMON * told:.2g} degrees for an error that frames have in common, which scatter does not show, radii count with "
@@ -160,22 +169,26 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
     return notes
 
 
-def with_map_error(answer: StageRecord, map_error: float, on_earth: bool) -> StageRecord:
+def with_map_error(answer: StageRecord, map_error: float, place_error: float) -> StageRecord:
     """Add the map's error to an answer's radius, and tell the radius of an accepted one.
 
     Args:
-        on_earth: see `Map.tells`.
+        place_error: see `Map.place_error`.
     """
     if answer.radius is None:
         return answer
+    on_earth = place_error > 0
     radius = math.hypot(answer.radius, map_error)
     sentence = answer.sentence
     if answer.accepted:
         place = "camera's place" if answer.camera else "picture's middle"
-        sentence += f" The error of the {place} on {'earth' if on_earth else 'the map'} is ± {radius:.1f} m (1 sigma)"
+        where = "earth" if on_earth else "the map"
+        sentence += f" The error of the {place} on {where} is ± {radius:.1f} m (1 sigma along each axis)"
         kind = "are the error of the map" if on_earth else "are assumed for the map"
         sentence += f", of which ± {map_error:.1f} m {kind}." if map_error else "."
-    return msgspec.structs.replace(answer, radius=radius, sentence=sentence, on_earth=on_earth, map_error=map_error)
+    return msgspec.structs.replace(
+        answer, radius=radius, sentence=sentence, map_error=map_error, place_error=place_error
+    )
 
 
 def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
@@ -248,11 +261,27 @@ def register_frame(
         heading: of the accepted frame before, in degrees.
     """
     try:
-        photo = located.frame.undistorted(images.load_picture(located.frame.file))
+        photo = _photo(located.frame)
     except PictureError as error:
         return StageRecord("refused", str(error))
     side = None if retrieval is None else float(np.median(retrieval.sizes))
-    return register_photo(PhotoSearch(basemap, features, located, photo, options, widths, ratios, side, heading))
+    search = PhotoSearch(basemap, features, located, photo, options, widths, ratios, side, heading)
+    return compared(basemap, register_photo(search), photo)
+
+
+def _photo(frame: Frame) -> UInt8Array:
+    return frame.undistorted(images.load_picture(frame.file))
+
+
+def compared(basemap: Map, answer: StageRecord, photo: UInt8Array) -> StageRecord:
+    """Compare places of an accepted answer's photo, RGB (H, W, 3) as it was registered, with the map."""
+    if not answer.accepted or answer.homography is None:
+        return answer
+    matrix = np.array(answer.homography).reshape(3, 3)
+    with suppress(DataError):  # a damaged part of the map beside the photo's middle
+        agreement = map_agreement(basemap, photo, matrix, (photo.shape[1], photo.shape[0]))
+        return msgspec.structs.replace(answer, agreement=agreement)
+    return answer
 
 
 @dataclass(frozen=True, eq=False)

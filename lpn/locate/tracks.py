@@ -1,7 +1,7 @@
 """Tracks of located frames as GeoJSON, GPX, KML, or CSV, each written whole or not at all.
 
 A CSV has a column for each property of a GeoJSON's point, and latitude and longitude; docs/flights.md tells what they mean.
-Those of the camera's pose are there where some frame has one.
+A column in which no point has a value is left out, but for the frame, its state, its place, and the reason.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class TrackPoint:
         stage: "retrieval", "sequence", "registration", or "by hand" for a person's correction.
         state: "accepted" if the position may be used, "contradicted" if the verdict of all stages doubts it, "refused" if it may
             not be used, "not verified" if the stage cannot tell.
-        reason: a sentence: why it was refused, or what is to be known about it.
+        reason: in one short sentence why it was refused, or on what it rests.
         time: seconds, UTC epoch where known; None if unknown.
         latitude, longitude: WGS 84 degrees; None without a position.
         camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
@@ -52,7 +52,11 @@ class TrackPoint:
         radius_on_earth: the same with the error of the map's place on earth; None where the map does not tell it.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
         metres_from_tag: metres from the position to the tag in the frame's file; None without one of them.
-        doubt: the answers that contradict this one, "tag" or stages.
+        doubt: the answers that contradict this one, "tag", stages, or "map": what the map has beside the photo's middle.
+        note: further sentences.
+        easting, northing, projection: metres in the projected system of an EPSG code; None without a position.
+        misfit, largest_misfit: median and most of the metres from places beside the photo's middle to where the map has them;
+            None where they were not compared, or too few tell.
         altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
         height: of the camera by its pose, metres above ground; None where that is unknown.
         yaw, pitch, roll: of the camera by its pose, in degrees; -90 of pitch looks straight down.
@@ -74,6 +78,12 @@ class TrackPoint:
     heading: float | None = None
     metres_from_tag: float | None = None
     doubt: tuple[str, ...] = ()
+    note: str = ""
+    easting: float | None = None
+    northing: float | None = None
+    projection: int | None = None
+    misfit: float | None = None
+    largest_misfit: float | None = None
     altitude: float | None = None
     height: float | None = None
     yaw: float | None = None
@@ -88,6 +98,8 @@ class TrackPoint:
     sigma_roll: float | None = None
 
 
+# Columns that each file has; another one is left out where nothing is known.
+_ALWAYS = ("frame", "stage", "state", "latitude", "longitude", "reason")
 # The entries of a pose by their columns, and the digits behind the point.
 _POSE_COLUMNS = {
     "altitude": ("altitude_m", 2),
@@ -135,10 +147,9 @@ def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a FeatureCollection (RFC 7946): a point per frame and stage, and a line per stage and state but "refused"."""
     features: list[dict[str, Any]] = []
-    posed = _posed(points)
-    for point in points:
-        properties = _row(point, posed)
-        del properties["latitude"], properties["longitude"]
+    columns = _columns(points)
+    for point, row in zip(points, map(_row, points), strict=True):
+        properties = {name: row[name] for name in columns if name not in ("latitude", "longitude")}
         geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
     for (stage, state), chosen in _lines(points).items():
@@ -171,7 +182,7 @@ def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
             if (moment := _moment(point.time)) is not None:
                 ElementTree.SubElement(entry, f"{{{_GPX}}}time").text = moment
             ElementTree.SubElement(entry, f"{{{_GPX}}}name").text = printable(point.frame)
-            ElementTree.SubElement(entry, f"{{{_GPX}}}desc").text = printable(point.reason)
+            ElementTree.SubElement(entry, f"{{{_GPX}}}desc").text = printable(_told(point))
             extensions = ElementTree.SubElement(entry, f"{{{_GPX}}}extensions")
             ElementTree.SubElement(extensions, f"{{{_OURS}}}state").text = state
             ElementTree.SubElement(extensions, f"{{{_OURS}}}camera").text = str(point.camera).lower()
@@ -211,7 +222,7 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             for where, value in (("this map", point.radius), ("earth", point.radius_on_earth)):
                 if value is not None and math.isfinite(value):
                     radius += f" The 1-sigma radius on {where} is {value:.1f} m."
-            description = html.escape(printable(point.reason + _figures(point) + radius).strip(), quote=False)
+            description = html.escape(printable(_told(point) + _figures(point) + radius).strip(), quote=False)
             ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:
                 stamp = ElementTree.SubElement(mark, f"{{{_KML}}}TimeStamp")
@@ -225,21 +236,28 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
 def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a table with a row per frame and stage; unknown values are empty."""
     del name
-    posed = _posed(points)
-    header = list(_row(TrackPoint("", "", "refused", ""), posed))
-    return csv_bytes([header, *([portable(value) for value in _row(point, posed).values()] for point in points)])
+    columns = _columns(points)
+    return csv_bytes([columns, *([portable(row[name]) for name in columns] for row in map(_row, points))])
 
 
-def _posed(points: Sequence[TrackPoint]) -> bool:
-    return any(getattr(point, name) is not None for point in points for name in _POSE_COLUMNS)
+def _columns(points: Sequence[TrackPoint]) -> list[str]:
+    """Return the columns of some points, without those in which nothing is known."""
+    rows = [_row(point) for point in points]
+    known = {name for row in rows for name, value in row.items() if value not in (None, "")}
+    return [name for name in _row(TrackPoint("", "", "refused", "")) if name in known or name in _ALWAYS]
 
 
-def _row(point: TrackPoint, posed: bool) -> dict[str, Any]:
-    """Return a point by the columns of the files; `posed` adds those of the camera's pose."""
+def _told(point: TrackPoint) -> str:
+    """Return reason and note in one text."""
+    return f"{point.reason} {point.note}".strip()
+
+
+def _row(point: TrackPoint) -> dict[str, Any]:
+    """Return a point by the columns of the files."""
     known = point.latitude is not None
     longitude, latitude = _position(point) if known else (None, None)
     moment = _moment(point.time)
-    row = {
+    return {
         "frame": point.frame,
         "stage": point.stage,
         "state": point.state,
@@ -248,16 +266,21 @@ def _row(point: TrackPoint, posed: bool) -> dict[str, Any]:
         "latitude": latitude,
         "longitude": longitude,
         "crs": "EPSG:4326" if known else "",
+        "easting_m": _rounded(point.easting, 2),
+        "northing_m": _rounded(point.northing, 2),
+        "projected_crs": "" if point.projection is None else f"EPSG:{point.projection}",
         "radius_on_map_m": _rounded(point.radius, 2),
         "radius_on_earth_m": _rounded(point.radius_on_earth, 2),
+        "misfit_median_m": _rounded(point.misfit, 2),
+        "misfit_max_m": _rounded(point.largest_misfit, 2),
         "metres_from_tag": _rounded(point.metres_from_tag, 1),
         "time_utc": moment or "",
         "seconds": None if moment else _rounded(point.time, 3),
         "heading_deg": heading_figure(point.heading),
+        **{column: _rounded(getattr(point, name), digits) for name, (column, digits) in _POSE_COLUMNS.items()},
+        "reason": point.reason,
+        "note": point.note,
     }
-    if posed:
-        row |= {column: _rounded(getattr(point, name), digits) for name, (column, digits) in _POSE_COLUMNS.items()}
-    return row | {"reason": point.reason}
 
 
 def _rounded(value: float | None, digits: int) -> float | None:

@@ -42,6 +42,18 @@ class LocalFrame:
         points = np.asarray(xy, np.float64).reshape(-1, 2)
         return np.ascontiguousarray(self._transformed(self.crs, _degrees_crs(), points[:, 0], points[:, 1])[:, ::-1])
 
+    @cached_property
+    def utm_zone(self) -> int:
+        """EPSG code of the UTM zone, on WGS 84, that holds the origin; without the exceptions of Norway and Svalbard."""
+        zone = min(int((self.longitude + 180) // 6), 59) + 1
+        return (32600 if self.latitude >= 0 else 32700) + zone
+
+    def utm(self, xy: npt.ArrayLike) -> Float64Array:
+        """Return eastings and northings in `utm_zone`, metres (N, 2), of metres east and north, (N, 2); NaN where one is NaN."""
+        points = np.asarray(xy, np.float64).reshape(-1, 2)
+        zone = _gdal.rasterio().crs.CRS.from_epsg(self.utm_zone)
+        return self._transformed(self.crs, zone, points[:, 0], points[:, 1])
+
     def polynomials(self, bounds: tuple[float, float, float, float]) -> Float64Array:
         """Return cubic polynomials that stand for `degrees` within bounds, for a reader without a projection library.
 

@@ -139,6 +139,10 @@ class Map:
         """
         return bool(self.error) and error == self.default_error
 
+    def place_error(self, error: float) -> float:
+        """Return the part of an error of the map in metres that is the error of its place on earth; 0 if it `tells` none."""
+        return (self.error or 0.0) if self.tells(error) else 0.0
+
     def heights(self, xy: Float64Array) -> Float64Array:
         """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).
 

@@ -119,7 +119,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="1-sigma radius in metres">± m</th><th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it. Pins: from where the photo has a place to where the map has it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="In metres: 1 sigma along each axis">± m</th><th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it. Pins: from where the photo has a place to where the map has it.</p>`,
     );
   };
   const refresh = () => {

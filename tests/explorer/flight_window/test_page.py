@@ -56,8 +56,8 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     text = page.sentence(view, running=False)
     assert text.startswith("A drone took 3 photos over this map: 3 placed (2 by registration, 1 by sequence). Half of")
     assert text.endswith("m of their GPS tags, which is the error of both together.")
-    best = Belief(None, "", "", "retrieval")
-    verdicts = [view.beliefs[0], best, Belief(False, "", "")]
+    best = Belief(None, "", "", "", "retrieval")
+    verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
     guessed = describe_flight(view.flight.frames, verdicts)
     assert guessed == (
         "A drone took 3 photos over this map: 1 placed (1 by registration), 1 only guessed by retrieval, 1 refused. Half of "
@@ -128,19 +128,57 @@ def plainly() -> Iterator[None]:
         yield
 
 
-def test_places_beside_the_middle_say_how_far_off_they_are_and_where_most() -> None:
+def compared(flight: LocatedFlight, frame: int, *metres: float) -> LocatedFlight:
+    """Return a flight with a frame whose places beside the middle lie some metres from where the map has them."""
+    places = [(0.5, 0.5), (0.1, 0.2), (0.5, 0.9)]
+    agreement = MapAgreement([(*place, 0.0, north) for place, north in zip(places, metres, strict=False)], 9.0)
+    frames = list(flight.frames)
+    stages = dict(frames[frame].stages)
+    stages["registration"] = msgspec.structs.replace(stages["registration"], agreement=agreement)
+    frames[frame] = replace(frames[frame], stages=stages)
+    return replace(flight, frames=frames)
+
+
+@pytest.mark.usefixtures("plainly")
+def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits(flight: LocatedFlight) -> None:
     def said(*metres: float) -> str:
-        places = np.array([(0.5, 0.5), (0.1, 0.2), (0.5, 0.9)])[: len(metres)]
-        return flight_text.agreement(MapAgreement(places, np.array([(0.0, north) for north in metres]), 9.0))
+        view = view_of(compared(flight, 0, *metres))
+        answer = view.flight.frames[0].stages["registration"]
+        assert answer.agreement is not None
+        return flight_text.agreement(view, 0, answer.agreement)
 
     assert said(0.4, 5.2, 1.0) == (
-        "Beside its middle, 3 places of the photo were found on the map one by one, looked for within ± 9.0 m: "
-        "they lie 1.0 m from where the photo has them in the median, and 5.2 m at most, at the upper left. The radius is "
-        "that of the photo's middle alone."
+        "✓ Beside its middle, 3 places of the photo were found on the map one by one, looked for within ± 9.0 m: their median "
+        "lies 1.0 m from where the photo has it, and the farthest 5.2 m, at the upper left. That fits ± 1.0 m on this map, of "
+        "which three times are allowed."
     )
-    assert said(0.4, 0.2, 1.0).find("1.0 m at most, at the bottom.") > 0
-    assert said(2.4, 0.2, 1.0).find("2.4 m at most, near the middle.") > 0
+    assert "the farthest 1.0 m, at the bottom." in said(0.4, 0.2, 1.0)
+    assert "the farthest 2.4 m, near the middle." in said(2.4, 0.2, 1.0)
     assert said(0.4, 5.2) == ""
+    unfit = said(4.0, 8.2, 3.2)
+    assert unfit.startswith("? Beside its middle")
+    assert unfit.endswith("the farthest at least 8.2 m, at the upper left, as nothing beyond was looked for.")
+
+
+@pytest.mark.usefixtures("plainly")
+def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_told(flight: LocatedFlight) -> None:
+    view = view_of(compared(flight, 0, 4.0, 8.2, 3.2))
+    assert view.beliefs[0].sign is None
+    card = page.card(view, 0, "x/", agreement=view.flight.frames[0].stages["registration"].agreement)
+    assert "? Placed by its details, ± 1.0 m on this map, but the map beside its middle disagrees" in card
+    assert "lie 4.0 m from where the map has them in the median, and 3.0 m are allowed" in card
+    lists = page.lists(view)
+    assert lists["audit"].count("Places beside its middle lie 4.0 m") == 1
+    assert "Contradictions 2" in re.sub(r"<[^>]*>", "", lists["counts"])
+    # The other one is off by 45.0 of 15.3 m, which is more of what is allowed.
+    assert re.findall(r"<b>(photo\d.png)</b>", lists["worst"]) == ["photo1.png", "photo0.png"]
+    assert "beside its middle 4.0 m off where 3.0 m are allowed" in lists["worst"]
+    known = flight_text.accuracy(view)
+    assert known is not None
+    assert known[0].endswith("and 1 of 1 photos do not fit the map beside their middle.")
+    fits = flight_text.accuracy(view_of(compared(flight, 0, 0.4, 0.5, 0.6)))
+    assert fits is not None
+    assert "do not fit" not in fits[0]
 
 
 @pytest.mark.usefixtures("plainly")
@@ -151,7 +189,10 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
         return known[0], {line.name: f"{line.figure} {line.source}" for line in known[1]}
 
     summary, of = lines(map_error=0.8)
-    assert summary == "± 1.0 m on this map; on earth as good as the map’s georeference, which nothing here checks."
+    assert summary == (
+        "± 1.0 m on this map (1 sigma along each axis); on earth as good as the map’s georeference, which nothing here checks. "
+        "Not confirmed: only 50 % of the GPS tags lie within 3 radii, where 99 % should."
+    )
     assert "details gives ± 0.6 m, and ± 0.8 m are assumed" in of["On this map"]
     assert of["GPS tags"].startswith("22.0 m Median of 2 photos, 45 m at most")
     assert "error of both together" in of["GPS tags"]
@@ -166,18 +207,16 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     assert of["Check of the radii"].endswith("does not tell if the radii fail.")
     unplaced = [replace(frame, stages={}) for frame in flight.frames]
     assert flight_text.accuracy(view_of(replace(flight, frames=unplaced))) is None
-    assert page.accuracy(view_of(replace(flight, frames=unplaced)), []).strip() == ""
-    agreement = MapAgreement(np.full((2, 2), 0.5), np.array([(0.5, 0.0), (0.0, 4.0)]), 9.0)
-    lines_of = page.chosen(view_of(flight), 0, "x/", agreement=agreement)["offsets"]
-    np.testing.assert_allclose(lines_of, [[-20.0, 1.0, 0.5, 0.0], [-20.0, 1.0, 0.0, 4.0]], atol=1e-6)
+    assert page.accuracy(view_of(replace(flight, frames=unplaced))).strip() == ""
+    checked = compared(flight, 0, 0.5, 4.0, 1.0)
+    agreement = checked.frames[0].stages["registration"].agreement
+    offsets = page.chosen(view_of(checked), 0, "x/", agreement=agreement)["offsets"]
+    np.testing.assert_allclose(offsets[0], [-20.0, 1.0, 0.0, 0.5], atol=1e-6)
+    assert len(offsets) == 3
     assert page.chosen(view_of(flight), 0, "x/")["offsets"] == []
-    known = flight_text.accuracy(view_of(flight), [agreement, agreement])
-    assert known is not None
-    assert known[1][1].figure == "2.2 m"
-    assert known[1][1].source.startswith(
-        "Median of 4 places of 2 photos that were found on the map one by one, 4.0 m at most"
-    )
-    assert "within ± 9.0 m at least" in known[1][1].source
+    _, of = lines(frames=checked.frames)
+    assert of["All of a photo"].startswith("1.0 m Median of 3 places of 1 photos that were found on the map one by one")
+    assert "within ± 9.0 m at least" in of["All of a photo"]
 
 
 def test_a_map_made_of_photos_names_the_tags_that_place_it(
@@ -187,14 +226,16 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     monkeypatch.setattr(type(flight.basemap), "notes", [note])
     known = flight_text.accuracy(view_of(flight))
     assert known is not None
-    assert known[0].endswith("on earth no better than the GPS tags that the map was made by.")
+    assert "on earth no better than the GPS tags that the map was made by." in known[0]
     assert known[1][1].source == "Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
     assert placing_sentence([(DEMO_PLACE[0] / "map.json").read_text("utf-8")])
     monkeypatch.setattr(flight.basemap, "error", 0.6)
     monkeypatch.setattr(type(flight.basemap), "default_error", 0.8)
     known = flight_text.accuracy(view_of(replace(flight, map_error=0.8)))
     assert known is not None
-    assert known[0] == "± 0.8 m on this map; ± 1.0 m on earth, as far as the tags of the map do not all err alike."
+    assert known[0].startswith(
+        "± 0.8 m on this map (1 sigma along each axis); ± 1.0 m on earth, as far as the tags of the map do not all err alike."
+    )
     assert [line.figure for line in known[1][:2]] == ["± 0.8 m", "± 0.6 m"]
     assert "details gives ± 0.6 m, and ± 0.5 m are assumed for the map" in known[1][0].source
     # Two of three places by their neighbours, whose radii of 10 m are on the map.
@@ -203,7 +244,7 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     monkeypatch.setattr(type(flight.basemap), "default_error", 6.1)
     known = flight_text.accuracy(view_of(replace(flight, map_error=6.1)))
     assert known is not None
-    assert known[0].startswith("± 10.0 m on this map; ± 11.7 m on earth")
+    assert known[0].startswith("± 10.0 m on this map (1 sigma along each axis); ± 11.7 m on earth")
 
 
 @pytest.mark.usefixtures("plainly")
@@ -273,9 +314,7 @@ def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refuse
 
 def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, flight: LocatedFlight) -> None:
     placed = page.lists(view)
-    assert "Not placed 0, refused 1" in placed["counts"], (
-        "its neighbours place the frame whose registration was refused"
-    )
+    assert "Not placed 0<" in placed["counts"], "its neighbours place the frame whose registration was refused"
     assert placed["refused"].index("Every photo is placed.") < placed["refused"].index("Registration: refused. Only")
     stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "sequence"}
     lists = page.lists(view_of(replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])))
@@ -286,9 +325,9 @@ def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, fl
     assert lists["notes"].count("<p>") == 2
     order = re.findall(r"<b>(.*?)</b> <span>(.*?)</span>", lists["worst"])
     assert order == [
-        ("photo1.png", "45.0 m, Registration, ± 1.0 m on this map, contradicted"),
-        ("photo0.png", "20.0 m, Retrieval, not verified; 1.0 m, Registration, ± 1.0 m on this map"),
-        ("&lt;b&gt;photo2&lt;/b&gt;.png", "20.0 m, Retrieval, not verified"),
+        ("photo1.png", "? 45.0 m from its GPS tag where 15.3 m are allowed, Registration, ± 1.0 m on this map"),
+        ("photo0.png", "1.0 m from its GPS tag, Registration, ± 1.0 m on this map"),
+        ("&lt;b&gt;photo2&lt;/b&gt;.png", "20.0 m from its GPS tag, Retrieval, not verified"),
     ]
     assert "Not placed 1<" in lists["counts"]
 

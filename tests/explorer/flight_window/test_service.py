@@ -20,8 +20,8 @@ from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.corrections import NAME
 from lpn.locate.located import LocatedFlight
+from tests.explorer.flight_window.conftest import SIZE
 
-TIMEOUT = 60.0  # seconds for something that must happen
 CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
 
 
@@ -55,74 +55,27 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightSe
     assert "corrected" not in page.data(service.view(), "x/")["tracks"]
 
 
-def compare(service: FlightService, frame: int | None) -> None:
-    """Compare a frame's photo, and those of the whole flight, to the end."""
-    job = service.compare(service, frame)
-    assert job is not None
-    assert job.wait(TIMEOUT)
-    assert job.error is None
-
-
-def test_photos_are_compared_once_and_again_where_they_are_laid_anew(
+def test_a_photo_that_a_person_lays_is_compared_with_the_map_there_and_once(
     service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    kept, anew = MapAgreement([], 1.0), MapAgreement([], 9.0)
     laid: list[Any] = []
-
-    def measure(*given: Any) -> MapAgreement:
-        laid.append((threading.current_thread(), *given))
-        return MapAgreement(np.full((2, 2), 0.5), np.ones((2, 2)), 9.0)
-
-    monkeypatch.setattr(service_module, "map_agreement", measure)
-    told: list[list[MapAgreement]] = []
-    service.watchers.watch(lambda: told.append(service.agreements()))
-    assert service.agreement(0) is None
-    compare(service, 1)
-    first = service.agreement(0)
-    assert [len(agreements) for agreements in told] == [0, 2], "the flight's accuracy waits for all of them"
-    assert first in told[1]
+    monkeypatch.setattr(service_module, "map_agreement", lambda *given: laid.append(given) or anew)
+    stages = flight.frames[0].stages
+    monkeypatch.setitem(stages, "registration", msgspec.structs.replace(stages["registration"], agreement=kept))
+    assert service.agreement(0) is kept
     assert service.agreement(2) is None, "it is not laid over the map"
-    assert service.compare(service, 1) is None
     service.correct(0, CORNERS)
-    assert service.agreement(0) is None
-    compare(service, None)
-    assert service.agreement(0) is not first
-    assert [given[-1] for given in laid] == [(one.frame.width, one.frame.height) for one in flight.frames[:2]] + [
-        (80, 60)
-    ]
-    assert threading.current_thread() not in [given[0] for given in laid]
-
-
-def test_browsers_share_the_comparison_which_pauses_when_all_have_left(
-    service: FlightService, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    begun, go_on, count = threading.Event(), threading.Event(), []
-
-    def slow(*_: Any) -> MapAgreement:
-        count.append(1)
-        begun.set()
-        assert go_on.wait(TIMEOUT)
-        return MapAgreement(np.zeros((0, 2)), np.zeros((0, 2)), 9.0)
-
-    monkeypatch.setattr(service_module, "map_agreement", slow)
-    first, second = object(), object()
-    job = service.compare(first, 1)
-    assert job is not None
-    assert begun.wait(TIMEOUT)
-    assert service.compare(second, 0) is job
-    service.leave(first)
-    assert not job.cancelled
-    service.leave(second)
-    again = service.compare(first, 1)
-    assert again is not None
-    go_on.set()
-    assert job.wait(TIMEOUT)
-    assert again.wait(TIMEOUT)
-    assert (job.cancelled, again.error, len(count)) == (True, None, 2)
-    assert len(service.agreements()) == 2
+    assert [service.agreement(0) for _ in range(2)] == [anew, anew]
+    ((basemap, _, matrix, size),) = laid
+    assert (basemap, size) == (flight.basemap, SIZE)
+    np.testing.assert_allclose(matrix, service.view().homography(0))
+    service.correct(0, None)
+    assert service.agreement(0) is kept
 
 
 @pytest.mark.parametrize("content", [None, b"not a picture"])
-def test_a_photo_that_cannot_be_read_is_left_out_of_the_comparison(
+def test_a_laid_photo_that_cannot_be_read_is_not_compared(
     service: FlightService,
     flight: LocatedFlight,
     monkeypatch: pytest.MonkeyPatch,
@@ -133,9 +86,8 @@ def test_a_photo_that_cannot_be_read_is_left_out_of_the_comparison(
     if content is not None:
         file.write_bytes(content)
     monkeypatch.setattr(flight.frames[0], "frame", replace(flight.frames[0].frame, file=file))
-    compare(service, 0)
+    service.correct(0, CORNERS)
     assert service.agreement(0) is None
-    assert len(service.agreements()) == 1
 
 
 def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:
@@ -154,9 +106,9 @@ def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightServi
 def test_a_position_has_its_radius_with_and_without_the_error_of_the_map_s_place(
     service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flight.basemap, "error", 4.0)
     stages = flight.frames[0].stages
-    stages["registration"] = msgspec.structs.replace(stages["registration"], radius=5.0, on_earth=True)
+    answer = msgspec.structs.replace(stages["registration"], radius=5.0, place_error=4.0)
+    monkeypatch.setitem(stages, "registration", answer)
     first, second, _ = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
     assert (first["radius_on_map_m"], first["radius_on_earth_m"]) == ("3.0", "5.0")
     assert (second["radius_on_map_m"], second["radius_on_earth_m"]) == ("1.0", "")

@@ -10,10 +10,8 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
-import numpy as np
 import pytest
 
-from explorer.flight_window import service as service_module
 from explorer.flight_window import window as window_module
 from explorer.flight_window.messages import FlightMessage
 from explorer.flight_window.pictures import FlightPictures
@@ -22,7 +20,6 @@ from explorer.flight_window.window import FlightWindow
 from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
 from explorer.web.messages import Receivers
-from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFlight
 
 SQUARE = [[0, 30], [40, 30], [40, 0], [0, 0]]
@@ -67,13 +64,6 @@ class WindowOf:
 
     def work(self) -> float | None:
         return self.window._work()
-
-    def at_rest(self) -> float | None:
-        """Work until the photos of the flight are compared."""
-        self.work()
-        if (job := self.service.compare(self.window, None)) is not None:
-            assert job.wait(60)
-        return self.work()
 
     @property
     def text(self) -> str:
@@ -127,7 +117,7 @@ def test_what_a_correction_led_to_is_told_for_some_seconds_or_until_the_next_fra
     left = page.work()
     assert left is not None
     page.clock += 15.0
-    assert page.at_rest() is None
+    assert page.work() is None
     assert "Saved in" not in page.text
     page.send("flight-correct", [0, SQUARE])
     page.show(1)
@@ -142,23 +132,6 @@ def test_a_correction_wakes_the_windows_of_all_browsers_that_are_there(make: Cal
     before = first.woken, second.woken, gone.woken
     first.send("flight-correct", [0, SQUARE])
     assert (first.woken > before[0], second.woken > before[1], gone.woken > before[2]) == (True, True, False)
-
-
-def test_a_photo_is_compared_with_the_map_once_the_window_stands_on_it(
-    make: Callable[[], WindowOf], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    agreement = MapAgreement(np.full((3, 2), 0.5), np.ones((3, 2)), 9.0)
-    monkeypatch.setattr(service_module, "map_agreement", lambda *_: agreement)
-    page = make()
-    assert "places of the photo were found" not in page.text
-    left = page.work()
-    assert left is not None
-    assert left > 0
-    page.clock += left
-    assert page.at_rest() is None
-    assert "places of the photo were found on the map one by one" in page.text
-    page.show(2)
-    assert "places of the photo were found" not in page.text, "it is not laid over the map"
 
 
 def test_positions_are_saved_as_a_file_named_for_the_flight(make: Callable[[], WindowOf]) -> None:

@@ -538,8 +538,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     right = [bool(first == 0) for first in ranking.ranking.first]
     assert (
         "How far to trust it: by their look alone, 25 of 30 photos were right (83.3 %); by their details, 30 of 30 were placed, "
-        "1 of them against its GPS tag, and nobody measured where they really are. Of 68 photos of other places, none was placed "
-        "on this map." in said
+        "1 of them against its GPS tag, 4 against the map beside their middle, and nobody measured where they really are. Of 68 "
+        "photos of other places, none was placed on this map." in said
     )
     # The first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)

@@ -79,3 +79,13 @@ def test_a_photo_may_be_given_smaller_than_it_is(town: Map) -> None:
     found = map_agreement(town, photographed(town), matrix, (2 * SIZE, 2 * SIZE))
     assert len(found.metres) >= 9
     assert found.metres.max() < 0.5
+
+
+def test_the_farthest_place_may_be_farther_where_it_lies_at_the_border_of_the_search() -> None:
+    def of(*metres: float) -> MapAgreement:
+        return MapAgreement([(0.5, 0.5, 0.0, one) for one in metres], 10.0)
+
+    assert [of(1.0, 2.0, one).may_be_larger for one in (8.9, 9.1)] == [False, True]
+    assert (of(1.0, 2.0, 9.1).median, of(1.0, 2.0, 9.1).largest) == (2.0, 9.1)
+    assert (of(1.0, 2.0).median, of(1.0, 2.0).largest) == (None, None), "too few"
+    assert not of().may_be_larger

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from lpn.flights import Frame
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.belief import TAG_RADIUS, belief, disagreements
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.registered_stage import with_map_error
@@ -42,10 +43,10 @@ def test_the_error_of_the_map_counts_against_a_tag_alone() -> None:
     both = {"registration": registration(0.0, camera=False), "sequence": sequence(27.0, 9.0)}
     assert not disagreements([located(tag=None, **both)])
     both["sequence"] = sequence(35.0, 9.0)
-    both["registration"] = with_map_error(both["registration"], 40.0, on_earth=True)
+    both["registration"] = with_map_error(both["registration"], 40.0, 39.0)
     (one,) = disagreements([located(tag=None, **both)])
     assert one.allowed == pytest.approx(3 * np.hypot(1.0, 9.0)), "the map's error moves both alike"
-    far = with_map_error(registration(100.0), 40.0, on_earth=True)
+    far = with_map_error(registration(100.0), 40.0, 39.0)
     assert not disagreements([located(registration=far)]), "a tag is not on the map"
 
 
@@ -69,7 +70,7 @@ def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
     assert belief(good).sign is True
     assert belief(good).headline == "Placed by its details, ± 1.0 m on this map"
     assert belief(good).reason == "Matches agree. It lies 3.0 m from the tag."
-    told = msgspec.structs.replace(registration(3.0), on_earth=True)
+    told = msgspec.structs.replace(registration(3.0), place_error=0.5)
     assert belief(located(registration=told)).headline == "Placed by its details, ± 1.0 m on earth"
     bad = located(registration=registration(60.0), sequence=sequence(50.0))
     found = belief(bad, disagreements([bad]))
@@ -90,6 +91,25 @@ def test_a_tag_outweighs_the_sequence() -> None:
         None,
         "Placed by its details, ± 1.0 m on this map, but its neighbours disagree",
     )
+
+
+def test_places_beside_the_middle_that_lie_elsewhere_on_the_map_contradict_the_registration() -> None:
+    def judged(*metres: float, radius: float = 5.0) -> tuple[bool | None, str]:
+        agreement = MapAgreement([(0.1, 0.1, one, 0.0) for one in metres], 20.0)
+        # The map's place on earth has an error of 4 m, which moves photo and map alike: 3 m are left.
+        answer = msgspec.structs.replace(
+            registration(3.0, radius=radius), place_error=4.0, map_error=4.0, agreement=agreement
+        )
+        one = located(registration=answer, sequence=sequence(5.0))
+        verdict = belief(one, disagreements([one]))
+        return verdict.sign, verdict.summary
+
+    doubted = None, "Placed by its details, but the map beside its middle disagrees"
+    assert judged(8.9, 8.9, 15.0) == (True, "Placed by its details")
+    assert judged(9.1, 9.1, 9.2) == doubted
+    assert judged(15.0, 15.0) == (True, "Placed by its details"), "two places tell too little"
+    assert judged(15.0, 15.0, 15.0, radius=9.0)[0], "the radius holds it"
+    assert judged(16.0, 14.0, 15.0, 0.1) == doubted, "one place that agrees does not help"
 
 
 def test_without_a_registration_the_reason_is_its_refusal() -> None:

@@ -176,8 +176,9 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     }
     by_hand = found.track()[-2]
     assert by_hand.metres_from_tag is not None
-    assert by_hand.reason.startswith("A person laid the photo by hand. The tag lies ")
-    assert by_hand.reason.endswith("The registration lies 18.1 m from there.")
+    assert by_hand.reason == "A person laid the photo by hand."
+    assert by_hand.note.startswith("The tag lies ")
+    assert by_hand.note.endswith("The registration lies 18.1 m from there.")
     best = best_track(found)
     assert [(point.frame, point.stage) for point in best] == [
         ("0.png", "by hand"),
@@ -186,10 +187,11 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
         ("3.png", "by hand"),
     ]
     assert best[0] == by_hand
-    assert best[1].reason.startswith("Placed by its details, ± ")
+    assert best[1].reason == "Placed by its details, but its GPS tag disagrees"
+    assert best[1].note.startswith("Registration and tag lie")
     lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
     (point,) = best_track(replace(found, frames=[lost]))
-    assert (point.state, point.latitude, point.reason) == ("refused", None, "Not located. Too few.")
+    assert (point.state, point.latitude, point.reason, point.note) == ("refused", None, "Not located", "Too few.")
     assert found.notes[0].startswith("2 of 4 frames are corrected by hand.")
     assert "left out: x.png." in found.notes[1]
     assert found.audit is not None
@@ -421,7 +423,10 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
         options = replace(SIFT, map_error=map_error)
         located = locate(town, Flight("monday", (frame,)), None, options)
         answer = located.frames[0].stages["registration"]
-        assert f"The error of the camera's place on the map is ± {answer.radius:.1f} m (1 sigma)" in answer.sentence
+        assert (
+            f"The error of the camera's place on the map is ± {answer.radius:.1f} m (1 sigma along each axis)"
+            in answer.sentence
+        )
         expected = 1.5 if map_error is None else map_error
         assert located.notes[-1] == f"Radii of registrations hold {expected:.1f} m for the error of the map itself."
         assert answer.radius is not None

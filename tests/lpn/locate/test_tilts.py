@@ -71,7 +71,7 @@ def test_radii_of_a_smooth_flight_count_with_its_own_tilts() -> None:
         assert changed.radius is not None
         assert 0.5 * radius < changed.radius < 0.7 * radius
         assert changed.sentence.endswith(
-            f"is ± {changed.radius:.1f} m (1 sigma), of which ± 0.5 m are assumed for the map."
+            f"is ± {changed.radius:.1f} m (1 sigma along each axis), of which ± 0.5 m are assumed for the map."
         )
     assert correct_radii(frames[:10], answers[:10], 0.5) == []
 

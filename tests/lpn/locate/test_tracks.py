@@ -30,6 +30,7 @@ def test_geojson_has_a_point_a_frame_and_a_line_a_stage(tmp_path: Path) -> None:
     assert [point["properties"]["state"] for point in points] == states
     assert [point["properties"]["point"] for point in points] == ["camera", "", "ground", "ground", "ground"]
     assert {point["properties"]["crs"] for point in points} == {"EPSG:4326", ""}
+    assert "easting_m" not in points[0]["properties"], "no point has one"
     assert guessed["properties"] == {"stage": "retrieval", "state": "not verified", "frames": 2}
     assert points[0]["geometry"] == {"type": "Point", "coordinates": [-91.25, 46.5]}
     assert points[0]["properties"]["radius_on_map_m"] == 1.5
@@ -82,6 +83,7 @@ def test_csv_is_empty_where_nothing_is_known(tmp_path: Path) -> None:
     assert [row["time_utc"] for row in rows[:2]] == ["2014-05-13T16:53:20.000Z", "2014-05-13T16:53:22.500Z"]
     assert [row["seconds"] for row in rows] == ["", "", "", "12.0", "13.0"], "seconds of a video are no time of day"
     assert "pitch_deg" not in rows[0], "no frame has a pose"
+    assert not {"misfit_median_m", "easting_m", "note", "doubt"} & rows[0].keys()
     assert rows[1]["latitude"] == ""
     assert float(rows[0]["longitude"]) == -91.25
     assert rows[2]["radius_on_map_m"] == ""
@@ -91,12 +93,15 @@ def test_a_doubt_stands_in_state_and_column_and_degrees_have_seven_decimals(tmp_
     point = TrackPoint(
         "a.jpg", "registration", "contradicted", "", None, 46.123456789, 7.0, radius=1.024,
         radius_on_earth=6.14, heading=359.97, metres_from_tag=33.41, doubt=("tag", "sequence"), pitch=-88.0,
+        note="Further sentences.", easting=512345.678, northing=5112345.6, projection=32632, misfit=6.249, largest_misfit=10.391,
     )  # fmt: skip
     write_track(tmp_path / "track.csv", "monday", [point])
     with (tmp_path / "track.csv").open(newline="", encoding="utf-8-sig") as file:
         (row,) = csv.DictReader(file)
     figures = ("radius_on_map_m", "radius_on_earth_m", "metres_from_tag", "heading_deg", "pitch_deg")
     assert (row["state"], row["doubt"], row["latitude"]) == ("contradicted", "tag, sequence", "46.1234568")
+    assert (row["easting_m"], row["northing_m"], row["projected_crs"]) == ("512345.68", "5112345.6", "EPSG:32632")
+    assert (row["misfit_median_m"], row["misfit_max_m"], row["note"]) == ("6.25", "10.39", "Further sentences.")
     assert [float(row[name]) for name in figures] == [1.02, 6.14, 33.4, 0.0, -88.0], "a heading is below 360"
 
 

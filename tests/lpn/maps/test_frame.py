@@ -23,6 +23,21 @@ def test_the_frame_is_pyprojs_transverse_mercator(origin: tuple[float, float]) -
     np.testing.assert_allclose(frame.degrees(ours), degrees, atol=1e-11)
 
 
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "zone"), [(46.8, -91.99, 32615), (-33.9, 18.4, 32734), (5.0, 180.0, 32660)]
+)
+def test_eastings_and_northings_are_those_of_the_origin_s_utm_zone(
+    latitude: float, longitude: float, zone: int
+) -> None:
+    frame = LocalFrame(latitude, longitude)
+    points = np.array([(0.0, 0.0), (-90.0, 250.0)])
+    theirs = pyproj.Transformer.from_crs("EPSG:4326", f"EPSG:{zone}", always_xy=True)
+    assert frame.utm_zone == zone
+    expected = np.stack(theirs.transform(*frame.degrees(points)[:, ::-1].T), axis=1)
+    np.testing.assert_allclose(frame.utm(points), expected, atol=1e-3)
+    assert np.isnan(frame.utm([(np.nan, 0.0)])).all()
+
+
 def test_metres_of_the_frame_are_those_of_the_ellipsoid() -> None:
     frame = LocalFrame(60.0, 25.0)
     ends = frame.degrees([(-3000.0, 4000.0), (3000.0, -4000.0)])
