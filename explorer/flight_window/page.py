@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
@@ -82,8 +83,16 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "methods": flight_text.methods(flight.stages),
         "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
         "plain": plain(),
-        "signs": [view.beliefs[i].sign for i in range(len(frames))],
+        "signs": [verdict.sign for verdict in view.beliefs],
+        "stages": [verdict.stage for verdict in view.beliefs],
+        "main": _main_stage(view),
     }
+
+
+def _main_stage(view: FlightView) -> str:
+    """Return the stage whose answers count for most photos; the tags where none counts."""
+    counts = Counter(verdict.stage for verdict in view.beliefs if verdict.stage is not None)
+    return counts.most_common(1)[0][0] if counts else "tag"
 
 
 def _tracks(view: FlightView) -> list[str]:

@@ -18,6 +18,7 @@
     asking: false, // the next click on the map asks who saw the spot
     hidden: new Set(), // the tracks that are switched off
   });
+  let switched = false; // a person has switched a track
   const html = { accuracy: "", counts: "", spot: "" };
   let list = "refused", sentence = "", status = "";
   let more = false; // in plain words, all controls are shown
@@ -50,6 +51,8 @@
     const times = data.times || data.names.map((_, i) => i), [low, high] = flight.range(times);
     data.span = { times, low, high };
     flight.data = data;
+    // In plain words the map starts with one track, that of the method that places most photos.
+    if (!switched) flight.hidden = new Set(data.plain ? Object.keys(data.tracks).filter((name) => ![data.main, "corrected"].includes(name)) : []);
     flight.map.replaced(before);
     refresh();
   };
@@ -106,6 +109,15 @@
     if (track.state[frame] === 2) return `<span class="term" tabindex="0" data-tip="${escaped(track.reason[frame])}">${SIGNS[2]}</span> `;
     return track.x[frame] === null ? "" : SIGNS[track.state[frame]] + " ";
   };
+  // What the marks on the map are, of tracks that are switched on.
+  const legend = () => {
+    const shown = flight.tracks().map(([, track]) => track), parts = [];
+    if (shown.some((track) => track.state.includes(2)))
+      parts.push('Hollow dot: refused; <span class="for-mouse">point at it, or at its ✗,</span><span class="for-touch">tap it, or its ✗,</span> for the reason.');
+    parts.push("Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it.");
+    if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
+    return parts.join(" ");
+  };
   flight.fillLegend = () => {
     const { data, chosen, hidden } = flight;
     const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0));
@@ -119,7 +131,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th title="Press one to switch it on or off">track</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="In metres: 1 sigma along each axis">± m</th><th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">Hollow dot: refused; point at it, or at its ✗, for the reason. Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it. Dotted: the piece of the map that looks most like it. Pins: from where the photo has a place to where the map has it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th>press to show</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="In metres: 1 sigma along each axis">± m</th><th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">${legend()} Pins${data.plain ? ", with <i>Swipe</i>" : ""}: the head is where the map has a place, the other end where the photo has it.</p>`,
     );
   };
   const refresh = () => {
@@ -200,6 +212,7 @@
     save: () => flight.photo.save(),
     cancel: () => flight.photo.use("off"),
     forget: () => flight.photo.forget(),
+    turnto: () => flight.map.turnTo(),
   };
   const see = (selector) => find(selector).scrollIntoView({ block: "nearest" });
   const onClick = (event) => {
@@ -212,7 +225,10 @@
     if (photo) flight.photo.use(photo);
     if (plot) flight.timeline.plot = plot;
     if (named) list = named;
-    if (track && !flight.hidden.delete(track)) flight.hidden.add(track);
+    if (track) {
+      switched = true;
+      if (!flight.hidden.delete(track)) flight.hidden.add(track);
+    }
     refresh();
     if (named) see(".lower");
   };

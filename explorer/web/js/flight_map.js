@@ -11,6 +11,7 @@
   const overlay = { picture: null, source: "" };
   let box = null; // the map's element
   let map = null; // its `PanZoom`
+  let offered = -1; // the frame of the answer whose reason is told
   let moved = false; // the user has moved the map since it was fitted
 
   const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
@@ -124,20 +125,24 @@
       path(pen, outline.slice(0, 2));
       stroke(pen, lpn.colour("accent"), 4);
     }
-    if (answered && followed && followed.frame === chosen && (!own || own.place)) {
+    if (answered && followed && followed.frame === chosen && (!own || own.place) && !flight.hidden.has("retrieval")) {
       const [x, y, side] = answered;
       const half = side / 2;
       path(pen, [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
       stroke(pen, lpn.colour("retrieval"), 1.5, [2, 3]);
     }
     // From where the photo has a place to where the map has it.
-    for (const [x, y, east, north] of (followed?.frame === chosen && followed.offsets) || []) {
+    const pins = followed?.frame === chosen && (!data.plain || flight.photo.compares()) ? followed.offsets : [];
+    for (const [x, y, east, north] of pins) {
       path(pen, [[x, y], [x + east, y + north]]);
       stroke(pen, lpn.colour("accent"), 2);
       dot(pen, map.toPixels([x + east, y + north]), 3, lpn.colour("accent"), false);
     }
     if (own) drawOwn(pen, own);
-    for (const [name, track] of flight.tracks()) {
+    // The answer that counts is there, too, where its track is switched off.
+    const counts = data.stages[chosen], shown = flight.tracks();
+    if (counts && flight.hidden.has(counts)) shown.push([counts, data.tracks[counts]]);
+    for (const [name, track] of shown) {
       const at = place(track, chosen);
       if (!at) continue;
       const [left, top] = map.toPixels(at);
@@ -182,7 +187,7 @@
     if (find(".loading").textContent !== words) find(".loading").textContent = words;
     if (flight.painted && overlay.picture) drawScores(ground);
     const [pen] = canvas(find(".over"));
-    drawTracks(pen);
+    if (!flight.photo.compares()) drawTracks(pen);
     if (flight.spotted) drawSpot(pen);
     if (flight.chosen >= 0 || flight.own()) drawChosen(pen);
     drawFrame(pen);
@@ -192,6 +197,7 @@
   // ---- the pointer
   // Return the frame of the nearest dot, and its track; -1 where none is near.
   const hit = (at) => {
+    /** @type {[number, number, any]} */
     let best = [REACH, -1, null];
     for (const [, track] of flight.tracks())
       for (let i = 0; i < flight.total(); i++) {
@@ -204,10 +210,12 @@
     return { frame: best[1], track: best[2] };
   };
   // Say beside a refused answer's dot why it is refused.
-  const explain = ({ frame, track }) => {
+  const explain = ({ frame, track }, offers = false) => {
     const reason = track?.reason?.[frame], tip = find(".why");
     tip.textContent = reason ? flight.data.names[frame] + ". " + reason : "";
     if (!reason) return;
+    offered = frame;
+    if (offers) tip.insertAdjacentHTML("beforeend", ' <a data-act="turnto" role="button" tabindex="0">Show this photo</a>');
     const [left, top] = map.toPixels(place(track, frame)), [width] = map.size();
     const below = top < tip.offsetHeight + REACH;
     tip.style.left = lpn.clamp(left - tip.offsetWidth / 2, 0, Math.max(width - tip.offsetWidth, 0)) + "px";
@@ -219,15 +227,17 @@
     find(".read").textContent =
       (frame >= 0 ? flight.data.names[frame] + " · " : "") + (flight.data.degrees ? lpn.mapMarks.degrees(degrees([x, y])) + " · " : "") + x.toFixed(1) + " m E, " + y.toFixed(1) + " m N";
   };
-  const tapped = (at, { shiftKey }) => {
+  const tapped = (at, { shiftKey, pointerType }) => {
     if (shiftKey || flight.asking) {
       flight.asking = false;
       lpn.send("flight-spot", map.toPlane(at).map((value) => Math.round(100 * value) / 100));
       return true;
     }
     const pointed = hit(at);
-    explain(pointed);
-    flight.choose(pointed.frame);
+    // A finger cannot point, so that its tap on a refused answer tells the reason, and does not leave the photo.
+    const asks = pointerType === "touch" && pointed.track?.state[pointed.frame] === 2 && pointed.frame !== flight.chosen;
+    explain(pointed, asks);
+    if (!asks) flight.choose(pointed.frame);
     return pointed.frame >= 0;
   };
 
@@ -245,12 +255,27 @@
     look: () => {
       if (map) map.view = null;
     },
+    // Show the photo whose refused answer is explained.
+    turnTo: () => {
+      find(".why").textContent = "";
+      flight.choose(offered);
+    },
     // Look at some points, unless all of them are in sight.
     include: (points) => {
       const [width, height] = map.size();
       if (points.map(map.toPixels).every(([left, top]) => left > 0 && left < width && top > 0 && top < height)) return;
       const [across, up] = [0, 1].map((axis) => flight.range(points.map((at) => at[axis])));
       map.fit([across[0], up[0]], [across[1], up[1]], 0.8, 10);
+      moved = true;
+      flight.draw();
+    },
+    // Look at some points, unless they are in sight and fill nearly half of it.
+    approach: (points) => {
+      const [across, up] = [0, 1].map((axis) => flight.range(points.map((at) => at[axis]))), [width, height] = map.size();
+      const large = Math.max((across[1] - across[0]) / width, (up[1] - up[0]) / height) * map.view.scale;
+      const seen = points.map(map.toPixels).every(([left, top]) => left > -0.2 * width && left < 1.2 * width && top > -0.2 * height && top < 1.2 * height);
+      if (seen && large > 0.45) return;
+      map.fit([across[0], up[0]], [across[1], up[1]], 0.85, 10);
       moved = true;
       flight.draw();
     },
@@ -282,7 +307,7 @@
         home: fit,
         pointed: read,
         tapped,
-        ignores: ".swipe, .zoom, .ties *",
+        ignores: ".swipe, .zoom, .why a, .ties *",
       });
       map.view = view;
       box.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (find(".read").textContent = find(".why").textContent = ""));

@@ -7,6 +7,9 @@
   // The photo's corners, in shares of it, which a person drags to their places on the map.
   const CORNERS = [[0, 0], [1, 0], [1, 1], [0, 1]];
   const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+  // Pixels of the slider's handle, as in the style sheet.
+  const HANDLE = 36;
+  let at = -1; // the frame whose photo was brought near last
   let ties = null; // { frame, points: metres of each tie point, saves: how many were saved when these were sent }
 
   /** @param {Point} at */
@@ -71,11 +74,11 @@
   // One projective transform of the page lays the photo.
   const lay = () => {
     const { mode } = photo, matrix = matrixOf(), laid = mode !== "off" && matrix;
-    const layer = find(".laid"), swipe = find(".swipe");
+    const layer = find(".laid"), swipe = find(".swipe"), edge = find(".edge");
     layer.style.opacity = mode === "correct" ? "0.6" : "1";
     layer.style.display = laid ? "block" : "none";
     layer.classList.toggle("blinks", mode === "blink");
-    swipe.style.display = laid && mode === "swipe" ? "block" : "none";
+    swipe.style.display = edge.style.display = laid && mode === "swipe" ? "block" : "none";
     placeTies();
     find("#lpn-flight-photo").title = matrix ? "Lay the registered photo over the map" : "This frame is not registered, so there is no photo to lay over the map";
     all("[data-photo]").forEach((one) => one.classList.toggle("off", ["swipe", "blink"].includes(one.dataset.photo) && !flight.followed?.homography));
@@ -99,9 +102,20 @@
     // The slider spans what is seen of the photo, so that it opens in the photo's middle.
     const seen = layer.getBoundingClientRect(), whole = image.getBoundingClientRect();
     const left = lpn.clamp(whole.left - seen.left, 0, width), right = lpn.clamp(whole.right - seen.left, left, width);
-    swipe.style.left = left + "px";
-    swipe.style.width = right - left + "px";
-    layer.style.clipPath = mode === "swipe" ? `inset(0 0 0 ${left + ((right - left) * swipe.value) / 100}px)` : "none";
+    const top = lpn.clamp(whole.top - seen.top, 0, height), foot = lpn.clamp(whole.bottom - seen.top, top, height);
+    const border = left + ((right - left) * swipe.value) / 100;
+    // The handle's middle lies on the line; its own width would end it before the photo does.
+    swipe.style.left = left - HANDLE / 2 + "px";
+    swipe.style.width = right - left + HANDLE + "px";
+    swipe.style.top = (top + foot - HANDLE) / 2 + "px";
+    Object.assign(edge.style, { left: border + "px", top: top + "px", height: foot - top + "px" });
+    layer.style.clipPath = mode === "swipe" ? `inset(0 0 0 ${border}px)` : "none";
+  };
+
+  // A photo that is compared with the map is brought near, so that it can be seen.
+  const approach = () => {
+    at = flight.chosen;
+    if (flight.whole() && flight.map.view() && photo.compares()) flight.map.approach(CORNERS.map((corner) => lpn.through(flight.followed.homography, pixel(corner))));
   };
 
   const photo = (flight.photo = {
@@ -110,9 +124,13 @@
     use: (mode) => {
       if (mode !== photo.mode) ties = null;
       photo.mode = mode;
+      approach();
     },
+    // Whether the photo is compared with the map below it, which marks of other photos would hide.
+    compares: () => ["swipe", "blink"].includes(photo.mode) && !flight.root?.classList.contains("live") && !!matrixOf(),
     // A saved or forgotten correction ends the mode; another frame starts anew from what the server has.
     followed: () => {
+      if (at !== flight.chosen) approach();
       if (!ties || !flight.followed) return;
       if (ties.saves !== undefined && ties.saves !== flight.followed.saves) photo.use("off");
       else if (ties.frame !== flight.chosen) ties = null;

@@ -108,14 +108,14 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     assert "pictures/x/pair/0" in first
     assert "pictures/x/ground/0" in first
     assert "by its neighbours" in third
-    assert "as the panel says" not in first
+    assert "alone is" not in first
     failed = page.card(view, 0, "pictures/x/", retrieval_right=False)
-    assert failed.index("Retrieval alone is wrong, as the panel says") < failed.index("Placed by its details")
+    assert failed.index("Retrieval alone is wrong; all together") < failed.index("Placed by its details")
     doubted = page.card(view, 1, "pictures/x/", retrieval_right=True)
-    assert doubted.index("The panel calls retrieval right, as it goes by its GPS tag") < doubted.index(
+    assert doubted.index("By its GPS tag, retrieval alone is right") < doubted.index(
         "its GPS tag disagrees"
     )
-    assert "The panel calls" not in page.card(view, 0, "pictures/x/", retrieval_right=True)
+    assert "alone is right" not in page.card(view, 0, "pictures/x/", retrieval_right=True)
     assert "<b>photo2" not in third
     assert "<i>4" not in third
     assert third.count("Only &lt;i&gt;4&lt;/i&gt; matches agree.") == 1
