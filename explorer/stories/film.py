@@ -111,14 +111,19 @@ def record(
     return takes
 
 
-def write(takes: Sequence[Take], out: Path) -> None:
+def write(takes: Sequence[Take], out: Path, fade: int = FADE, quality: int = _QUALITY) -> None:
     """Write a film, whose steps turn into one another, as H.264 (.mp4) or as an animated picture (.webp).
+
+    Args:
+        fade: frames in which one step turns into the next; 1 cuts.
+        quality: of an animated picture, 1 to 100.
 
     Raises:
         OutputError: if it cannot be written; nothing is left behind.
         ModuleNotFoundError: for an .mp4 without PyAV.
     """
-    write_atomic(out, _webp(takes) if out.suffix.lower() == ".webp" else _mp4(takes))
+    frames = _frames(takes, fade)
+    write_atomic(out, _webp(frames, quality) if out.suffix.lower() == ".webp" else _mp4(frames))
 
 
 def installed_browser() -> str | None:
@@ -181,37 +186,38 @@ def _restless(story: Story, index: int) -> LPNError:
     )
 
 
-def _frames(takes: Sequence[Take]) -> Iterator[tuple[UInt8Array, int]]:
+def _frames(takes: Sequence[Take], fade: int) -> Iterator[tuple[UInt8Array, int]]:
     """Yield each frame, and for how many of `RATE` a second it stands."""
     for number, take in enumerate(takes):
         yield take.picture, max(round(take.seconds * RATE), 1)
         if number + 1 < len(takes):
             after = takes[number + 1].picture
-            for step in range(1, FADE):
-                yield cv2.addWeighted(take.picture, 1 - step / FADE, after, step / FADE, 0).astype(np.uint8), 1
+            for step in range(1, fade):
+                yield cv2.addWeighted(take.picture, 1 - step / fade, after, step / fade, 0).astype(np.uint8), 1
 
 
-def _webp(takes: Sequence[Take]) -> bytes:
+def _webp(frames: Iterator[tuple[UInt8Array, int]], quality: int) -> bytes:
     from PIL import Image
 
-    frames = list(_frames(takes))
-    pictures = [Image.fromarray(picture) for picture, _ in frames]
+    shown = list(frames)
+    pictures = [Image.fromarray(picture) for picture, _ in shown]
     file = io.BytesIO()
-    durations = [round(1000 * count / RATE) for _, count in frames]
-    options = {"quality": _QUALITY, "method": 4, "loop": 0, "duration": durations}
+    durations = [round(1000 * count / RATE) for _, count in shown]
+    options = {"quality": quality, "method": 4, "loop": 0, "duration": durations, "minimize_size": True}
     pictures[0].save(file, "WEBP", save_all=True, append_images=pictures[1:], **options)
     return file.getvalue()
 
 
-def _mp4(takes: Sequence[Take]) -> bytes:
+def _mp4(frames: Iterator[tuple[UInt8Array, int]]) -> bytes:
     import av
 
-    height, width = takes[0].picture.shape[:2]
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as film:
         stream = film.add_stream("libx264", rate=RATE, options={"crf": "20", "preset": "medium"})
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        for picture, count in _frames(takes):
+        stream.pix_fmt = "yuv420p"
+        for number, (picture, count) in enumerate(frames):
+            if not number:
+                stream.height, stream.width = picture.shape[:2]
             frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
             for _ in range(count):
                 frame.pts = None

@@ -17,6 +17,13 @@ from lpn.locate.located import LocatedFlight, LocatedFrame
 from tests.explorer.flight_window.conftest import flight as flight
 from tools.fixtures.processes import free_port
 
+# The corners of the newest photo lie within the view.
+IN_SIGHT = """() => {
+  const { map, data, chosen } = lpn.flight, [width, height] = map.size();
+  const corners = data.outlines[chosen].slice(0, 4).map(map.toPixels);
+  return corners.every(([left, top]) => left >= 0 && left <= width && top >= 0 && top <= height);
+}"""
+
 
 @pytest.mark.slow
 def test_the_page_follows_the_newest_frame_and_lays_its_photo_over_the_map(
@@ -35,6 +42,7 @@ def test_the_page_follows_the_newest_frame_and_lays_its_photo_over_the_map(
         record.send(fix(flight.frames[0]))
         expect(page.locator("#lpn-flight .about")).to_contain_text("photo0.png")
         expect(page.locator("#lpn-flight .laid img")).to_be_visible()
+        assert page.evaluate(IN_SIGHT)
         expect(page.locator("#lpn-flight .status")).to_have_text("Answered in 0.25 s, 2 frames dropped")
         record.send(fix(flight.frames[2]))
         expect(page.locator("#lpn-flight .about")).to_contain_text("<b>photo2</b>.png")

@@ -15,6 +15,7 @@
     painted: null, // the scores over the map
     spotted: null, // a spot of the map, and the frames that show it
     answered: null, // the middle and the side of the window that answers, in metres
+    goesOn: false, // the flight is being flown
     asking: false, // the next click on the map asks who saw the spot
     hidden: new Set(), // the tracks that are switched off
   });
@@ -89,6 +90,7 @@
   // Each photo is laid over the map as it comes.
   flight.live = () => {
     document.getElementById("lpn-first")?.remove();
+    flight.goesOn = true;
     flight.photo.use("swipe");
     refresh();
   };

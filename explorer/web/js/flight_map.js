@@ -13,6 +13,7 @@
   let map = null; // its `PanZoom`
   let offered = -1; // the frame of the answer whose reason is told
   let moved = false; // the user has moved the map since it was fitted
+  let seen = ""; // the frame of a flight that goes on which was last looked for
 
   const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
   const degrees = ([x, y]) => {
@@ -43,14 +44,24 @@
     return [across[0], up[0], across[1], up[1]];
   };
 
+  // The corners of the newest photo of a flight that goes on.
+  const newest = () => (flight.goesOn && flight.data.outlines[flight.chosen]?.slice(0, 4)) || [];
   // Show the flight, or the whole map if nothing of it lies there, and at least 40 m of ground.
   const fit = () => {
     moved = false;
     if (!box?.clientWidth) return;
-    const own = flight.own(), inside = own ? ofOwn(own) : near(), whole = flight.data.bounds;
+    const own = flight.own(), inside = own ? ofOwn(own) : [...near(), ...newest()], whole = flight.data.bounds;
     const [across, up] = inside.length > 1 ? [0, 1].map((axis) => flight.range(inside.map((at) => at[axis]))) : [0, 1].map((axis) => [whole[axis], whole[axis + 2]]);
     map.fit([across[0], up[0]], [across[1], up[1]], inside.length > 1 ? 0.72 : 0.9, 40);
     flight.draw();
+  };
+
+  // Fit a flight that goes on again when its newest photo is out of sight, unless the user has looked elsewhere.
+  const keep = () => {
+    const frame = `${flight.total()} ${flight.chosen}`, [width, height] = map.size();
+    if (moved || !flight.goesOn || frame === seen) return;
+    seen = frame;
+    if (newest().map(map.toPixels).some(([left, top]) => left < 0 || left > width || top < 0 || top > height)) fit();
   };
 
   // ---- drawing
@@ -178,6 +189,7 @@
   const draw = () => {
     if (!box?.clientWidth) return false;
     if (!map.view) fit();
+    keep();
     const [ground, ratio] = canvas(find(".ground"));
     ground.imageSmoothingEnabled = true;
     const missing = tiles.draw(ground, ratio, flight.data, map);
