@@ -46,6 +46,8 @@ TRUE = {
     "__viserMutable.camera": "lpn.viser.camera().matrixWorld.elements.length === 16",
     "camera.quaternion": "lpn.viser.camera().quaternion.toArray().length === 4",
     "__viserMutable.cameraControl": "'maxPolarAngle' in lpn.viser.cameraControls()",
+    "cameraControl.azimuthRotateSpeed": "lpn.viser.cameraControls().azimuthRotateSpeed === 1",
+    "cameraControl.polarRotateSpeed": "lpn.viser.cameraControls().polarRotateSpeed === 1",
     "cameraControl.constructor.ACTION": "'SCREEN_PAN' in lpn.viser.cameraControls().constructor.ACTION",
     "cameraControl.mouseButtons": "'left' in lpn.viser.cameraControls().mouseButtons",
     "cameraControl.touches": "'one' in lpn.viser.cameraControls().touches",

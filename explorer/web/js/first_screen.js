@@ -48,6 +48,8 @@
   const open = (html) => {
     const before = document.getElementById("lpn-first");
     const page = before || document.body.appendChild(document.createElement("main"));
+    // A phone's sheet begins at its top when it is next seen.
+    if (!before) for (const panel of document.querySelectorAll(`${SELECTORS.sheet} ${SELECTORS.scrolled}`)) panel.scrollTop = 0;
     page.id = "lpn-first";
     page.className = "lpn";
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;

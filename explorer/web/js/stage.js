@@ -68,7 +68,10 @@
   // A finger that moves over the pictures would turn the camera until they are out of sight. It turns the map, and rings that are
   // taken apart.
   let finger = null; // the touch that began on the stage
+  const FINGER = 0.3; // of the turn by a mouse: a phone's stage is low, and one swipe would throw the rings out of sight
   window.addEventListener("pointerdown", ({ pointerType, target, pointerId }) => {
+    const controls = lpn.viser.cameraControls(), slow = pointerType === "touch" && !document.getElementById("lpn-stage-map");
+    if (controls && target === lpn.canvas()) controls.azimuthRotateSpeed = controls.polarRotateSpeed = slow ? FINGER : 1;
     const flat = pointerType === "touch" && target === lpn.canvas() && !hud.hidden && hud.querySelector("[data-flat]") && straight();
     if (flat) finger = pointerId;
   }, true);
