@@ -9,6 +9,7 @@ import numpy as np
 
 from explorer.flight_window.pictures import encoded, ground, middle_square
 from explorer.panels import answer_text
+from explorer.panels.radius_text import with_radius
 from explorer.web.coordinates import MapCoordinate
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
@@ -51,7 +52,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
         ground=None if located is None or answer is None else ground(basemap, located).data_uri,
         sign=sign,
         headline=headline,
-        sentence=sentence,
+        sentence=with_radius(sentence, answer, workspace),
         comparing="" if job is None else answer_text.comparing(job),
         at=None if place is None else describe_offset(*place) if flight.rendered else MapCoordinate.on(basemap, place),
         camera=answer is not None and answer.camera,

@@ -148,20 +148,33 @@ def flight_verdict(
 ) -> tuple[tuple[bool | None, str, str], tuple[bool | None, str, str] | None]:
     """Return two verdicts on a photo of a flight: on its look, and by all methods, see `lpn.locate.belief`.
 
-    A photo of no flight, or of unknown truth, keeps the verdict on its look. The second verdict is None there, and before the
-    photo is registered.
+    The second is what the program concludes. It is None for a photo of no flight, and before the photo is registered.
     """
     right, _, sentence = look
-    if workspace.flight is None or analysis.state.upload is not None or right is None:
+    if workspace.flight is None or analysis.state.upload is not None:
         return look, None
-    headline = f"{'Right' if right else 'Wrong'} by its look"
-    look = (None, "Not graded", sentence) if _no_right_answer(analysis, workspace) else (right, headline, sentence)
+    if _no_right_answer(analysis, workspace):
+        look = None, "Not graded", sentence
+    elif right is not None:
+        look = right, f"{'Right' if right else 'Wrong'} by its look", sentence
     located = workspace.flight.frames[analysis.state.query]
     if "registration" not in located.stages:
         return look, None
     verdict = belief(located, disagreements([located]))
-    guess = "" if verdict.stage == "registration" else "Its details fit nowhere for sure."
-    return look, (verdict.sign, verdict.headline, guess)
+    if verdict.stage != "registration":
+        return look, (verdict.sign, verdict.headline, "Its details fit nowhere for sure.")
+    return look, (verdict.sign, verdict.headline, _beside_look(analysis, look[0]))
+
+
+def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
+    """Say whether the model's own answer agrees with the place of a photo that is known by other means."""
+    if right is None:
+        return ""
+    if right:
+        return "Its look alone agrees."
+    off = _error_m(analysis)
+    away = "" if off is None else f", {distance(off)} away"
+    return f"The model's own guess, by its look alone, was wrong{away}."
 
 
 def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:

@@ -17,6 +17,7 @@ from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.navigation import Navigation
+from explorer.panels.radius_text import with_radius
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.coordinates import MapCoordinate
@@ -37,7 +38,7 @@ from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.belief import belief, disagreements
 from lpn.locate.coverage import outline
-from lpn.locate.located import LocatedFrame
+from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
@@ -189,12 +190,12 @@ def page(
     look = answer_text.plain_verdict(analysis, workspace)
     disputed = look[0] is not None and _lies_on_answer(analysis, workspace) is (not look[0])
     look_errs = look[0] is False and not disputed and state.upload is None
-    look, by_details = answer_text.flight_verdict(analysis, workspace, look)
-    if disputed and by_details is not None and by_details[0]:
+    look, concluded = answer_text.flight_verdict(analysis, workspace, look)
+    if disputed and concluded is not None and concluded[0]:
         look = None, "Not graded", "Its GPS tag and its place by its details lie on two sides of this piece's border."
     elif disputed:
         look = None, "Its GPS tag and the map disagree", _DISPUTED[look[0] is True]
-    right, headline, sentence = look
+    right, headline, sentence = concluded or look
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
     lead = answer_text.lead(analysis) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
@@ -205,6 +206,7 @@ def page(
     positive, third = analysis.positive, None if lead is None else lead.index
     own = analysis.registered
     located = workspace.located(analysis)
+    registered = None if located is None else located.stages.get("registration")
     laid = None if state.why or wrong else _laid(located, workspace, own is not None)
     if third is None and laid is None and (look_errs or wrong) and positive is not None and not positive.beyond:
         third = positive.index
@@ -231,9 +233,10 @@ def page(
         else None,
         right=right,
         look_errs=look_errs,
-        headline=headline,
-        by_details=by_details,
-        sentence=sentence,
+        headline=with_radius(headline, registered, workspace),
+        by_look=None if concluded is None else look,
+        details="" if state.why or own is not None else _details(registered, "the photo"),
+        sentence=with_radius(sentence, registered, workspace),
         lead=lead,
         because=because,
         failures=_failures(workspace, state),
@@ -305,10 +308,11 @@ def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array
 
 def _because(
     analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
-) -> list[str]:
+) -> list[tuple[str, list[str]]]:
     """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does.
 
-    Parts are ranked by their terms of the lead, as the table of the numbers and the workbench rank them.
+    Each method has its sentences, the model's look those on the answer; a name is "" where it is the only one. Parts are ranked
+    by their terms of the lead, as the table of the numbers and the workbench rank them.
 
     Args:
         cells: each cell's share of the lead, part by part.
@@ -327,8 +331,10 @@ def _because(
     details = None if located is None else located.stages.get("registration")
     if analysis.registered is not None and not analysis.registered.answer.accepted:
         sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
-    elif analysis.state.upload is not None and details is not None and details.accepted:
-        sentences.append(f"{details.inliers} details of your picture lie where the map has them: they place it.")
+    wrong = not lead.of_answer
+    off_map = place_text.share_off_map(task.gallery[analysis.chosen.index])
+    if off_map > 0 and wrong:
+        sentences.append(_off_map(off_map))
     for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
         terms, places = side * lead.terms, side * cells.sum(axis=0)
@@ -348,13 +354,26 @@ def _because(
         )
         names = ahead[0], behind[0]
         sentences.append(verdicts.describe_lead_place(place, workspace.part_names, task.query_view, names, whose))
-    if (black := place_text.share_off_map(task.gallery[analysis.chosen.index])) > 0:
-        sentences.append(f"{100 * black:.0f} % of this answer is off the map, and black to the model.")
-    if analysis.state.upload is None and details is not None and details.accepted:
-        sentences.append(
-            f"Whatever its look says, {details.inliers} details of the photo lie where the map has them: they place it."
-        )
-    return sentences
+    if off_map > 0 and not wrong:
+        sentences.append(_off_map(off_map))
+    if details is None:
+        return [("", sentences)]
+    photo = "your picture" if analysis.state.upload else "the photo"
+    known = f"{_details(details, photo) or 'They fit this map'}: they place it."
+    if not details.accepted:
+        known = "They fit nowhere on this map for sure."
+    return [("By its details", [known]), (f"By its look{', which errs' if wrong else ''}", sentences)]
+
+
+def _off_map(share: float) -> str:
+    return f"{100 * share:.0f} % of this answer is off the map, and black to the model."
+
+
+def _details(registered: StageRecord | None, photo: str) -> str:
+    """Say how many details of a photo, which is called `photo`, agree with the map; "" if it is not laid over it by them."""
+    if registered is None or not registered.accepted or registered.inliers is None:
+        return ""
+    return f"{registered.inliers} details of {photo} lie where the map has them"
 
 
 def _picture(

@@ -10,6 +10,7 @@ from explorer import session_state
 from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.panels import answer_text
+from explorer.panels.radius_text import with_radius
 from explorer.stage import pair_picture
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
@@ -105,13 +106,21 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the analysis in words."""
     right, headline, reason = answer_text.verdict(analysis, workspace)
+    _, concluded = answer_text.flight_verdict(analysis, workspace, answer_text.plain_verdict(analysis, workspace))
+    located = workspace.located(analysis)
+    registered = None if located is None else located.stages.get("registration")
     all_parts_off = not analysis.state.parts_left()
     note = analysis.query_note
+    if registered is not None and registered.accepted:  # the turn that the search tried would look like another heading
+        note = "" if words.plain() else f"{note}; by its registration {registered.heading or 0:.0f}°" if note else ""
     return render(
         "panels/verdict",
         verdict=right,
         headline=headline,
-        reason=reason,
+        reason=with_radius(reason, registered, workspace),
+        concluded=None
+        if concluded is None
+        else (concluded[0], with_radius(concluded[1], registered, workspace), concluded[2]),
         comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
         alone=workspace.has_flight and analysis.state.upload is None,
         note=" ".join(

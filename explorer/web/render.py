@@ -53,7 +53,7 @@ _ENVIRONMENT = environment("explorer.web")
 _ENVIRONMENT.filters["format"] = format
 _ENVIRONMENT.filters["capitalised"] = words.capitalised
 # A figure and its unit stay on one line.
-_ENVIRONMENT.filters["tied"] = lambda text: re.sub(r"(?<=\d) (?=%|k?m\b)", "\N{NO-BREAK SPACE}", text)
+_ENVIRONMENT.filters["tied"] = lambda text: type(text)(re.sub(r"(?<=\d) (?=%|k?m\b)", "\N{NO-BREAK SPACE}", text))
 _ENVIRONMENT.globals.update(
     send=send,
     press=press,

@@ -36,6 +36,11 @@ def term(name: str, text: str | None = None) -> Markup:
     return _TERM.format(f"{name}: {meanings()[name]}", text or name)
 
 
+def explained(text: str, meaning: str) -> Markup:
+    """Return words whose meaning, which no glossary has, appears as that of a term does."""
+    return _TERM.format(meaning, text)
+
+
 def _plain(markdown: str) -> str:
     """Remove emphasis, code marks, and links."""
     return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", markdown).replace("*", "").replace("`", "")

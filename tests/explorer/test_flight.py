@@ -281,7 +281,8 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     mine, other = taken(0), taken(1)
     analysis, html = shown(mine)
     assert answer_text.plain_verdict(analysis, workspace)[:2] == (True, "On this map")
-    assert "By its details, your picture fits the map to ± " in html
+    assert "By its details, your picture fits the map to <span" in html
+    assert "is 1 sigma along each axis" in html
     assert "On the map" in html
     assert html.count("data:image/jpeg") == 3
     assert "How far to trust it" not in html

@@ -467,7 +467,8 @@ def test_on_the_demo_the_constants_of_both_tiles_lie_on_the_cells_of_their_parts
     np.testing.assert_allclose(cells.sum(axis=(1, 2)), lead.terms, atol=3e-5)
     shown = text(first_screen.page(analysis, demo))
     assert "comes from no place" not in shown
-    said = first_screen._because(analysis, demo, lead, cells)
+    ((method, said),) = first_screen._because(analysis, demo, lead, cells)
+    assert method == "", "it is the only one"
     assert said[0] in shown
     assert re.match(r"(Part|Only part|Parts) .* speaks? (most )?.*for this answer", said[0])
     # The sentence names the part that the table of the numbers and the workbench name, with its share.
@@ -520,10 +521,18 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "✓ Right by its look." in said
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
-        "✓ Placed by its details, ± 6.1 m on earth. Its GPS tag, the white circle, lies 10 m from there. The photo's middle "
-        "lies at 30.171" in said
+        "✓ Placed by its details, ± 6.1 m on earth . Its look alone agrees. By its details : 268 details of the photo lie where "
+        "the map has them. Its GPS tag, the white circle, lies 10 m from there. The photo's middle lies at 30.171"
+        in said
     )
     assert page.count("data:image/jpeg") == 3
+    tips = " ".join(unescape(page).split())
+    assert "39 of 100 places lie within 6.1 m of the true one, and 86 within 12.1 m" in tips
+    assert re.search(
+        r"It joins ± [\d.]+ m for the place on this map and ± 6.0 m for the map's own place on earth", tips
+    )
+    assert re.search(r"Check: \d+, \d+, and \d+ % of the flight's photos lie within one, two, and three radii", tips)
+    assert "So the check does not confirm the radius" in tips
     assert "On the map, by" not in text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
     assert "compared 224 pieces of the map" in said
     # Its tags are late, so the registrations that ship with it say what is right.
@@ -549,13 +558,14 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     beliefs = FlightView.of(flight, {}, "").beliefs
     assert (beliefs[placed].sign, beliefs[doubted].sign) == (True, None)
     for index, sign, headline in (
-        (placed, "✓", "Placed by its details, ± 6.1 m on earth."),
-        (doubted, "?", "Placed by its details, ± 6.1 m on earth, but its GPS tag disagrees."),
+        (placed, "✓", "Placed by its details, ± 6.1 m on earth ."),
+        (doubted, "?", "Placed by its details, ± 6.1 m on earth , but its GPS tag disagrees."),
     ):
         for why in (False, True):
             said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))
             assert "✗ Wrong by its look. The model compared 224 pieces of the map and chose a place " in said
-            assert f"{sign} {headline}" in said
+            assert f"{sign} {headline} The model's own guess, by its look alone, was wrong, " in said
+            assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
     before = flight.frames[placed].stages["registration"]
     flight.frames[placed].stages["registration"] = StageRecord("refused", "Few agree.")

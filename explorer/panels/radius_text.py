@@ -1,0 +1,65 @@
+"""The radius of a place in words: what it means, where it comes from, and what the check of the flight says of it."""
+
+from __future__ import annotations
+
+import math
+
+from markupsafe import Markup
+
+from explorer.web.terms import explained
+from explorer.workspace import Workspace
+from lpn.drawing.verdicts import listed
+from lpn.locate.belief import on_what
+from lpn.locate.located import StageRecord
+from lpn.locate.measures import RIGHT_CALIBRATION
+from lpn.maps.tag_placed import placing_sentence
+
+# A check that finds fewer of the tags within three radii does not confirm them, see `measures.RIGHT_CALIBRATION`.
+_CONFIRMED = 90.0
+
+
+def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
+    """Return a text in which the radius of an answer, where it is first told, explains itself."""
+    if answer is None or answer.radius is None:
+        return text
+    radius = f"± {answer.radius:.1f} m {on_what(answer)}"
+    before, told, after = text.partition(radius)
+    return Markup("{}{}{}").format(before, explained(told, _meaning(answer, workspace)), after) if told else text
+
+
+def _meaning(answer: StageRecord, workspace: Workspace) -> str:
+    assert answer.radius is not None
+    radius = answer.radius
+    first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
+    sentences = [
+        f"± {radius:.1f} m is 1 sigma along each axis, east and north. If the errors are as estimated, {first:.0f} of 100 places "
+        f"lie within {radius:.1f} m of the true one, and {second:.0f} within {2 * radius:.1f} m."
+    ]
+    basemap = workspace.basemap
+    if basemap is not None and answer.on_earth and basemap.error is not None:
+        on_map = math.sqrt(max(radius**2 - basemap.error**2, 0.0))
+        by_tags = "the GPS tags of its photos give it" if placing_sentence(basemap.notes) else "as its file tells it"
+        sentences.append(
+            f"It joins ± {on_map:.1f} m for the place on this map and ± {basemap.error:.1f} m for the map's own place on earth: "
+            f"{by_tags}."
+        )
+    sentences.append(_check(workspace))
+    return " ".join(filter(None, sentences))
+
+
+def _check(workspace: Workspace) -> str:
+    """Return how many of the flight's places lie within 1, 2, and 3 radii of their GPS tags; "" where none has both."""
+    summary = None if workspace.flight is None else workspace.flight.summaries().get("registration")
+    if summary is None or not summary.calibration:
+        return ""
+    shares, right = (
+        f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (summary.calibration, RIGHT_CALIBRATION)
+    )
+    whose = "places" if workspace.flight is None or workspace.flight.rendered else "GPS tags"
+    text = f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {whose}; {right} are right."
+    if summary.calibration[3] >= _CONFIRMED:
+        return text
+    return (
+        f"{text} So the check does not confirm the radius: tags that are late or wrong would do the same, and so would a radius "
+        "that is too small."
+    )
