@@ -438,7 +438,7 @@ def test_terms_have_the_glossary_s_meaning() -> None:
     assert terms.meanings()["distance"].startswith("How far two descriptors lie apart: d, with d² = 2 − 2 · score")
     assert not [meaning for meaning in terms.meanings().values() if re.search(r"\*\*|`|\]\(", meaning)]
     html = terms.term("margin", "Lead <1>")
-    assert 'data-tip="margin: By how much a query is found' in html
+    assert 'data-tip="margin: The lead of the right tile' in html
     assert html.endswith(">Lead &lt;1&gt;</span>")
     with pytest.raises(KeyError):
         terms.term("no such term")
