@@ -184,7 +184,7 @@ def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
 @pytest.mark.slow
 def test_world(tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
-    settings = ["--buildings", "6", "--views", "2", "--pixels", "32", "--tile-pixels", "32", "--panoramas", "1"]
+    settings = ["--buildings", "3", "--views", "2", "--pixels", "32", "--tile-pixels", "32", "--panoramas", "1"]
 
     def files() -> dict[str, bytes]:
         return {str(file.relative_to(out)): file.read_bytes() for file in sorted(out.rglob("*")) if file.is_file()}
