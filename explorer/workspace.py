@@ -376,6 +376,11 @@ class Workspace:
         return Vocabulary(plain, self.parts_word.removesuffix("s"))
 
     @property
+    def has_parts(self) -> bool:
+        """The model describes a picture by several parts, and not by one vector."""
+        return self.contract.n_parts > 1
+
+    @property
     def parts_word(self) -> str:
         """The noun for parts: "rings" if the first view has more than one of them, else "parts"."""
         partition = self.contract.partition(self.contract.views[0])

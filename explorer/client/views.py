@@ -123,7 +123,7 @@ class ClientViews:
             FlightMessage: self.flight.receive,
             StoryMessage: self.stories.receive,
             BrowseMessage: self.panels.query.receive,
-            PartsMessage: self.panels.parts.receive,
+            PartsMessage: self._to_parts,
             StageMessage: self.stage_controls.receive,
         }
         properties = {
@@ -137,7 +137,8 @@ class ClientViews:
         windows = (self.explain_window, self.lab, self.flight)
         commands = self.stories.commands()
         commands += [(label, None, call) for window in windows for label, call in window.commands()]
-        commands.append(("Try all combinations of parts", None, self._try_combinations))
+        if self.panels.parts is not None:
+            commands.append(("Try all combinations of parts", None, self._try_combinations))
         commands.append(("Glossary", None, self.glossary.show))
         if workspace.has_flight:
             commands.append(
@@ -170,7 +171,12 @@ class ClientViews:
         """Return True if the stage shows the analysis, and has another size than it was drawn for."""
         return not analysis.state.first_screen and self.stage.outgrown
 
+    def _to_parts(self, message: PartsMessage) -> None:
+        if self.panels.parts is not None:
+            self.panels.parts.receive(message)
+
     def _try_combinations(self) -> None:
+        assert self.panels.parts is not None
         self.panels.expand()
         self.bridge.open_tab("Parts")
         self.panels.parts.try_combinations()

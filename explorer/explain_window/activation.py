@@ -40,7 +40,7 @@ def page(analysis: StateAnalysis, workspace: Workspace, true_tile: DescribedPict
         else None,
         same_scale=state.same_scale,
         over=state.heat_over,
-        note=heatmaps.NOTE,
+        note=heatmaps.note(len(workspace.part_names)),
         without_cells=workspace.without_cells,
     )
 

@@ -51,6 +51,7 @@ def page(
         margin_sentence=verdicts.describe_margin(margin, names, name),
         region=analysis.state.region,
         part_names=names,
+        several=workspace.has_parts,
         steps=charts.waterfall(margin),
         painted="" if cells is None else _painted(analysis, workspace, cells, colours),
         places=0.0 if cells is None else float(cells.sum()),

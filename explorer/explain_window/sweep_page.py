@@ -74,6 +74,7 @@ def page(
         followed=_followed(profile),
         sentences=[*_sentences(profile, analysis), *_weathers(profile, names)] if ended else [],
         claim=analysis.task.contract.claim,
+        several=len(names) > 1,
     )
 
 
@@ -117,13 +118,17 @@ def _weathers(profile: SweepResult, names: Sequence[str]) -> list[str]:
     worst = min(profile.points, key=lambda point: point.score)
     if profile.over != "weather" or clear is None or worst is clear:
         return []
-    part = int(np.argmin(worst.cosines - clear.cosines))
-    return [
+    text = (
         f"{_followed(profile).capitalize()} suffers most {worst.change.weather.describe()}: {_figures(worst.score)}, "
-        f"{ordinal(worst.rank)}. {capitalised(say('part'))} {names[part]} loses most there: its {say('part cosine')} "
-        f"falls from {clear.cosines[part]:.3f} to "
-        f"{worst.cosines[part]:.3f}."
-    ]
+        f"{ordinal(worst.rank)}."
+    )
+    if len(names) > 1:
+        part = int(np.argmin(worst.cosines - clear.cosines))
+        text += (
+            f" {capitalised(say('part'))} {names[part]} loses most there: its {say('part cosine')} "
+            f"falls from {clear.cosines[part]:.3f} to {worst.cosines[part]:.3f}."
+        )
+    return [text]
 
 
 def _place(over: SweptProperty, point: SweepPoint) -> str:

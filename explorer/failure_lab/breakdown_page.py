@@ -93,7 +93,9 @@ def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card
         for column in state.charted_columns(findings)
         if 1 < len(state.failure_rates(findings, everything, column)) <= most
     ]
-    drawn = [_part_card(findings, lab), _pair_card(findings, lab, workspace), _hub_card(findings, lab, workspace)]
+    drawn = [_pair_card(findings, lab, workspace), _hub_card(findings, lab, workspace)]
+    if len(findings.part_names) > 1:
+        drawn.insert(0, _part_card(findings, lab))
     if shows_places(findings.task) and len(findings.task.gallery) <= near_duplicates.MAX_TILES:
         drawn.append(_alike_card(findings, lab, workspace))
     return drawn + [_rate_card(findings, lab, column, state.failure_rates(findings, lab, column)) for column in columns]

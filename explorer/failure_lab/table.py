@@ -102,6 +102,7 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         narrowed=show_all(lab) != lab,
         notes_error=findings.notes_error,
         claim=findings.task.contract.claim,
+        several=len(findings.part_names) > 1,
         second=findings.second,
         terms=scorings.TERMS,
         drawers=_drawers(lab, len(rows)),

@@ -340,7 +340,10 @@ def _because(
         terms, places = side * lead.terms, side * cells.sum(axis=0)
         if terms.max() <= 0:
             single = "; only single places do" if places.max() > 0 else ""
-            sentences.append(f"No {words.say('part')} as a whole speaks for {ahead[0]}{single}.")
+            whole = f"No {words.say('part')} as a whole speaks for {ahead[0]}"
+            if len(terms) == 1:
+                whole = f"The picture as a whole does not speak for {ahead[0]}"
+            sentences.append(f"{whole}{single}.")
             continue
         parts = verdicts.leading_parts(terms)
         grounds = tuple(workspace.ground_of(task, index) for _, index in (ahead, behind))

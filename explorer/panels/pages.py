@@ -63,7 +63,7 @@ def keys(workspace: Workspace) -> str:
     return render(
         "panels/keys",
         flight=workspace.has_flight,
-        parts=workspace.parts_word,
+        parts=workspace.parts_word if workspace.has_parts else "",
         network=workspace.model is not None,
         cells=not workspace.without_cells,
     )
@@ -162,6 +162,7 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
         # Where details place an own picture, the distance of its tag from a piece tells nothing more.
         errors_m=None if own is not None and own.answer.accepted else analysis.errors_m,
         part_names=workspace.part_names,
+        several=workspace.has_parts,
         thumbnail=workspace.thumbnail,
     )
 

@@ -23,7 +23,10 @@ _LEFT, _RIGHT = 290, 360
 
 
 class Panels:
-    """Builds and docks the panels. Their callbacks never compute: they pass a pure function of the state to `change`."""
+    """Builds and docks the panels. Their callbacks never compute: they pass a pure function of the state to `change`.
+
+    A model of one vector has no panel of parts.
+    """
 
     def __init__(
         self,
@@ -41,8 +44,10 @@ class Panels:
         self._left = left = gui.add_panel()
         with left.add_tab("Query", viser.Icon.DRONE):
             self.query = QueryPanel(gui, workspace, feeds, self.controls, self.navigation, change, self.notify_error)
-        with left.add_tab("Parts", viser.Icon.ADJUSTMENTS):
-            self.parts = PartsPanel(client, workspace, figures, self.controls, change)
+        self.parts: PartsPanel | None = None
+        if workspace.has_parts:
+            with left.add_tab("Parts", viser.Icon.ADJUSTMENTS):
+                self.parts = PartsPanel(client, workspace, figures, self.controls, change)
         left.dock_left()
         left.set_width(_LEFT)
         gui.set_panel_label("LPN Explorer")
@@ -68,7 +73,8 @@ class Panels:
             self.answer.show(analysis, sequence, covered)
             if not covered:
                 self.query.show(analysis)
-                self.parts.show(analysis.state)
+                if self.parts is not None:
+                    self.parts.show(analysis.state)
 
     def fit(self, folded: bool) -> None:
         """Fold the left panel, so that the stage has its room, or unfold it."""
@@ -81,7 +87,8 @@ class Panels:
     def leave(self) -> None:
         """Stop all threads and computations of the panels."""
         self.query.leave()
-        self.parts.leave()
+        if self.parts is not None:
+            self.parts.leave()
 
     def notify_error(self, title: str, text: str) -> None:
         """Show an error, see `ErrorNotice`."""

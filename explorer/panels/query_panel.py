@@ -94,8 +94,9 @@ class QueryPanel:
         controls.bind("find", self.find_box, self._search)
         with gui.add_folder("Look"):
             fixed = any(workspace.contract.partition(view) is not None for view in workspace.contract.views)
-            controls.checkbox(workspace.parts_word.capitalize(), "rings", visible=has_model or fixed)
-            controls.checkbox("Take apart", "exploded", visible=has_model or fixed)
+            drawn = workspace.has_parts and (has_model or fixed)
+            controls.checkbox(workspace.parts_word.capitalize(), "rings", visible=drawn)
+            controls.checkbox("Take apart", "exploded", visible=drawn)
             has_places = any(task.geometry is not None for task in workspace.tasks.values())
             controls.checkbox("Map", "map", visible=has_places, apply=session_state.show_map)
             self._city = controls.checkbox("Relief" if workspace.has_flight else "City", "city", visible=False)
@@ -103,7 +104,7 @@ class QueryPanel:
             controls.checkbox("Heatmap", "heat", visible=has_cells)
             controls.dropdown("Heat type", "heat_kind", _HEAT_KINDS, visible=has_cells, hint=pages.HEAT_NOTE)
             parts = {"All parts": None} | {name: part for part, name in enumerate(workspace.part_names)}
-            controls.dropdown("Heat of", "heat_part", parts, visible=has_cells)
+            controls.dropdown("Heat of", "heat_part", parts, visible=has_cells and workspace.has_parts)
             controls.slider("Opacity", "opacity", 0.0, 1.0, 0.05, visible=has_cells)
             if not has_model:
                 more = pages.RINGS_NOTE if fixed else pages.ARRAYS_NOTE

@@ -54,7 +54,7 @@ def _changes(
     workspace: Workspace, panels: Panels, close_stories: Callable[[], bool]
 ) -> list[tuple[str, str | None, StateChange]]:
     """Return label, hotkey, and state change of each command."""
-    navigation = panels.navigation
+    navigation, word = panels.navigation, workspace.parts_word
     changes: list[tuple[str, str | None, StateChange]] = [
         ("Next picture", "N", navigation.next),
         ("Previous picture", "P", navigation.previous),
@@ -63,12 +63,10 @@ def _changes(
         ("Turn left 5°", "J", lambda state: session_state.turn(state, 5)),
         ("Turn right 5°", "L", lambda state: session_state.turn(state, -5)),
         ("Reset weather, rotation, shift, and zoom", "K", session_state.upright),
-        (f"{workspace.parts_word.capitalize()} on or off", "G", lambda state: replace(state, rings=not state.rings)),
         ("Compare the true tile", "T", lambda state: replace(state, selected=POSITIVE)),
-        (f"Take the {workspace.parts_word} apart", "X", lambda state: replace(state, exploded=not state.exploded)),
         ("Map on or off", "M", lambda state: _flip_map(workspace, state)),
         (
-            f"Close the explanation or the map, or put the {workspace.parts_word} together",
+            "Close the explanation or the map" + (f", or put the {word} together" if workspace.has_parts else ""),
             "escape",
             lambda state: None if close_stories() else session_state.leave_stage_view(state),
         ),
@@ -81,15 +79,21 @@ def _changes(
     ]
     if len(workspace.tasks) > 1:
         changes += [(f"Task: {name}", None, navigation.choose_task(name)) for name in workspace.tasks]
-    parts = list(enumerate(workspace.part_names))
+    parts = list(enumerate(workspace.part_names)) if workspace.has_parts else []
+    if parts:
+        changes += [
+            (f"{word.capitalize()} on or off", "G", lambda state: replace(state, rings=not state.rings)),
+            (f"Take the {word} apart", "X", lambda state: replace(state, exploded=not state.exploded)),
+        ]
     changes += [(f"Part {name} on or off", None, partial(session_state.flip_part, part=part)) for part, name in parts]
-    changes.append(("All parts equal", None, session_state.equal_parts))
+    if parts:
+        changes.append(("All parts equal", None, session_state.equal_parts))
     if not workspace.without_cells:
         changes += [
             ("Heatmap on or off", "H", lambda state: replace(state, heat=not state.heat)),
             ("Heatmap: activation or evidence", "V", session_state.flip_heat_kind),
             *((f"Heatmap of part {name}", None, _show_heat(part)) for part, name in parts),
-            ("Heatmap of all parts", None, _show_heat(None)),
+            *([("Heatmap of all parts", None, _show_heat(None))] if parts else []),
         ]
     if workspace.model is not None:
         changes += [

@@ -126,7 +126,8 @@ class StageControls:
             cells=not workspace.without_cells,
             legend=pages.heat_legend(analysis, workspace),
             mapped=analysis.task.geometry is not None,
-            partitioned=areas[0] is not None,
+            partitioned=areas[0] is not None and workspace.has_parts,
+            several=workspace.has_parts,
             parts_word=workspace.parts_word,
             graded=analysis.ranking.relevant is not None,
         )

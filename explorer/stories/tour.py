@@ -31,6 +31,14 @@ def story(workspace: Workspace) -> Story:
         " Why this tile?, below it, shows place by place what speaks for it, which adds up. Its tab Heatmaps shows where the "
         "model reacts."
     )
+    decided = "which part decided" if workspace.has_parts else "by how much"
+    does = [*([f"takes the {whole} apart"] if workspace.has_parts else []), *(["shows the map"] if mapped else [])]
+    look = (
+        f"Look, in the panel Query, {' and '.join(does)}; on a large screen the row above the pictures does, too. "
+        if does
+        else ""
+    )
+    keys = [f"{key} {do}" for key, do in zip("XM" if workspace.has_parts else "M", does, strict=False)]
     cards: dict[Focus, tuple[str, str, str]] = {
         "query": (
             "A picture goes in",
@@ -39,6 +47,13 @@ def story(workspace: Workspace) -> Story:
             f"N takes the next one{'; J and L turn it' if live else ''}",
         ),
         "parts": (
+            "As a whole",
+            "The model describes each picture by one vector, and the bar is the difference of two of them. Where a second bar "
+            "stands beside it, that one says for which of two pictures the comparison speaks.",
+            "",
+        )
+        if not workspace.has_parts
+        else (
             "Part by part",
             f"Both pictures are divided into {'square rings around the centre' if rings else 'parts'}, and each part is "
             "compared with its counterpart. Its share of the whole difference is large where the two agree little. "
@@ -47,21 +62,24 @@ def story(workspace: Workspace) -> Story:
         ),
         "ranking": (
             "The ranking",
-            "The most similar pictures, best first, with ✓ at the right place. Press one, here or on the stage, to compare it. "
-            "In the panel Parts you say how much each part counts, and the order follows.",
+            "The most similar pictures, best first, with ✓ at the right place. Press one, here or on the stage, to compare it."
+            + (
+                " In the panel Parts you say how much each part counts, and the order follows."
+                if workspace.has_parts
+                else ""
+            ),
             "",
         ),
         "verdict": (
             "Why this tile?",
-            f"This says if the answer is right, and which part decided.{evidence if live and cells else ''}",
+            f"This says if the answer is right, and {decided}.{evidence if live and cells else ''}",
             "Y opens it" if live and cells else "",
         ),
         "controls": (
             "Look around",
-            f"Look, in the panel Query, takes the {whole} apart{' and shows the map' if mapped else ''}; on a large screen the "
-            "row above the pictures does, too. The list with the magnifier, above these links, has every command. Link copies "
+            f"{look}The list with the magnifier, above these links, has every command. Link copies "
             "an address that brings back what you see.",
-            f"X takes the {whole} apart{', M shows the map' if mapped else ''}, Ctrl K lists every command",
+            ", ".join([*keys, "Ctrl K lists every command"]),
         ),
     }
     return Story(NAME, tuple(_step(place, *texts) for place, texts in cards.items()))

@@ -145,15 +145,13 @@ def _show(
     score = float(cosines @ weights)
     table = Table(title=f"score {score:.4f}, squared distance {2 - 2 * score:.4f} ({claim})")
     sums = () if evidence is None else evidence.part_sums
-    for name in ("part", "cosine", "weight", "adds to the score", "cells for", "cells against", "constant")[
-        : 4 + len(sums)
-    ]:
+    several = len(names) > 1
+    of_part = ("part", "cosine", "weight", "adds to the score") if several else ("score",)
+    for name in (*of_part, *("cells for", "cells against", "constant")[: len(sums)]):
         table.add_column(name, justify="left" if name == "part" else "right")
     for part, name in enumerate(names):
-        numbers = (cosines[part] * weights[part], *(values[part] for values in sums))
-        table.add_row(
-            name, signed(cosines[part], 4), f"{100 * weights[part]:.0f} %", *(signed(number, 4) for number in numbers)
-        )
+        numbers = [signed(number, 4) for number in (cosines[part] * weights[part], *(values[part] for values in sums))]
+        table.add_row(*((name, signed(cosines[part], 4), f"{100 * weights[part]:.0f} %") if several else ()), *numbers)
     console.print(table)
 
 

@@ -133,8 +133,9 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
     task = task.current()
     failures = int(outcomes.failed[rows].sum())
     if failures:
-        blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)
-        _print_counts(console, f"The part that lowers the margin most, in {failures} failures:", list(blamed))
+        if len(part_names) > 1:
+            blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)
+            _print_counts(console, f"The part that lowers the margin most, in {failures} failures:", list(blamed))
         pairs = breakdown.confusions(outcomes, task.query_labels, task.gallery_labels, rows)
         truth, answer = table.column("truth"), table.column("answer")
         counts = [

@@ -127,13 +127,14 @@ def _print(profile: SweepResult, title: str, views: tuple[View, View], console: 
     for name in (profile.over, "", "rank", "score"):
         table.add_column(name, justify="right")
     table.add_column(f"from {low:.3f} to {max(scores):.3f}", min_width=_BAR)
-    for part in range(1, len(profile.points[0].cosines) + 1):
+    parts = len(profile.points[0].cosines)
+    for part in range(1, parts + 1 if parts > 1 else 1):
         table.add_column(f"cos {part}", justify="right")
     table.add_column("top score", justify="right")
     for point in profile.points:
         number = swept_label(profile.over, swept_value(profile.over, point.change), 4)
         bar = ("█" if blocks else "#") * (1 + round((point.score - low) / span * (_BAR - 1)))
-        cosines = [f"{cosine:.3f}" for cosine in point.cosines]
+        cosines = [f"{cosine:.3f}" for cosine in point.cosines if parts > 1]
         mark = "*" if point is profile.best else ""
         table.add_row(number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}")
     console.print(table)
@@ -176,7 +177,8 @@ def _draw(profile: SweepResult, title: str) -> bytes:
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
     along = [swept_value(profile.over, point.change) for point in profile.points]
     for part, cosines in enumerate(zip(*(point.cosines for point in profile.points), strict=True), 1):
-        above.plot(along, cosines, linewidth=1, label=f"cosine of part {part}")
+        if len(profile.points[0].cosines) > 1:
+            above.plot(along, cosines, linewidth=1, label=f"cosine of part {part}")
     above.plot(along, [point.score for point in profile.points], color="black", linewidth=2.5, label="score")
     above.plot(along, [point.top_score for point in profile.points], color="grey", linestyle=":", label="top score")
     above.set(title=title, ylabel=f"score of\n{_subject(profile)}")

@@ -117,7 +117,7 @@ def share_bar(contributions: FloatingArray, full: float, names: Sequence[str]) -
     for part, (name, share) in enumerate(zip(names, contributions.tolist(), strict=True)):
         width = 100 * max(share, 0.0) / max(full, 1e-9)
         label = f"{share:.2f}" if width > _LABELLED else ""
-        hint = f"{say('part')} {name}: {share:.4f}"
+        hint = f"{say('part')} {name}: {share:.4f}" if len(names) > 1 else f"{share:.4f}"
         bars.append(_Bar(round(start, 2), round(width, 2), part_colour(part), hint, label, part))
         start += width
     return _draw("bars", "shares of the squared distance", "shares", bars)
@@ -315,11 +315,10 @@ def _panels(points: Sequence[SweepPoint], names: Sequence[str]) -> list[_Panel]:
         for part in range(len(names))
     ]
     rank_ticks = [(math.log(rank), str(rank)) for rank in _RANKS if rank <= worst]
-    return [
-        _Panel("rank", 104, [ranks], math.log(worst), 0.0, rank_ticks),
-        _fitted("score", 112, [nearest, score]),
-        _fitted("part cosines", 122, cosines, clickable=False),
-    ]
+    panels = [_Panel("rank", 104, [ranks], math.log(worst), 0.0, rank_ticks), _fitted("score", 112, [nearest, score])]
+    if len(names) > 1:  # the cosine of one vector is the score
+        panels.append(_fitted("part cosines", 122, cosines, clickable=False))
+    return panels
 
 
 def _fitted(title: str, height: int, series: Sequence[_Series], clickable: bool = True, least: float = 0.01) -> _Panel:

@@ -18,13 +18,20 @@ from lpn.core.templates import environment
 from lpn.drawing import charts, overlays
 from lpn.explain.part_activation import value_ranges
 
-NOTE = (
-    "Activation is the channel sum of the last feature map in the cells of a part (the paper’s Figure 7). It has no unit, and it "
-    "belongs to one picture; evidence belongs to the pair."
-)
 # From this ratio of width to height on, a picture is a panorama, and fewer fit in a row.
 _PANORAMA = 2.0
 _IN_A_ROW, _PANORAMAS_IN_A_ROW = 5, 3
+
+
+def note(n_parts: int) -> str:
+    """Say what the heatmaps of a model of so many parts show."""
+    cells = "in the cells of a part (the paper’s Figure 7)" if n_parts > 1 else "in each cell"
+    return (
+        f"Activation is the channel sum of the last feature map {cells}. It has no unit, and it belongs to one picture; "
+        "evidence belongs to the pair."
+    )
+
+
 # Shares of a picture's light outside of the part whose heatmap lies over it, and through the heatmap.
 _OUTSIDE, _THROUGH = 0.35, 0.45
 # Three labels of up to this many characters fit below a colour bar.
@@ -99,7 +106,9 @@ def draw(
             )
             for picture, (low, high) in zip(pictures, ranges[:, part].tolist(), strict=True)
         ]
-        columns.append((part, f"part {name}", charts.part_colour(part), panels))
+        columns.append(
+            (part, f"part {name}" if len(names) > 1 else "the whole picture", charts.part_colour(part), panels)
+        )
     height, width = pictures[0].pixels.shape[:2]
     most = _PANORAMAS_IN_A_ROW if width >= _PANORAMA * height else _IN_A_ROW
     rows = math.ceil(len(columns) / most)

@@ -80,8 +80,16 @@ def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], t
     for part, name in enumerate(names):
         y = top + _ROW * part + 8
         total = float(evidence.weighted_cosines[part])
-        pen.text((_MARGIN, y + 9), f"part {name}", theme.part_colour(part), font(20), anchor="lm")
-        numbers = f"cos {evidence.cosines[part]:+.3f}, weight {100 * evidence.weights[part]:.0f} %"
+        pen.text(
+            (_MARGIN, y + 9),
+            f"part {name}" if len(names) > 1 else "whole",
+            theme.part_colour(part),
+            font(20),
+            anchor="lm",
+        )
+        numbers = f"cos {evidence.cosines[part]:+.3f}"
+        if len(names) > 1:
+            numbers += f", weight {100 * evidence.weights[part]:.0f} %"
         pen.text((_MARGIN + 170, y + 9), numbers, DIM, font(18), anchor="lm")
         for kind, begin, end in charts.evidence_segments(evidence, part):
             first, last = sorted((zero + begin * scale, zero + end * scale))
@@ -97,7 +105,13 @@ def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int) -> No
     """Draw the squared distance as the parts' contributions to it, side by side, each with its number where it fits."""
     contributions = evidence.contributions.astype(np.float32)
     left, right, y, total = 420, _WIDTH - 190, top + 8, float(contributions.sum())
-    pen.text((_MARGIN, y + 9), "contributions to the squared distance", TEXT, font(20), anchor="lm")
+    pen.text(
+        (_MARGIN, y + 9),
+        "contributions to the squared distance" if len(contributions) > 1 else "squared distance",
+        TEXT,
+        font(20),
+        anchor="lm",
+    )
     captions.draw_shares(pen, (left, y, right, y + 18), contributions, total)
     for part, (end, number) in enumerate(
         zip(np.cumsum(np.maximum(contributions, 0)), rounded_to_sum(contributions.tolist()), strict=True)

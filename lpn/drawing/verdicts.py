@@ -57,7 +57,7 @@ def compass(azimuth: float) -> str:
 
 
 def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
-    """Say which part, and which places of the two pictures, a pair's score comes from."""
+    """Say which part, and which places of the two pictures, a pair's score comes from; of one part, the places alone."""
     weighted = evidence.weighted_cosines
     best, worst = int(np.argmax(weighted)), int(np.argmin(weighted))
     query_place = describe_position(evidence.query.cells[best], query_view)
@@ -67,15 +67,18 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     else:
         places = f"where {_place(say('query'), query_place)} agrees with {_place(say('tile'), tile_place)}"
     similarity, what = float(weighted.sum()), say("score" if evidence.csls is None else "part cosine")
-    share = f"{signed(weighted[best])} of {similarity:.3f}"
-    text = f"{capitalised(say('part'))} {names[best]} adds most to the {what} ({share}), {places}."
     constants = float(evidence.query.constants @ evidence.weights)
+    if len(names) == 1:
+        text = f"The {what} is {signed(similarity)}, {places.replace('where', 'and above all', 1)}."
+    else:
+        share = f"{signed(weighted[best])} of {similarity:.3f}"
+        text = f"{capitalised(say('part'))} {names[best]} adds most to the {what} ({share}), {places}."
     if constants > similarity / 2 > 0:
         text += (
             f" Of the whole {what}, {signed(constants)} is constants: what the network takes both pictures for, rather than "
             "what they show."
         )
-    if weighted[worst] < 0:
+    if weighted[worst] < 0 and len(names) > 1:
         text += f" {capitalised(say('part'))} {names[worst]} speaks against the pair ({signed(weighted[worst])})."
     if evidence.csls is not None:
         taken = f"{-sum(evidence.csls_shares):.3f} from it, because both pictures have near neighbours elsewhere."
@@ -95,7 +98,9 @@ def describe_lead_place(
     several = len(place.parts) > 1
     which = f"{say('part', len(place.parts))} {listed([_in_brackets(part_names[part]) for part in place.parts])}"
     verb, percent = "speak" if several else "speaks", f"{100 * place.share:.0f}"
-    if percent == "100":
+    if len(part_names) == 1:
+        text = f"The model's one vector of the whole picture speaks for {names[0]}"
+    elif percent == "100":
         text = f"Only {which} {verb} for {names[0]}"
     else:
         most = "most, alike," if several else "most"
@@ -176,7 +181,7 @@ def verdict(
         return (
             True,
             found,
-            f"It leads the {say('hardest negative')} by {float(margin.sum()):.3f}{unit()}; {_decisive(margin, part_names)}.",
+            f"It leads the {say('hardest negative')} by {float(margin.sum()):.3f}{unit()}{_decisive(margin, part_names)}.",
         )
     top = "answer" if plain() else "top match"
     if positive.beyond and positive.distance2 < first.distance2:
@@ -191,7 +196,7 @@ def verdict(
     return (
         False,
         f"Wrong: the {say('positive')} is {describe_rank(positive)}",
-        f"It is {-float(margin.sum()):.3f}{unit()} behind the {top}; {_decisive(margin, part_names, costs=True)}.{off}",
+        f"It is {-float(margin.sum()):.3f}{unit()} behind the {top}{_decisive(margin, part_names, costs=True)}.{off}",
     )
 
 
@@ -213,12 +218,17 @@ def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str 
     """
     total, name = float(margin.sum()), capitalised(name or f"the {say('positive')}")
     if total >= 0:
-        return f"{name} leads by {total:.3f}{unit()}; {_decisive(margin, part_names)}."
-    return f"{name} is {-total:.3f}{unit()} behind; {_decisive(margin, part_names, costs=True)}."
+        return f"{name} leads by {total:.3f}{unit()}{_decisive(margin, part_names)}."
+    return f"{name} is {-total:.3f}{unit()} behind{_decisive(margin, part_names, costs=True)}."
 
 
 def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str | None = None) -> str:
-    """Say which part, left out, would change the rank of a tile most, or all parts without any one of which it would be first."""
+    """Say which part, left out, would change the rank of a tile most, or all parts without any one of which it would be first.
+
+    A model of one part has none to leave out, and the text is empty.
+    """
+    if len(part_names) == 1:
+        return ""
     name, a_part = name or f"the {say('positive')}", say("part")
     ranks = {part: standing.rank for part, standing in enumerate(without.without) if standing is not None}
     if without.now.rank == 1:
@@ -324,13 +334,15 @@ def listed(words: Sequence[str]) -> str:
 
 
 def _decisive(margin: FloatingArray, part_names: Sequence[str], costs: bool = False) -> str:
-    """Name the parts that make most of a margin, or, if it `costs`, that take most of it."""
+    """Name the parts that make most of a margin, or, if it `costs`, that take most of it, as a clause; empty for one part."""
+    if len(part_names) == 1:
+        return ""
     parts, verbs = (leading_parts(-margin), _COSTS) if costs else (leading_parts(margin), _LEADS)
     rounded = rounded_to_sum(margin.tolist())
     names, figures = listed([part_names[part] for part in parts]), ", ".join(signed(rounded[part]) for part in parts)
     if len(parts) == 1:
-        return f"{say('part')} {names} {verbs[0]} ({figures})"
-    return f"{say('part', 2)} {names} {verbs[1]}, alike ({figures})"
+        return f"; {say('part')} {names} {verbs[0]} ({figures})"
+    return f"; {say('part', 2)} {names} {verbs[1]}, alike ({figures})"
 
 
 def _place(picture: str, position: str) -> str:

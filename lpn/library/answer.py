@@ -144,15 +144,18 @@ class Answer:
             Markup('<span style="border-bottom: .25em solid {}">{}</span>').format(charts.part_colour(part), name)
             for part, name in enumerate(names)
         )
+        bars = Markup("contributions to d²: {}").format(legend) if len(names) > 1 else ""
         caption = f"{len(matches)} of {len(self.pictures):,} {self.views[1]} pictures, by their distance to the query"
-        return table(caption, ("rank", "", "name", "d²", Markup("contributions to d²: {}").format(legend)), rows)
+        return table(caption, ("rank", "", "name", "d²", bars), rows)
 
 
 def _bar(match: NamedMatch, full: float, names: Sequence[str]) -> Markup:
     """Draw the contributions side by side; the distance `full` fills the bar."""
     segments = Markup().join(
-        Markup('<i title="part {}: {}" style="background: {}; width: {}%"></i>').format(
-            name, f"{share:.4f}", charts.part_colour(part), round(100 * max(share, 0.0) / max(full, 1e-9), 2)
+        Markup('<i title="{}" style="background: {}; width: {}%"></i>').format(
+            f"part {name}: {share:.4f}" if len(names) > 1 else f"{share:.4f}",
+            charts.part_colour(part),
+            round(100 * max(share, 0.0) / max(full, 1e-9), 2),
         )
         for part, (name, share) in enumerate(zip(names, match.contributions.tolist(), strict=True))
     )

@@ -118,7 +118,8 @@ def _gallery(task: Task) -> str:
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
     """List what the report is about as names and values."""
     mirrored = "descriptors of picture and mirror added, " if task.contract.mirror == "sum" else ""
-    clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}each part normalised"]
+    normalised = f"{'each part ' if task.contract.n_parts > 1 else ''}normalised"
+    clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}{normalised}"]
     if task.weights is not None:
         clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
     clauses += [] if task.calibration is None else [task.calibration.describe()]

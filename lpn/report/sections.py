@@ -59,7 +59,7 @@ def section(case: Case, task: Task, number: int) -> Markup:
         without_cells="" if task.model is None or task.contract.has_cells else verdicts.no_cells(task.contract),
         scale=overlays.data_uri(overlays.evidence_scale(240, 20), 90),
         heatmaps=_heatmaps(case, task),
-        heatmaps_note=heatmaps.NOTE,
+        heatmaps_note=heatmaps.note(len(task.part_names)),
         steps=charts.waterfall(case.margin.parts) if case.margin else [],
         profile=case.profile and charts.profile_charts(case.profile, task.part_names, _CHART_WIDTH),
         followed=followed and ("the true tile" if followed.true else f"tile {task.gallery[followed.tile].name}"),
@@ -78,9 +78,10 @@ def summary(case: Case, task: Task) -> tuple[str, str]:
 
 def _sentences(case: Case, task: Task) -> list[str]:
     sentences = []
-    if case.without is not None:
+    several = len(task.part_names) > 1
+    if several and case.without is not None:
         sentences.append(verdicts.describe_ablation(case.without, task.part_names))
-    if case.positive is not None and case.positive.rank > 1:
+    if several and case.positive is not None and case.positive.rank > 1:
         sentences.append(verdicts.describe_reweighting(case.change, case.effect))
     if case.profile is not None:
         sentences.append(verdicts.describe_rotation(case.profile, task.views))

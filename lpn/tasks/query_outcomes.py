@@ -30,8 +30,9 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 _CHUNK_BYTES = 64_000_000
 # Columns of a table that compares two models: A is the table's own.
 RANK_A, RANK_B = "rank A", "rank B"
-# Columns of every table besides `margin_1` .. `margin_n`. A task without positions has no `distance`, and one without measured
-# footprints no `overlap`, and one without semi-positives no `semi`. A table of one model has neither `rank A` nor `rank B`.
+# Columns of every table besides `margin_1` .. `margin_n`. A model of one part has neither these nor `part`. A task without
+# positions has no `distance`, and one without measured footprints no `overlap`, and one without semi-positives no `semi`. A table
+# of one model has neither `rank A` nor `rank B`.
 OUTCOME_COLUMNS = (
     *("name", "rank", RANK_A, RANK_B, "margin", "part"),
     *("truth", "answer", "false", "distance", "overlap", "semi"),
@@ -204,12 +205,12 @@ def table(
         text_column("name", [query.name for query in queries]),
         _rank_column("rank", outcomes.rank, outcomes.depth, missed),
         number_column("margin", outcomes.margin),
-        Column("part", "text", parts[outcomes.deciding_part]),
+        *([] if n == 1 else [Column("part", "text", parts[outcomes.deciding_part])]),
         Column("truth", "text", tiles[outcomes.true]),
         Column("answer", "text", tiles[outcomes.answer]),
         Column("false", "text", tiles[outcomes.false]),
         *([] if geometry is None else [_distance(geometry, outcomes)]),
-        *(number_column(f"margin_{i + 1}", outcomes.parts[:, i]) for i in range(n)),
+        *(number_column(f"margin_{i + 1}", outcomes.parts[:, i]) for i in range(n) if n > 1),
         *more,
     ]
     paths = metadata.relative(root, queries)

@@ -11,16 +11,18 @@ import numpy as np
 import pytest
 
 import lpn
-from explorer.explain_window import activation, evidence, model_comparison, region, sweep_page
-from explorer.failure_lab import table
+from explorer.explain_window import activation, comparison, evidence, model_comparison, region, sweep_page
+from explorer.failure_lab import breakdown_page, table
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.opening import open_model, open_source
-from explorer.panels import pages
-from explorer.session_state import SessionState
+from explorer.panels import first_screen, pages
+from explorer.session_state import POSITIVE, SessionState
 from explorer.stories import tour
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn.analysis.comparison import Comparison
 from lpn.core.errors import StoreError
+from lpn.drawing.words import speaking
 from lpn.explain import sweeps
 from lpn.index import create_index
 from lpn.index.base import DescriptorKind
@@ -28,7 +30,7 @@ from lpn.report import Options, build
 from lpn.sources import Indexed, ModelOptions
 from tools.fixtures import small_worlds
 from tools.fixtures.rankings import ranked_in
-from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel
+from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel, WholeModel
 
 TASK = "drone-to-satellite"
 
@@ -138,6 +140,46 @@ def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, m
     create_index(tmp_path / "other", replace(kind, fingerprint="other")).close()
     with pytest.raises(StoreError, match="holds descriptors of model other"):
         open_source(Indexed(index=str(tmp_path / "other"), model=ModelOptions(model=Path("m.pth")), data=data))
+
+
+@pytest.mark.parametrize("plain", [True, False])
+@pytest.mark.parametrize("cells", [True, False])
+def test_a_model_of_one_vector_has_no_parts_in_words(data: Path, plain: bool, cells: bool) -> None:
+    workspace = open_model(data, WholeModel() if cells else PartsModel(RegionModel(), one=True))
+    wrong = next(query for query in range(6) if not analysed(workspace, query=query).matches[0].true)
+    lab = FailureLab(workspace)
+    assert lab.build(TASK, None).wait(60)
+    findings = lab.findings(TASK)
+    assert findings is not None
+    assert not {"part", "margin_1"} & set(findings.table.columns)
+    texts = [step.caption for step in tour.story(workspace).steps]
+    with speaking(workspace.vocabulary(plain)):
+        for analysis in (analysed(workspace, query=wrong), analysed(workspace, query=wrong, selected=POSITIVE)):
+            ranking = analysis.ranking
+            compared = Comparison.of(ranking, analysis.chosen)
+            points = sweeps.sweep_points(
+                workspace.model, analysis.source, "drone", sweeps.changes_over("weather"),
+                ranked_in(analysis.task.gallery_descriptors, ranking.weights),
+            )  # fmt: skip
+            swept = sweeps.SweepResult("weather", tuple(points))
+            texts += [
+                pages.header(workspace, analysis.task),
+                pages.keys(workspace),
+                pages.verdict(analysis, workspace),
+                pages.matches(analysis, workspace, ["one", "two"]),
+                pages.parts_table(analysis, workspace),
+                first_screen.page(analysis, workspace),
+                comparison.page(analysis, workspace, compared, None, computing=False),
+                evidence.page(analysis, workspace),
+                activation.page(analysis, workspace),
+                sweep_page.page(analysis, "weather", swept, len(swept.points), workspace.part_names),
+                table.summary(findings, LabState(task=TASK), findings.table.rows()),
+                breakdown_page.page(findings, LabState(task=TASK), workspace),
+            ]
+        texts.append(build(workspace.tasks[TASK], [wrong], Options(matches=2)).decode())
+    for text in texts:
+        words = re.sub("<style.*?</style>|<[^>]+>", " ", text, flags=re.DOTALL)
+        assert re.findall(r".{0,60}\b[Pp]arts?\b.{0,40}|.{0,60}\b[Rr]ings?\b.{0,40}", words) == []
 
 
 def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:

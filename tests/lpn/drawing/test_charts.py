@@ -88,13 +88,13 @@ def test_a_whole_task_has_a_panel_once_the_full_circle_is_there() -> None:
 
 def test_points_carry_the_attributes_that_are_passed_in() -> None:
     profile = SweepResult(
-        "zoom", tuple(SweepPoint(Change(scale=s), 0, None, 0.1, 1, np.zeros(1), 0, 0.1) for s in (0.5, 1, 2))
+        "zoom", tuple(SweepPoint(Change(scale=s), 0, None, 0.1, 1, np.zeros(2), 0, 0.1) for s in (0.5, 1, 2))
     )
-    plain = charts.profile_charts(profile, ["a"], 720, current=3.0)
+    plain = charts.profile_charts(profile, ["a", "b"], 720, current=3.0)
     assert 'class="point"' not in plain
     assert 'class="current"' not in plain
     svg = charts.profile_charts(
-        profile, ["a"], 720, 1.0, lambda point: Markup('data-scale="{}"').format(point.change.scale)
+        profile, ["a", "b"], 720, 1.0, lambda point: Markup('data-scale="{}"').format(point.change.scale)
     )
     assert [float(scale) for scale in re.findall(r'data-scale="([\d.]+)"', svg)] == 2 * [0.5, 1, 2]
     # Equal factors are equally far apart.

@@ -80,6 +80,7 @@ def test_a_guessed_heading_is_judged_by_the_known_one(known: float, judged: str)
 
 
 def test_the_margin_names_the_decisive_part() -> None:
+    assert verdicts.describe_margin(np.array([0.3]), ["whole"]) == "The true tile leads by 0.300 (d²)."
     leads = verdicts.describe_margin(np.array([0.3, -0.1]), ["a", "b"])
     assert leads == "The true tile leads by 0.200 (d²); part a does most of it (+0.300)."
     trails = verdicts.describe_margin(np.array([0.1, -0.3]), ["a", "b"], "this tile")
