@@ -429,11 +429,14 @@ class EvaluateCommand(EvaluationWithAnswers):
         """Open model and data set; return them, the task and, unless one is given, its reverse if offered, and the title."""
         from lpn.core.views import views_of
         from lpn.datasets import open_dataset
+        from lpn.tasks.opening import no_task_error, offered_tasks
 
         source = self.source
         model, dataset = source.model.load(self.compile), open_dataset(source.data)
-        tasks = dataset.tasks()
-        task = source.task or (tasks[0] if tasks else "drone-to-satellite")
+        tasks = dataset.tasks() if self.changes.branch else offered_tasks(model, dataset)
+        if source.task is None and not tasks:
+            raise no_task_error(model, dataset)
+        task = source.task or tasks[0]
         title = f"{source.model.name} ({model.describe()}) on {source.data.resolve().name}"
         reverse = [
             name for name in tasks if source.task is None and views_of(name) == views_of(task)[::-1] != views_of(task)

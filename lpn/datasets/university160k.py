@@ -38,10 +38,12 @@ class University160k(ListedDataset):
         below = top.relative_to(root).as_posix().removeprefix(".")
         folder = next((name for name in _QUERIES if (top / name).is_dir()), None)
         listing = next((file for file in (root / _NAMES, top / _NAMES) if file.is_file()), None)
-        missing = _QUERIES[0] if folder is None else _NAMES
-        if folder is None or listing is None:
+        gallery_there = (top / _GALLERY).is_dir()
+        has = _GALLERY if gallery_there else folder
+        missing = _GALLERY if not gallery_there else _QUERIES[0] if folder is None else _NAMES
+        if not gallery_there or folder is None or listing is None:
             raise DataError(
-                f"{printable(root.name)} has University160k's {_GALLERY} and no {missing}; expected {_QUERIES[0]} (or "
+                f"{printable(root.name)} has University160k's {has} and no {missing}; expected {_GALLERY}, {_QUERIES[0]} (or "
                 f"{_QUERIES[1]}) beside it, and {_NAMES}, which lists the queries in the order of the answer."
             )
         files = sorted(
@@ -62,6 +64,8 @@ class University160k(ListedDataset):
             else:
                 label = len(gallery) + len(queries)
                 queries.append(Picture(top / folder / actual, label, printable(Path(actual).stem)))
+        if not queries and not left_out:
+            raise DataError(f"{_NAMES} of {printable(root.name)} names no query; expected the name of one a line.")
         super().__init__(
             root,
             {},
@@ -79,9 +83,10 @@ class University160k(ListedDataset):
 
 
 def is_university160k(root: Path) -> bool:
-    """Return whether a folder, or its test, holds University160k's gallery."""
+    """Return whether a folder, or its test, holds University160k's gallery or queries."""
     return _top(root) is not None
 
 
 def _top(root: Path) -> Path | None:
-    return next((folder for folder in (root, root / "test") if (folder / _GALLERY).is_dir()), None)
+    names = (_GALLERY, *_QUERIES)
+    return next((folder for name in names for folder in (root, root / "test") if (folder / name).is_dir()), None)

@@ -152,7 +152,11 @@ class WorldUAV(ListedDataset):
     ) -> Iterator[tuple[Picture, list[int]]]:
         """Yield each drone picture of a region with the numbers of its true tiles, the first positive first."""
         whole = self.group_name == "flight"
-        for flight in _flights(root / region.path / "query"):
+        flights = _flights(root / region.path / "query")
+        if not flights:
+            lost = f"{region.path}/query".lstrip("/")
+            self._left_out[lost] = LeftOut(lost, "has no flights")
+        for flight in flights:
             height, rotation = map(int, flight.split("height")[1].split("_rot"))
             if test and not whole and (height not in _HEIGHTS or rotation % _STEP):
                 continue

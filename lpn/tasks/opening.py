@@ -198,10 +198,12 @@ def no_task_error(model: Model, dataset: Dataset) -> DataError:
     """Return the error for a model and a data set without any of `offered_tasks`."""
     if not (tasks := dataset.tasks()):
         return dataset.no_task()
-    name = printable(dataset.root.resolve().name)
+    name, lists = printable(dataset.root.resolve().name), dataset.lists()
+    wanted = [f"{role}_{view}" for role in ("query", "gallery") for view in model.views]
+    missing = ", ".join(one for one in wanted if not lists.get(f"test/{one}"))
     return DataError(
         f"The test split of {name} is for {', '.join(tasks)}, and the model knows only {' and '.join(model.views)} pictures; "
-        "choose another data set or model."
+        f"{f'mend what is missing there ({missing}), or ' if missing else ''}choose another data set or model."
     )
 
 

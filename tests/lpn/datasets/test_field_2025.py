@@ -231,6 +231,36 @@ def test_a_missing_part_of_university160k_is_named(tmp_path: Path, lost: str) ->
         open_dataset(root)
 
 
+def test_university160k_without_a_gallery_or_a_name_is_refused(tmp_path: Path) -> None:
+    root = layouts.university160k(tmp_path / "set")
+    (root / "query_drone_name.txt").write_text("\n")
+    with pytest.raises(DataError, match=r"query_drone_name\.txt of set names no query; expected the name of one a line"):
+        open_dataset(root)
+    shutil.rmtree(root / "test" / "gallery_satellite_160k")
+    with pytest.raises(DataError, match="set has University160k's query_drone_160k and no gallery_satellite_160k"):
+        open_dataset(root)
+
+
+def test_a_region_of_world_uav_without_flights_is_damage(tmp_path: Path) -> None:
+    root = layouts.world_uav(tmp_path / "set")
+    shutil.rmtree(root / "Country" / "Spain" / "b" / "query")
+    dataset = open_dataset(root / "mix")
+    assert ("Country/Spain/b/query", "has no flights") in {(item.file, item.why) for item in dataset.left_out}
+    assert not check_dataset(dataset).healthy
+
+
+def test_a_list_that_univ_lacks_is_named_when_a_model_has_no_task(
+    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = layouts.univ(tmp_path / "univ")
+    shutil.rmtree(root / "45" / "2fps" / "test" / "query_satellite")
+    assert main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert (
+        "mend what is missing there (query_satellite, query_drone), or choose another data set"
+        in capsys.readouterr().err
+    )
+
+
 def test_a_query_that_university160k_lists_and_lacks_is_named(tmp_path: Path) -> None:
     root = layouts.university160k(tmp_path / "set")
     (root / "test" / "query_drone_160k" / "x0.jpeg").unlink()
