@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from datetime import UTC, datetime
 from pathlib import Path
 
 from explorer.server.message_filter import MAX_UPLOAD
@@ -51,8 +52,10 @@ def read(name: str, content: bytes) -> OwnPicture:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     with _READING:
         picture = images.shrink(images.decode_picture(content, name, KINDS, MAX_SIDE), MAX_SIDE)
-        frame = photo_of(content, Path(name)).frame
-        return OwnPicture(name, picture, _place(frame), frame)
+        photo = photo_of(content, Path(name))
+        taken = photo.local if photo.utc is None else photo.utc
+        day = None if taken is None else datetime.fromtimestamp(taken, UTC).date()
+        return OwnPicture(name, picture, _place(photo.frame), photo.frame, day=day)
 
 
 def _place(frame: Frame) -> tuple[float, float] | None:

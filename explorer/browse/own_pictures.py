@@ -6,6 +6,7 @@ import secrets
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 
 import viser
 
@@ -48,6 +49,7 @@ class _Held:
     place: tuple[float, float] | None
     frame: Frame | None
     key: str
+    day: date | None
 
     @property
     def size(self) -> int:
@@ -316,7 +318,7 @@ class OwnPictures:
             return opened
         held = self._held[index]
         decoded = images.decode_picture(held.file, held.name)
-        picture = OwnPicture(held.name, decoded, held.place, held.frame, held.key)
+        picture = OwnPicture(held.name, decoded, held.place, held.frame, held.key, held.day)
         self._opened = picture, index
         return picture
 
@@ -362,7 +364,7 @@ def _hold(picture: OwnPicture, content: bytes) -> _Held:
     own = len(content) <= _SMALL and max(picture.picture.shape[:2]) < uploads.MAX_SIDE
     file = content if own else images.jpeg(picture.picture, _QUALITY)
     thumbnail = images.jpeg(overlays.square(picture.picture, _THUMBNAIL), 80)
-    return _Held(picture.name, file, thumbnail, picture.place, picture.frame, picture.key)
+    return _Held(picture.name, file, thumbnail, picture.place, picture.frame, picture.key, picture.day)
 
 
 def _thumbnails(held: Sequence[_Held]) -> Callable[[int], EncodedPicture | None]:

@@ -20,6 +20,7 @@ from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
+from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import Match
 from lpn.tasks.task import Task
 
@@ -27,7 +28,10 @@ from lpn.tasks.task import Task
 _ELSEWHERE_M = 10_000.0
 # The shapes of an own picture and of the network's input differ visibly from here on.
 _PRESSED = 1.05
-OWN_KEPT = "Your picture stays in this server's memory until you close it or this page, and goes nowhere else."
+OWN_KEPT = (
+    "Your picture stays in the memory of the computer that runs this program, which is yours if you started it, until you close "
+    "this page, and goes nowhere else."
+)
 _ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.
 ELSEWHERE = ("Not one of these", "Probably none of these")
@@ -214,7 +218,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     if not answer.accepted:
         where = "nowhere on this map" if own.whole_map else "none of the places that look most like it"
         large = "" if own.whole_map else " The map is too large to be searched as a whole."
-        merely = f"The one beside it is merely the most similar of {pictures}.{large}{details}"
+        merely = f"The piece that looks most like it is merely the most similar of {pictures}.{large}{details}"
         basemap, tag = workspace.basemap, own.located.tag
         if basemap is None or tag is None:
             return None, f"Its details fit {where}, so nothing says that your picture is of this place", merely
@@ -234,7 +238,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
-        fits += f"; its GPS tag lies {distance(error)} from there"
+        fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
     against, headline = "", "On this map"
     if against_tag:
         against = ", more than the errors of both allow, so one of the two is wrong"
@@ -252,6 +256,16 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         metres = distance(math.hypot(answer.x - cut.window.x, answer.y - cut.window.y))
         look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
     return sign, headline, f"{fits}{against}.{look}{details}"
+
+
+def _usual(workspace: Workspace) -> str:
+    """Return beside the distance of a GPS tag how far those of the flight's photos lie off; "" where that is not known."""
+    audit = None if workspace.flight is None else workspace.flight.audit
+    return (
+        ""
+        if audit is None or not audit.frames
+        else f" (those of the flight's photos {distance(audit.median)} in the median)"
+    )
 
 
 def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
@@ -275,6 +289,24 @@ def comparing(job: BackgroundJob[OwnPhoto]) -> str:
     return (
         f"Its details are compared with the map, which can take a minute, and goes on whatever the page shows …{tries}"
     )
+
+
+def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say what a person can do about an own picture whose details leave a doubt; "" about any other picture."""
+    own, basemap = analysis.registered, workspace.basemap
+    if own is None or basemap is None:
+        return ""
+    tag = own.located.tag
+    if own.answer.accepted:
+        against = any("tag" in (one.one, one.other) for one in disagreements([own.located]))
+        return "Ask for the original file: both a GPS tag and a picture can be altered." if against else ""
+    if tag is None:
+        return "Ask for the original file, whose GPS tag tells where to look, or for a photo that looks straight down."
+    if basemap.metres_off(tag) > max(basemap.sides):
+        return (
+            "It takes a map of the place of its GPS tag. If it is said to be of this place, ask for the original file."
+        )
+    return "Ask for the original file, or for a photo of the same place that looks straight down and shows more of the ground."
 
 
 def own_windows(analysis: StateAnalysis) -> list[Window]:
@@ -312,12 +344,17 @@ def own_hint(workspace: Workspace, rendered: bool) -> str:
     """
     task = next(iter(workspace.tasks.values()))
     above = "" if task.query_view == "street" else ", best of the ground seen from above"
+    if workspace.own_photos is not None:
+        above += ", with a camera that looks nearly straight down"
     city = ""
     if rendered:
         city = " They show a rendered city: a photo of a real place has no right answer among them."
+    compared = (
+        "" if workspace.own_photos is None else ", then compares its details with the map, which can take a minute"
+    )
     return (
         f"Choose pictures on this device (JPEG, PNG, or WebP){above}. The model finds the most similar of the {task.tiles:,} "
-        f"{pictures_of(task)} here.{city} {OWN_KEPT}"
+        f"{pictures_of(task)} here{compared}.{city} {OWN_KEPT}"
     )
 
 
@@ -405,11 +442,12 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     own = state.upload is not None
     if own and workspace.own_photos is not None and (_compared(analysis) or analysis.registered is not None):
         elsewhere, here = trials(workspace)
-        return (
+        tried = (
             f"o{elsewhere[1:]}; {here}, and nobody measured how well. Photos of damage have not been tried."
             if here
             else ""
         )
+        return " ".join(filter(None, (tried, _of_map(analysis, workspace))))
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
         return ""
     if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):
@@ -427,6 +465,19 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     if not own:
         return text
     return f"{text} That holds for pictures like those of {workspace.data_name}, and only if one of these tiles shows the place."
+
+
+def _of_map(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say that an own picture may be one of those that the map was made of; "" if not, or where no day is known."""
+    picture, basemap, own = analysis.state.upload, workspace.basemap, analysis.registered
+    if picture is None or basemap is None or own is None or not own.answer.accepted:
+        return ""
+    if picture.day is None or picture.day != basemap.place.day or not placing_sentence(basemap.notes):
+        return ""
+    return (
+        "Your picture is of the day on which the map's photos were taken. If the map was made of it, too, then it fits by "
+        "itself, and that proves nothing of other photos."
+    )
 
 
 def _of_flight(workspace: Workspace, result: TaskRanking) -> str:

@@ -119,6 +119,7 @@ class FirstScreen:
         self._actions: dict[str, StateChange] = {
             "next": navigation.random,
             "own": lambda state: None if own is None else own.reopen(state),
+            "forget": self._forget,
             "own-previous": navigation.previous,
             "own-next": navigation.next,
             "failure": navigation.next_failure,
@@ -163,6 +164,11 @@ class FirstScreen:
         if wrong is None or not len(wrong):
             return self._to_lab(state, "breakdown")
         return session_state.show_fails(state, int(wrong[0]), len(self._workspace.tasks[state.task].queries))
+
+    def _forget(self, _: SessionState) -> None:
+        """Forget all own pictures, which shows a query of the data set again."""
+        if self._own is not None:
+            self._own.close()
 
     def _to_lab(self, state: SessionState, tab: Tab) -> SessionState:
         """Open a tab of the laboratory with all queries, whatever was chosen or filtered there before."""
@@ -242,6 +248,7 @@ def page(
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
+        next_step=answer_text.next_step(analysis, workspace),
         trust=answer_text.trust(analysis, workspace),
         bring=_BRING,
         gap=analysis.matches[0].gap,

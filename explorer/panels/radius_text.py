@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from markupsafe import Markup
 
 from explorer.web.terms import explained
@@ -36,12 +34,11 @@ def _meaning(answer: StageRecord, workspace: Workspace) -> str:
         f"lie within {radius:.1f} m of the true one, and {second:.0f} within {2 * radius:.1f} m."
     ]
     basemap = workspace.basemap
-    if basemap is not None and answer.on_earth and basemap.error is not None:
-        on_map = math.sqrt(max(radius**2 - basemap.error**2, 0.0))
+    if basemap is not None and answer.on_earth:
         by_tags = "the GPS tags of its photos give it" if placing_sentence(basemap.notes) else "as its file tells it"
         sentences.append(
-            f"It joins ± {on_map:.1f} m for the place on this map and ± {basemap.error:.1f} m for the map's own place on earth: "
-            f"{by_tags}."
+            f"It joins ± {answer.radius_on_map:.1f} m for the place on this map and ± {answer.place_error:.1f} m for the map's "
+            f"own place on earth: {by_tags}."
         )
     sentences.append(_check(workspace))
     return " ".join(filter(None, sentences))

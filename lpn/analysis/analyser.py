@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from datetime import date
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -37,6 +38,7 @@ class OwnPicture:
         place: latitude and longitude of the camera in degrees; None if the file has none.
         frame: what the file tells of the camera; None if that was not read.
         key: names it in the addresses of the page that holds it; empty where none does.
+        day: on which it was taken; None if its file does not tell.
     """
 
     name: str
@@ -44,6 +46,7 @@ class OwnPicture:
     place: tuple[float, float] | None = None
     frame: Frame | None = None
     key: str = ""
+    day: date | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,7 +107,8 @@ def describe_lead_place(
         text = f"{capitalised(which)} {verb} {most} for {names[0]} ({percent} % of what speaks for it)"
     position = describe_position(place.cells, query_view)
     if position == "all around":
-        position = "all around the middle" if place.cells.any() else ""
+        central = all("centre" in part_names[part] for part in place.parts)
+        position = "all around the middle" if place.cells.any() and not central else ""
     elif query_view == "satellite":
         position = f"above all in the {position} of {whose}"
     else:

@@ -148,8 +148,9 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     fresh.keyboard.press("y")
     expect(first.locator(".reason")).to_have_count(0)
     small_worlds.write(tmp_path / "mine.png", small_worlds.place(5))
+    first.locator("[data-act=upload]").click()
     with fresh.expect_file_chooser() as chooser:
-        first.get_by_text("Your own picture").click()
+        first.get_by_role("button", name="Choose pictures").click()
     chooser.value.set_files(tmp_path / "mine.png")
     expect(first.locator("figcaption").first).to_contain_text("Your picture mine.png")
     expect(first.locator(".sentence")).to_contain_text("not graded")
@@ -161,13 +162,13 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     link.click()
     expect(fresh.locator("#lpn-notice")).to_have_text("A link cannot carry your own picture.")
     expect(link).to_have_accessible_description("A link cannot carry your own picture")
-    expect(first.locator(".overall")).to_contain_text("stays in this server's memory")
+    expect(first.locator(".overall")).to_contain_text("stays in the memory of the computer that runs this program")
 
     # Several at once are stepped through.
     for index in (6, 7):
         small_worlds.write(tmp_path / f"{index}.png", small_worlds.place(index))
     with fresh.expect_file_chooser() as chooser:
-        first.get_by_text("Your own picture").click()
+        first.locator("[data-act=upload]").click()
     chooser.value.set_files([tmp_path / "6.png", tmp_path / "7.png"])
     expect(first.locator(".steps")).to_contain_text("2 of 3")
     first.get_by_role("button", name="Next picture of yours").click()
@@ -197,10 +198,14 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     page.keyboard.press("Escape")
     expect(first.locator("h1")).to_be_in_viewport(ratio=1)
     page.evaluate("HTMLInputElement.prototype.click = function () { window.chooser = this; }; 0")
+    # What suits, and where it goes, is said before the chooser opens.
     first.locator("[data-act=upload]").tap()
-    expect(page.locator("#lpn-notice.shown")).to_contain_text("Choose pictures on this device")
-    page.evaluate("chooser.dispatchEvent(new Event('cancel'))")
-    expect(page.locator("#lpn-notice.shown")).to_have_count(0)
+    expect(first.locator(".offer")).to_contain_text("until you close this page, and goes nowhere else")
+    assert page.evaluate("window.chooser === undefined")
+    first.get_by_role("button", name="Choose pictures").tap()
+    assert page.evaluate("window.chooser !== undefined")
+    first.locator("[data-act=not-now]").tap()
+    expect(first.locator(".offer")).to_be_hidden()
     before = first.locator(".pair").get_attribute("data-query")
     assert before is not None
     first.get_by_text("Another picture").tap()
@@ -276,7 +281,9 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
 
     def send(file: Path) -> None:
         with fresh.expect_file_chooser() as chooser:
-            first.get_by_text("Your own picture").click()
+            first.locator("[data-act=upload]").click()
+            if (choose := first.get_by_role("button", name="Choose pictures")).is_visible():
+                choose.click()
         chooser.value.set_files(file)
         expect(captions.first).to_contain_text(file.name)
         expect(first.locator(".comparing")).to_contain_text("Its details are compared with the map")

@@ -7,6 +7,7 @@ import threading
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
@@ -43,6 +44,7 @@ from lpn.locate.matchers import SiftMatcher
 from lpn.locate.task import TASK
 from lpn.maps import Map, Window
 from lpn.maps.named_window import WindowCut
+from lpn.maps.tag_placed import describe_placing
 from lpn.sources import Flown, Indexed, ModelOptions
 from tests.lpn.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 
@@ -302,18 +304,26 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert (nowhere["own"]["outline"], nowhere["own"]["place"], nowhere["homography"]) == (None, None, None)
     assert nowhere["own"]["tag"] == pytest.approx([30.0, 0.0], abs=0.1)
     assert "White dot: its GPS tag." in nowhere["card"]
-    for shown_before, north, sign, headline, reason in (
-        (analysis, 0.0, True, "On this map", "its GPS tag lies "),
+    for shown_before, north, sign, headline, reason, following in (
+        (analysis, 0.0, True, "On this map", "its GPS tag lies ", ""),
         (
             analysis,
             2e6,
             None,
             "On this map by its details, elsewhere by its GPS tag",
             "km from there, more than the errors of both",
+            "Ask for the original file: both a GPS tag and a picture can be altered.",
         ),
-        (refused, 0.0, None, "only its GPS tag says that your picture is of this place", "merely the most similar"),
-        (refused, 2e6, False, "Not on this map", "and its GPS tag lies 2,000 km from the map"),
-        (refused, 300.0, None, "Probably not on this map", "off the map's border"),
+        (
+            refused,
+            0.0,
+            None,
+            "only its GPS tag says that your picture is of this place",
+            "merely the most similar",
+            "or for a photo of the same place that looks straight down",
+        ),
+        (refused, 2e6, False, "Not on this map", "and its GPS tag lies 2,000 km from the map", "It takes a map of"),
+        (refused, 300.0, None, "Probably not on this map", "off the map's border", "Ask for the original file"),
     ):
         assert shown_before.registered is not None
         tag = np.array([10.0, -20.0 + north])
@@ -327,6 +337,22 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert said[0] is sign
         assert said[1].endswith(headline)
         assert reason in said[2]
+        next_step = answer_text.next_step(tagged, workspace)
+        assert next_step.startswith(following) or following in next_step
+        assert bool(next_step) == bool(following)
+    assert "whose GPS tag tells where to look" in answer_text.next_step(refused, workspace)
+    day = date(2014, 10, 19)
+    of_day = replace(analysis, state=replace(analysis.state, upload=replace(mine, day=day)))
+    basemap = workspace.basemap
+    assert basemap is not None
+    for notes, known in (((), False), (("Made of photos. " + describe_placing(13.2, 44.4),), True)):
+        by_tags = SimpleNamespace(
+            place=SimpleNamespace(day=day), notes=notes, trials=None, metres_off=basemap.metres_off
+        )
+        monkeypatch.setattr(workspace, "basemap", by_tags)
+        assert ("If the map was made of it, too" in answer_text.trust(of_day, workspace)) == known
+        assert "If the map was made of it, too" not in answer_text.trust(analysis, workspace)
+    monkeypatch.setattr(workspace, "basemap", basemap)
     again = OwnPicture(mine.name, mine.picture.copy(), None, frame)
     job = progress.follow(again)
     assert job is not None
@@ -339,7 +365,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert progress.follow(mine) is None
     assert analysis.registered is not None
     answer = weakref.ref(analysis.registered)
-    del analysis, job
+    del analysis, job, of_day
     gc.collect()
     assert answer() is None, "nothing of the pictures is left when the page has closed"
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
+from datetime import date
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 
 from explorer import uploads
 from explorer.server.message_filter import MAX_UPLOAD
@@ -73,3 +75,14 @@ for path in sys.argv[1:]:
     jpeg, png = map(int, subprocess.check_output([sys.executable, "-c", program, *files], text=True).split())
     assert jpeg < 200
     assert png < 420
+
+
+def test_an_upload_tells_the_day_on_which_it_was_taken() -> None:
+    stream = io.BytesIO()
+    tags = Image.Exif()
+    tags.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.DateTimeOriginal] = "2014:10:19 14:00:00"
+    Image.new("RGB", (8, 8)).save(stream, "JPEG", exif=tags)
+    assert uploads.read("a.jpg", stream.getvalue()).day == date(2014, 10, 19)
+    stream = io.BytesIO()
+    Image.new("RGB", (8, 8)).save(stream, "PNG")
+    assert uploads.read("a.png", stream.getvalue()).day is None

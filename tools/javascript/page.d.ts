@@ -132,6 +132,7 @@ interface Lpn {
   unopened(reason: string, goesOn?: boolean): void;
   firstAgain(): unknown;
   comparing(text: string): void;
+  offer(): void;
   northUp(link: HTMLElement): void;
   preview(html: string): void;
   first(html: string, free: boolean, unasked: boolean): void;

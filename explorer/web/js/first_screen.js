@@ -4,7 +4,7 @@
   if (lpn.first) return;
   const { SELECTORS } = lpn.viser;
   const STORAGE_KEY = "lpn-screen";
-  const AT_ONCE = ["copy", "dark", "glossary", "north", "upload"]; // these need no answer
+  const AT_ONCE = ["copy", "dark", "glossary", "north", "upload", "choose", "not-now"]; // these need no answer
   const LATE = 20000; // ms after which the first answer is late
   let newest = ""; // the screen's content when it was last shown
   /** @type {"" | "first" | "all"} */
@@ -92,6 +92,16 @@
   // How far the details of an own picture are compared with the map, wherever the page says it.
   lpn.comparing = (text) => {
     if (text) document.querySelectorAll(".lpn .comparing .so-far").forEach((line) => (line.textContent = text));
+  };
+
+  // Say which own pictures suit and where they go, before they are chosen; or close that again.
+  lpn.offer = () => {
+    /** @type {HTMLElement} */
+    const offer = document.querySelector("#lpn-first .offer");
+    offer.hidden = !offer.hidden;
+    if (offer.hidden) return;
+    offer.querySelector("button").focus({ preventScroll: true });
+    offer.scrollIntoView({ block: "nearest" });
   };
 
   // Show the answers north up, or turned to lie like the query.

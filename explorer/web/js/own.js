@@ -69,7 +69,7 @@
     chooser.click();
   };
   lpn.upload = () => {
-    lpn.say(lpn.ownHint, 8); // beside the system's chooser
+    if (lpn.screen() !== "first") lpn.say(lpn.ownHint, 8); // beside the system's chooser; the first screen has said it
     choose({ multiple: true, accept: "image/jpeg,image/png,image/webp" });
   };
   const folder = () => choose({ webkitdirectory: true });

@@ -43,11 +43,12 @@ def test_where_no_side_leads_the_whole_ring_is_named() -> None:
     place = lead_place(np.array([0.2, 0.1]), [0], np.ones((8, 8)), (RINGS, RINGS), (TileGround(NORTH_ROAD),) * 2)
     assert place.share == pytest.approx(2 / 3)
     said = describe_lead_place(place, NAMES, "drone", ("this answer", "the other picture"), "the picture")
-    assert (
-        said
-        == "Part 1 (centre) speaks most for this answer (67 % of what speaks for it), all around the middle, where both show "
-        "grass."
+    assert said == "Part 1 (centre) speaks most for this answer (67 % of what speaks for it), where both show grass.", (
+        "the centre is around nothing"
     )
+    outer = lead_place(np.array([0.1, 0.2]), [1], np.ones((8, 8)), (RINGS, RINGS))
+    said = describe_lead_place(outer, NAMES, "drone", ("this answer", "the other picture"), "the picture")
+    assert said.endswith(" of what speaks for it), all around the middle.")
 
 
 def test_uses_are_those_of_the_picture_as_it_is_zoomed() -> None:
