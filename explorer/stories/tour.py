@@ -33,17 +33,15 @@ def story(workspace: Workspace) -> Story:
     )
     decided = "which part decided" if workspace.has_parts else "by how much"
     does = [*([f"takes the {whole} apart"] if workspace.has_parts else []), *(["shows the map"] if mapped else [])]
-    look = (
-        f"Look, in the panel Query, {' and '.join(does)}; on a large screen the row above the pictures does, too. "
-        if does
-        else ""
-    )
+    row = f"The row above the pictures {' and '.join(does)}. " if does else ""
     keys = [f"{key} {do}" for key, do in zip("XM" if workspace.has_parts else "M", does, strict=False)]
-    cards: dict[Focus, tuple[str, str, str]] = {
+    # Of each place: a title, what everybody sees, what stands beside it on a large screen alone, and keys.
+    cards: dict[Focus, tuple[str, str, str, str]] = {
         "query": (
             "A picture goes in",
-            f"Where was this picture taken? The panel Query has all {task.query_view} pictures"
-            f"{', and takes one of your own' if live else ''}.",
+            f"Where was this {task.query_view} picture taken? The program compares it with {task.tiles:,} others of known "
+            "place.",
+            f"The panel Query has all {task.query_view} pictures{', and takes one of your own' if live else ''}.",
             f"N takes the next one{'; J and L turn it' if live else ''}",
         ),
         "parts": (
@@ -51,42 +49,45 @@ def story(workspace: Workspace) -> Story:
             "The model describes each picture by one vector, and the bar is the difference of two of them. Where a second bar "
             "stands beside it, that one says for which of two pictures the comparison speaks.",
             "",
+            "",
         )
         if not workspace.has_parts
         else (
             "Part by part",
             f"Both pictures are divided into {'square rings around the centre' if rings else 'parts'}, and each part is "
-            "compared with its counterpart. Its share of the whole difference is large where the two agree little. "
+            "compared with its counterpart. Its share of the whole difference is large where the two agree little.",
             "Where a second bar stands beside it, that one says for which of two pictures the part speaks.",
             "",
         ),
         "ranking": (
             "The ranking",
-            "The most similar pictures, best first, with ✓ at the right place. Press one, here or on the stage, to compare it."
-            + (
-                " In the panel Parts you say how much each part counts, and the order follows."
-                if workspace.has_parts
-                else ""
-            ),
+            "The most similar pictures, best first, with ✓ at the right place. Press one to compare it.",
+            "In the panel Parts you say how much each part counts, and the order follows."
+            if workspace.has_parts
+            else "",
             "",
         ),
         "verdict": (
             "Why this tile?",
             f"This says if the answer is right, and {decided}.{evidence if live and cells else ''}",
+            "",
             "Y opens it" if live and cells else "",
         ),
         "controls": (
             "Look around",
-            f"{look}The list with the magnifier, above these links, has every command. Link copies "
-            "an address that brings back what you see.",
+            "Link copies an address that brings back what you see. The Glossary says what a word means. Start, above the "
+            "pictures, leads back to one picture and its answer.",
+            f"{row}The list with the magnifier, above these links, has every command.",
             ", ".join([*keys, "Ctrl K lists every command"]),
         ),
     }
     return Story(NAME, tuple(_step(place, *texts) for place, texts in cards.items()))
 
 
-def _step(place: Focus, title: str, text: str, keys: str) -> Step:
-    return Step("", "\n".join([title, text, *([f"Keys: {keys}."] if keys else [])]), points_at=place)
+def _step(place: Focus, title: str, text: str, large: str, keys: str) -> Step:
+    """Return a step; the page leaves out on a phone what `large` and `keys` say."""
+    further = [f"Panels: {large}"] * bool(large) + [f"Keys: {keys}."] * bool(keys)
+    return Step("", "\n".join([title, text, *further]), points_at=place)
 
 
 def places() -> dict[Focus, dict[str, Any]]:

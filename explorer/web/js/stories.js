@@ -78,7 +78,7 @@
     document.documentElement.classList.toggle("lpn-telling", !step.points_at);
     const caption = bar.querySelector(".caption"), lines = step.caption.split("\n");
     caption.replaceChildren();
-    lines.forEach((line, i) => make(i || lines.length === 1 ? "p" : "b", caption, line.startsWith("Keys: ") ? "keys" : "", line));
+    lines.forEach((line, i) => make(i || lines.length === 1 ? "p" : "b", caption, /^(Keys|Panels): /.exec(line)?.[1].toLowerCase() ?? "", line.replace(/^Panels: /, "")));
     bar.querySelector(".notes").textContent = step.notes;
     bar.querySelector(".notes").hidden = !withNotes || !step.notes;
     bar.querySelector(".count").textContent = at + 1 + " of " + told.steps.length;

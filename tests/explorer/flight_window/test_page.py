@@ -112,9 +112,7 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     failed = page.card(view, 0, "pictures/x/", retrieval_right=False)
     assert failed.index("Retrieval alone is wrong; all together") < failed.index("Placed by its details")
     doubted = page.card(view, 1, "pictures/x/", retrieval_right=True)
-    assert doubted.index("By its GPS tag, retrieval alone is right") < doubted.index(
-        "its GPS tag disagrees"
-    )
+    assert doubted.index("By its GPS tag, retrieval alone is right") < doubted.index("its GPS tag disagrees")
     assert "alone is right" not in page.card(view, 0, "pictures/x/", retrieval_right=True)
     assert "<b>photo2" not in third
     assert "<i>4" not in third

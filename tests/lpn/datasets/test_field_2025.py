@@ -234,7 +234,9 @@ def test_a_missing_part_of_university160k_is_named(tmp_path: Path, lost: str) ->
 def test_university160k_without_a_gallery_or_a_name_is_refused(tmp_path: Path) -> None:
     root = layouts.university160k(tmp_path / "set")
     (root / "query_drone_name.txt").write_text("\n")
-    with pytest.raises(DataError, match=r"query_drone_name\.txt of set names no query; expected the name of one a line"):
+    with pytest.raises(
+        DataError, match=r"query_drone_name\.txt of set names no query; expected the name of one a line"
+    ):
         open_dataset(root)
     shutil.rmtree(root / "test" / "gallery_satellite_160k")
     with pytest.raises(DataError, match="set has University160k's query_drone_160k and no gallery_satellite_160k"):
