@@ -57,6 +57,9 @@
     page.innerHTML = html;
     for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img"))) lpn.enlargeable(picture);
     page.onclick = (event) => {
+      // What unfolds below the window's edge comes into sight.
+      const unfolded = /** @type {HTMLDetailsElement | null} */ (event.target.closest("summary")?.parentElement);
+      if (unfolded) setTimeout(() => unfolded.open && unfolded.scrollIntoView({ block: unfolded.offsetHeight > page.clientHeight ? "start" : "nearest" }));
       const pressed = event.target.closest("[data-act]");
       if (!pressed || AT_ONCE.includes(pressed.dataset.act)) return;
       pressed.classList.add("waiting");
