@@ -48,6 +48,7 @@ def open_server(
     gateway = Gateway(authenticator, pictures, embedders)
     viser_compat.use_thread_safe_buffers()
     viser_compat.keep_icons()
+    viser_compat.keep_property_types()
     make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
     with redirect_stdout(io.StringIO()), no_cell_output():  # viser prints an address without the token
         server = gateway.protect(make)

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import viser
+import viser._assignable_props_api as viser_properties
 import viser._gui_api as viser_gui_api
 import viser._gui_handles as viser_gui_handles
 import viser._icons as viser_icons
@@ -73,6 +74,7 @@ CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
     "AsyncMessageBuffer.message_event": lambda *_: "message_event" in AsyncMessageBuffer.__dataclass_fields__,
     "AsyncMessageBuffer._warned_push_after_done": lambda *_: hasattr(AsyncMessageBuffer, "_warned_push_after_done"),
     "viser._icons.svg_from_icon in its two modules": lambda _, client: _keeps_icons(client),
+    "AssignablePropsBase._prop_hints": lambda _, client: _keeps_property_types(client),
     "GuiHandle._impl.uuid": lambda _, client: bool(viser_compat.uuid_of(client.gui.add_text("text", ""))),
     "GuiHandle._impl.removed": lambda _, client: _is_removed_by_a_reset(client),
     "GuiApi._thread_executor": lambda _, client: viser_compat.thread_pool(client.gui).submit(lambda: True).result(),
@@ -106,6 +108,19 @@ def _keeps_icons(client: viser.ClientHandle) -> bool:
         own(viser.Icon.DRONE),
         own(viser.Icon.MAP_2),
     ) and own is not viser_compat._icon
+
+
+def _keeps_property_types(client: viser.ClientHandle) -> bool:
+    """Tell if elements of one kind share the types of their properties, which are those that viser reads, and take values."""
+    with pytest.MonkeyPatch.context() as patch:
+        elements = viser_properties.AssignablePropsBase
+        patch.setattr(elements, "_prop_hints", elements._prop_hints)  # it is put back
+        viser_own = client.gui.add_html("")._prop_hints
+        viser_compat.keep_property_types()
+        one, other = client.gui.add_html("one"), client.gui.add_html("other")
+        shared = one._prop_hints is other._prop_hints and one._prop_hints == viser_own
+        one.content = "changed"
+    return shared and one.content == "changed"
 
 
 def _is_removed_by_a_reset(client: viser.ClientHandle) -> bool:
