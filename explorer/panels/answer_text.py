@@ -486,23 +486,37 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
         return ""
     graded = int(result.results["queries"])
     right = round(result.results["recall@1"] / 100 * graded)
-    look = f"by their look alone, {right} of {graded} photos were right ({100 * right / graded:.1f} %)"
+    look = f"of {graded} photos, {right} were right by their look alone"
     tried = [located for located in workspace.flight.frames if "registration" in located.stages]
     placed = [located for located in tried if located.stages["registration"].accepted]
     if not tried:
         return f"{look}."
-    look += f"; by their details, {len(placed)} of {len(tried)} were placed"
-    pairs = [{(one.one, one.other) for one in disagreements([located])} for located in placed]
-    if doubted := sum(("registration", "tag") in of_photo for of_photo in pairs):
-        look += f", {doubted} of them against {'its' if doubted == 1 else 'their'} GPS tag"
-    if unfit := sum(("registration", "map") in of_photo for of_photo in pairs):
-        look += f", {unfit} against the map beside {'its' if unfit == 1 else 'their'} middle"
+    count = f"all {len(tried)}" if len(placed) == len(tried) else f"{len(placed)} of {len(tried)}"
+    look += f"; their details placed {count}"
+    if doubted := len(set().union(*_doubted(workspace))):
+        look += f", {doubted} of them in doubt"
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"
         return f"{look}, at most {distance(max(errors))} from {judge}."
     elsewhere, _ = trials(workspace)
-    return f"{look}, and nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
+    return f"{look}. Nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
+
+
+def doubts(workspace: Workspace) -> str:
+    """Say which photos of a flight that their details place are in doubt, and how many; "" without any."""
+    by_tag, by_map = map(len, _doubted(workspace))
+    kinds = [f"whose GPS tag lies elsewhere ({by_tag} here)"] if by_tag else []
+    kinds += [f"that does not fit the map beside its middle ({by_map} here)"] if by_map else []
+    return f"In doubt is a photo {', or one '.join(kinds)}." if kinds else ""
+
+
+def _doubted(workspace: Workspace) -> tuple[set[int], set[int]]:
+    """Return the photos of a flight whose registration contradicts the tag, and those where it contradicts the map."""
+    pairs = [] if workspace.flight is None else disagreements(workspace.flight.frames)
+    of_details = [pair for pair in pairs if pair.one == "registration"]
+    by_tag, by_map = ({pair.frame for pair in of_details if pair.other == other} for other in ("tag", "map"))
+    return by_tag, by_map
 
 
 def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:

@@ -268,7 +268,9 @@ def page(
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
         overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
-        criterion="" if state.upload else place_text.criterion(workspace, task),
+        criterion=""
+        if state.upload
+        else f"{place_text.criterion(workspace, task)} {answer_text.doubts(workspace)}".strip(),
         season="" if state.upload else place_text.season(workspace),
         alterations=alterations,
     )
