@@ -1,4 +1,4 @@
-"""The Milvus index against a client that stands for pymilvus's, and its basic use of a real server."""
+"""The Milvus index against a client that stands for pymilvus's."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from lpn.core.errors import InputError, StoreError
 from lpn.index import MilvusIndex, create_index, open_index
 from tests.lpn.index.test_index import KIND, Tiles
-from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, MilvusServer, pretend
+from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, pretend
 
 
 @pytest.fixture
@@ -86,18 +86,6 @@ def test_a_search_waits_for_what_was_just_written_and_for_nothing_later(
         assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
         index._disconnect()  # type: ignore[attr-defined]
         assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
-
-
-def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: MilvusServer) -> None:
-    tiles = Tiles.draw(400)
-    with create_index(f"{server.url}/shared", KIND) as one, create_index(f"{server.url}/shared", KIND) as other:
-        other._written = -1e9  # type: ignore[attr-defined]
-        one.add(tiles.names[:200], tiles.descriptors[:200])
-        assert len(one.search(tiles.descriptors[0], None, 400).ids) == 200
-        deadline = time.monotonic() + 240
-        while len(other.search(tiles.descriptors[0], None, 400).ids) < 200:
-            assert time.monotonic() < deadline
-            time.sleep(0.5)
 
 
 @pytest.mark.parametrize("code", [1400, 1401, 1800])

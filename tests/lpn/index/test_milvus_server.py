@@ -54,6 +54,18 @@ def test_a_milvus_collection_has_the_structure_asked_for(server: MilvusServer, s
         assert time.monotonic() - started < 300, "a refusal is not tried again"
 
 
+def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: MilvusServer) -> None:
+    tiles = Tiles.draw(400)
+    with create_index(f"{server.url}/shared", KIND) as one, create_index(f"{server.url}/shared", KIND) as other:
+        other._written = -1e9  # type: ignore[attr-defined]
+        one.add(tiles.names[:200], tiles.descriptors[:200])
+        assert len(one.search(tiles.descriptors[0], None, 400).ids) == 200
+        deadline = time.monotonic() + 240
+        while len(other.search(tiles.descriptors[0], None, 400).ids) < 200:
+            assert time.monotonic() < deadline
+            time.sleep(0.5)
+
+
 def test_a_milvus_server_killed_in_the_middle_of_an_insert_loses_nothing(server: MilvusServer) -> None:
     kind = DescriptorKind("m", 4, 128)
     tiles = Tiles.draw(9000, kind=kind)
