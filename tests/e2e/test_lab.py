@@ -38,10 +38,15 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def lab_app(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the apps keep the places' descriptors."""
+    return tmp_path_factory.mktemp("run") / "cache"
+
+
+@pytest.fixture(scope="module")
+def lab_app(places: Path, model_file: Path, cache: Path) -> Iterator[RunningApp]:
     """The app on those places."""
-    folder = tmp_path_factory.mktemp("run")
-    with started(places, model_file, folder / "cache") as running:
+    with started(places, model_file, cache) as running:
         yield running
 
 
@@ -114,12 +119,32 @@ def expect_rows(lab: LabPage, rows: np.ndarray, start: int = 0) -> None:
     lab.eventually(check)
 
 
+# Messages that nobody should send, which do no harm.
+BAD_MESSAGES = (
+    ("lab-open", "1"),
+    ("lab-open", 99),
+    ("lab-open", -1),
+    ("lab-sort", ["name"]),
+    ("lab-lasso", ["pca", [[0, 0], [1, 1]]]),
+    ("lab-note", ["../../etc/passwd", 1, "a", "b"]),
+    ("lab-note", ["drone-to-satellite", 40, "a", "b"]),
+    ("lab-find", "\ud800"),
+    ("lab-where", "rank = \ud800"),
+    ("lab-clear", None),
+    ("lab-map", {}),
+    ("lab-tip", None),
+    ("lab-stop", []),
+)
+
+
 @pytest.mark.slow
-def test_all_queries_are_listed_worst_first_and_sorted_by_any_column(
+def test_all_queries_are_listed_worst_first_and_sorted_by_any_column_whatever_is_sent(
     lab: LabPage, truth: tuple[Outcomes, Table]
 ) -> None:
     _, table = truth
     expect_rows(lab, table.sort(table.rows(), "margin"))
+    for kind, value in BAD_MESSAGES:
+        lab.page.evaluate("([kind, value]) => lpn.send(kind, value)", [kind, value])
     for descending in (False, True):
         lab.head("name")
         expect_rows(lab, table.sort(table.rows(), "name", descending))
@@ -129,6 +154,10 @@ def test_all_queries_are_listed_worst_first_and_sorted_by_any_column(
     row = lab.shown()[0]
     assert table.columns["answer"].text(row) in first
     assert signed(table.columns["margin"].values[row], 2) in first
+    lab.head("margin")
+    expect_rows(lab, table.sort(table.rows(), "margin"))
+    expect(lab.count).to_contain_text("40 of 40 queries")
+    expect(lab.notifications).to_have_count(0)
 
 
 @pytest.mark.slow
@@ -352,7 +381,7 @@ def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
 
 
 @pytest.mark.slow
-def test_the_map_of_the_ground_has_a_scale_bar_north_and_the_position_under_the_cursor(
+def test_a_map_has_a_scale_bar_north_and_the_position_under_the_cursor_and_chooses_by_keys(
     lab: LabPage, truth: tuple[Outcomes, Table]
 ) -> None:
     _, table = truth
@@ -391,6 +420,19 @@ def test_the_map_of_the_ground_has_a_scale_bar_north_and_the_position_under_the_
         lab.page.get_by_role("button", name="Zoom in").click()
         expect(shown).not_to_have_attribute("data-frames", frames or "")
     expect(position).to_be_hidden()
+    # Enter chooses the queries in sight.
+    lab.page.locator("#lpn-lab-maps a", has_text="PCA").click()
+    expect(lab.page.locator(".lab-map[data-map=pca] .counted")).to_have_text("40 of 40")
+    marks = shown.locator(".marks")
+    for _ in range(3):
+        marks.press("+")
+    for _ in range(40):  # no arrow pushes all points out of sight
+        marks.press("ArrowRight")
+    marks.press("Enter")
+    expect(lab.page.locator(".lab-summary .pick")).to_contain_text("lasso on the PCA")
+    expect(lab.count).not_to_contain_text(re.compile("^(0|40) of"))
+    marks.press("Escape")
+    expect(lab.count).to_contain_text("40 of 40 queries")
 
 
 @pytest.mark.slow
@@ -438,25 +480,18 @@ def test_single_rows_are_chosen_by_mouse_and_keys(lab: LabPage, truth: tuple[Out
 
 
 @pytest.mark.slow
-def test_the_queries_in_sight_of_a_map_are_chosen_by_keys(lab: LabPage) -> None:
-    lab.choose("Maps")
-    lab.page.locator("#lpn-lab-maps a", has_text="PCA").click()
-    expect(lab.page.locator(".lab-map[data-map=pca] .counted")).to_have_text("40 of 40")
-    marks = lab.page.locator(".lab-map .marks")
-    for _ in range(3):
-        marks.press("+")
-    for _ in range(40):  # no arrow pushes all points out of sight
-        marks.press("ArrowRight")
-    marks.press("Enter")
-    expect(lab.page.locator(".lab-summary .pick")).to_contain_text("lasso on the PCA")
-    expect(lab.count).not_to_contain_text(re.compile("^(0|40) of"))
-    marks.press("Escape")
-    expect(lab.count).to_contain_text("40 of 40 queries")
-
-
-@pytest.mark.slow
-def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes, Table], tmp_path: Path) -> None:
+def test_columns_are_chosen_and_the_chosen_queries_are_saved_as_csv_and_as_a_report(
+    lab: LabPage, truth: tuple[Outcomes, Table], tmp_path: Path
+) -> None:
     _, table = truth
+    heads = lab.page.locator("#lpn-lab-table thead")
+    expect(heads).not_to_contain_text("weather")
+    lab.page.locator(".lab-summary a", has_text="Columns").click()
+    lab.page.locator("#lpn-lab-columns a", has_text="weather").click()
+    expect(heads).to_contain_text("weather")
+    expect(lab.page.locator("#lpn-lab-table")).to_contain_text("<b>fog</b>")
+    lab.page.locator("#lpn-lab-columns a", has_text="altitude").click()
+    expect(heads).not_to_contain_text("altitude")
     lab.page.locator("#lpn-lab-where").fill("weather = sun")
     expect(lab.count).to_contain_text("13 of 40 queries")
     with lab.page.expect_download() as download:
@@ -469,23 +504,18 @@ def test_the_chosen_queries_are_saved_as_csv(lab: LabPage, truth: tuple[Outcomes
     assert [line["path"] for line in saved] == [table.paths[row] for row in rows]
     assert [line["rank"] for line in saved] == [table.columns["rank"].text(row) for row in rows]
     assert {line["weather"] for line in saved} == {"sun"}
+    lab.page.locator("#lpn-lab-where").fill("weather = sun and rank <= 3")
+    expect(lab.count).not_to_contain_text("13 of 40 queries")
+    with lab.page.expect_download() as download:
+        lab.page.locator(".acts a", has_text="Report").click()
+    download.value.save_as(tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text("utf-8")
+    assert "weather = sun and rank &lt;= 3, sorted by margin (failure laboratory)" in text
 
 
 @pytest.mark.slow
-def test_columns_are_chosen(lab: LabPage) -> None:
-    heads = lab.page.locator("#lpn-lab-table thead")
-    expect(heads).not_to_contain_text("weather")
-    lab.page.locator(".lab-summary a", has_text="Columns").click()
-    lab.page.locator("#lpn-lab-columns a", has_text="weather").click()
-    expect(heads).to_contain_text("weather")
-    expect(lab.page.locator("#lpn-lab-table")).to_contain_text("<b>fog</b>")
-    lab.page.locator("#lpn-lab-columns a", has_text="altitude").click()
-    expect(heads).not_to_contain_text("altitude")
-
-
-@pytest.mark.slow
-def test_a_link_brings_back_what_the_laboratory_shows(
-    lab: LabPage, truth: tuple[Outcomes, Table], contexts: Callable[..., BrowserContext]
+def test_a_link_brings_back_what_the_laboratory_shows_and_each_browser_has_its_own(
+    lab: LabPage, lab_app: RunningApp, truth: tuple[Outcomes, Table], contexts: Callable[..., BrowserContext]
 ) -> None:
     _, table = truth
     lab.page.locator("#lpn-lab-where").fill("weather = rain")
@@ -509,48 +539,14 @@ def test_a_link_brings_back_what_the_laboratory_shows(
     expect(other.page.locator("#lpn-lab-map canvas").first).to_be_visible()
     expect(other.page.locator(".lab-summary .pick")).to_contain_text("lowers the margin most")
     expect(other.page.locator("#lpn-lab-where")).to_have_value("weather = rain")
-
-
-@pytest.mark.slow
-def test_tags_and_notes_survive_a_restart(
-    places: Path, lab_app: RunningApp, new_page: Callable[[], Page], tmp_path: Path
-) -> None:
-    for visit in (1, 2):
-        with started(places, lab_app.model, tmp_path / "cache") as running:
-            lab = LabPage(new_page())
-            lab.enter(running.url)
-            lab.page.locator("tr[data-row]").nth(1).click()
-            expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
-            name = lab.page.locator(".lab-note b").inner_text()
-            tags, note = lab.page.locator("#lpn-lab-tags"), lab.page.locator("#lpn-lab-note")
-            if visit == 1:
-                tags.fill("night, blur")
-                note.fill("Looks like the twin <i>next door</i>.")
-                note.blur()
-                message = lab.page.locator("#lpn-lab-message")
-                expect(message).to_have_text(
-                    "Saved in notes.csv, beside the data, on the computer that runs this page."
-                )
-                tags.fill("what/ever")
-                tags.blur()
-                expect(message).to_contain_text("Not saved. The tag 'what/ever' is not a word")
-                expect(tags).to_have_value("what/ever")
-            expect(lab.rows_of_table.filter(has_text="night blur")).to_contain_text(name)
-    expect(tags).to_have_value("night blur")
-    expect(note).to_have_value("Looks like the twin <i>next door</i>.")
-    (places / "notes.csv").unlink()
-
-
-@pytest.mark.slow
-def test_the_laboratory_of_one_browser_is_not_that_of_another(
-    lab: LabPage, lab_app: RunningApp, contexts: Callable[[], BrowserContext]
-) -> None:
-    other = LabPage(contexts().new_page())
-    other.enter(lab_app.url)
+    expect(lab.count).to_contain_text("14 of 40 queries")
+    other.page.get_by_text("show all").first.click()
+    expect(other.count).to_contain_text("40 of 40 queries")
     lab.page.locator("#lpn-lab-where").fill("weather = sun")
     expect(lab.count).to_contain_text("13 of 40 queries")
     expect(other.count).to_contain_text("40 of 40 queries")
     # A note reaches both.
+    other.choose("Table")
     other.rows_of_table.first.click()
     expect(other.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
     name = other.page.locator(".lab-note b").inner_text()
@@ -564,30 +560,31 @@ def test_the_laboratory_of_one_browser_is_not_that_of_another(
 
 
 @pytest.mark.slow
-def test_messages_that_nobody_should_send_do_no_harm(lab: LabPage) -> None:
-    before = lab.shown()
-    for kind, value in (
-        ("lab-open", "1"),
-        ("lab-open", 99),
-        ("lab-open", -1),
-        ("lab-sort", ["name"]),
-        ("lab-lasso", ["pca", [[0, 0], [1, 1]]]),
-        ("lab-note", ["../../etc/passwd", 1, "a", "b"]),
-        ("lab-note", ["drone-to-satellite", 40, "a", "b"]),
-        ("lab-find", "\ud800"),
-        ("lab-where", "rank = \ud800"),
-        ("lab-clear", None),
-        ("lab-map", {}),
-        ("lab-tip", None),
-        ("lab-stop", []),
-    ):
-        lab.page.evaluate("([kind, value]) => lpn.send(kind, value)", [kind, value])
-    lab.head("name")
-    expect(lab.rows_of_table.first).to_have_attribute("data-row", "0")
-    lab.head("margin")
-    expect(lab.rows_of_table.first).to_have_attribute("data-row", str(before[0]))
-    assert lab.shown() == before
-    expect(lab.notifications).to_have_count(0)
+def test_tags_and_notes_survive_a_restart(
+    lab: LabPage, lab_app: RunningApp, cache: Path, new_page: Callable[[], Page]
+) -> None:
+    lab.rows_of_table.nth(1).click()
+    expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
+    name = lab.page.locator(".lab-note b").inner_text()
+    tags, note = lab.page.locator("#lpn-lab-tags"), lab.page.locator("#lpn-lab-note")
+    tags.fill("night, blur")
+    note.fill("Looks like the twin <i>next door</i>.")
+    note.blur()
+    message = lab.page.locator("#lpn-lab-message")
+    expect(message).to_have_text("Saved in notes.csv, beside the data, on the computer that runs this page.")
+    tags.fill("what/ever")
+    tags.blur()
+    expect(message).to_contain_text("Not saved. The tag 'what/ever' is not a word")
+    expect(tags).to_have_value("what/ever")
+    expect(lab.rows_of_table.filter(has_text="night blur")).to_contain_text(name)
+    with started(lab_app.data, lab_app.model, cache) as running:
+        later = LabPage(new_page())
+        later.enter(running.url)
+        later.rows_of_table.nth(1).click()
+        expect(later.rows_of_table.filter(has_text="night blur")).to_contain_text(name)
+        expect(later.page.locator("#lpn-lab-tags")).to_have_value("night blur")
+        expect(later.page.locator("#lpn-lab-note")).to_have_value("Looks like the twin <i>next door</i>.")
+    (lab_app.data / "notes.csv").unlink()
 
 
 @pytest.mark.slow
@@ -615,14 +612,3 @@ def test_a_phones_sheet_stays_as_wide_as_the_phone(
         box = seen.bounding_box()
         assert box is not None
         assert box["x"] + box["width"] <= 390
-
-
-@pytest.mark.slow
-def test_a_report_of_the_selection_is_saved(lab: LabPage, tmp_path: Path) -> None:
-    lab.page.locator("#lpn-lab-where").fill("weather = sun and rank <= 3")
-    expect(lab.count).not_to_contain_text("40 of 40 queries")
-    with lab.page.expect_download() as download:
-        lab.page.locator(".acts a", has_text="Report").click()
-    download.value.save_as(tmp_path / "report.html")
-    text = (tmp_path / "report.html").read_text("utf-8")
-    assert "weather = sun and rank &lt;= 3, sorted by margin (failure laboratory)" in text
