@@ -31,27 +31,33 @@ def test_axe_finds_nothing_serious(app: RunningApp, new_page: Callable[[], Page]
     explorer = ExplorerPage(new_page())
     page = explorer.page
     root = page.locator("html")
-    for shown, ready in (
-        ("screen=first&why=1", "#lpn-first .reason .track"),
-        ("", "#lpn-matches .row"),
-        ("why=1", "#lpn-why .lpn-map"),
-        ("lab=1", "#lpn-lab-table tr[data-row]"),
-    ):
-        page.goto(f"{app.url}/?query=0008&{shown}")
-        explorer.await_answer()
+
+    def check(ready: str, change_theme: Callable[[], None]) -> None:
         expect(page.locator(ready).first).to_be_visible()
         expect(root).to_have_attribute("data-mantine-color-scheme", "dark")
         expect_accessible(page)
         assert not page.evaluate(_SMALLEST), "a text is smaller than 12 px"
         # The light theme differs in its colours alone.
-        light = (
-            page.locator("#lpn-first [data-act=dark]") if "first" in shown else page.get_by_text("Light", exact=True)
-        )
-        light.click()
+        change_theme()
         expect(root).to_have_attribute("data-mantine-color-scheme", "light")
         page.wait_for_function("!document.getAnimations().some((one) => one instanceof CSSTransition)")
         expect_accessible(page, ["color-contrast"])
-        page.evaluate("localStorage.removeItem('lpn-theme')")
+
+    page.goto(f"{app.url}/?query=0008&screen=first&why=1")
+    explorer.await_answer()
+    check("#lpn-first .reason .track", page.locator("#lpn-first [data-act=dark]").click)
+    page.evaluate("localStorage.removeItem('lpn-theme')")
+    page.goto(f"{app.url}/?query=0008")
+    explorer.await_answer()
+    check("#lpn-matches .row", page.get_by_text("Light", exact=True).click)
+    explorer.key("o")
+    explorer.explain()
+    check("#lpn-why .lpn-map", lambda: explorer.key("o"))
+    explorer.key("Escape")
+    expect(page.locator("#lpn-why")).to_be_hidden()
+    explorer.key("o")
+    explorer.key("b")
+    check("#lpn-lab-table tr[data-row]", lambda: explorer.key("o"))
 
 
 @pytest.mark.slow
