@@ -78,7 +78,9 @@ def assert_shows(explorer: ExplorerPage, app: RunningApp, ranking: Ranking) -> N
     explorer.eventually(check)
 
 
-def test_page_says_what_is_shown_and_compares_a_chosen_match(explorer: ExplorerPage, app: RunningApp) -> None:
+def test_page_says_what_is_shown_and_compares_a_match_chosen_by_its_row_or_its_tile(
+    explorer: ExplorerPage, app: RunningApp
+) -> None:
     header = explorer.page.locator("#lpn-header")
     for text in ("model.onnx", "places", "n = 4", "drone → satellite", "14 queries", "14 tiles", "R@1"):
         expect(header).to_contain_text(text)
@@ -97,6 +99,11 @@ def test_page_says_what_is_shown_and_compares_a_chosen_match(explorer: ExplorerP
     expect(parts).to_contain_text("rank 3")
     expect(parts).to_contain_text(f"{match.distance2:.3f}")
     explorer.stage(lambda picture: difference(before, picture) > 0.02)
+    stage = box(explorer.canvas)
+    layout = layout_for((256, 256), 4, (round(stage["width"]), round(stage["height"])))
+    x, y = (side * layout.unit for side in layout.card_centre(3))
+    explorer.page.mouse.click(stage["x"] + stage["width"] / 2 + x, stage["y"] + stage["height"] / 2 - y)
+    explorer.expect_status("chosen", str(ranking.match(3).index))
 
 
 def test_query_is_chosen_by_name_thumbnail_and_key(explorer: ExplorerPage, app: RunningApp) -> None:
@@ -115,7 +122,9 @@ def test_query_is_chosen_by_name_thumbnail_and_key(explorer: ExplorerPage, app: 
 
 
 @pytest.mark.slow
-def test_rotation_by_slider_and_key_changes_picture_and_ranking(explorer: ExplorerPage, app: RunningApp) -> None:
+def test_rotation_by_field_key_handle_and_slider_changes_picture_and_ranking(
+    explorer: ExplorerPage, app: RunningApp
+) -> None:
     before = explorer.stage()
     explorer.fill("Rotate", "90")
     explorer.expect_status("angle", "90")
@@ -127,26 +136,7 @@ def test_rotation_by_slider_and_key_changes_picture_and_ranking(explorer: Explor
     explorer.key("k")
     explorer.expect_status("angle", "0")
     assert_shows(explorer, app, expected(app, "0007"))
-
-
-@pytest.mark.slow
-def test_dragging_ends_on_the_last_value_without_a_queue(explorer: ExplorerPage) -> None:
-    thumb = box(explorer.page.get_by_role("slider", name="Rotate"))
-    x, y = thumb["x"] + thumb["width"] / 2, thumb["y"] + thumb["height"] / 2
-    mouse = explorer.page.mouse
-    mouse.move(x, y)
-    mouse.down()
-    for step in range(60):
-        mouse.move(x + 0.7 * step, y)
-    mouse.up()
-    shown = float(explorer.field("Rotate").input_value())
-    assert shown > 30
-    explorer.expect_status("angle", f"{shown:g}")
-    explorer.expect_answers(explorer.sequence() + 1)
-
-
-@pytest.mark.slow
-def test_the_handle_on_the_picture_turns_it(explorer: ExplorerPage) -> None:
+    # The handle on the picture.
     explorer.stage()
     knob, picture = box(explorer.page.locator("#lpn-turn")), box(explorer.page.locator("#lpn-stage-query"))
     mouse = explorer.page.mouse
@@ -158,6 +148,20 @@ def test_the_handle_on_the_picture_turns_it(explorer: ExplorerPage) -> None:
     expect(explorer.field("Rotate")).to_have_value("90")
     explorer.page.locator("#lpn-turn").press("Home")
     explorer.expect_status("angle", "0")
+    # Dragging ends on the last value, without a queue.
+    expect(explorer.field("Rotate")).to_have_value("0")
+    thumb = box(explorer.page.get_by_role("slider", name="Rotate"))
+    x, y = thumb["x"] + thumb["width"] / 2, thumb["y"] + thumb["height"] / 2
+    mouse.move(x, y)
+    mouse.down()
+    for step in range(60):
+        mouse.move(x + 0.7 * step, y)
+    mouse.up()
+    explorer.settle()
+    shown = float(explorer.field("Rotate").input_value())
+    assert shown > 30
+    explorer.expect_status("angle", f"{shown:g}")
+    explorer.expect_answers(explorer.sequence() + 1)
 
 
 @pytest.mark.slow
@@ -177,19 +181,13 @@ def test_switching_a_part_off_reranks_exactly(explorer: ExplorerPage, app: Runni
 
 
 @pytest.mark.slow
-def test_a_tile_on_the_stage_can_be_clicked(explorer: ExplorerPage, app: RunningApp) -> None:
-    explorer.stage()
-    stage = box(explorer.canvas)
-    layout = layout_for((256, 256), 4, (round(stage["width"]), round(stage["height"])))
-    x, y = (side * layout.unit for side in layout.card_centre(3))
-    explorer.page.mouse.click(stage["x"] + stage["width"] / 2 + x, stage["y"] + stage["height"] / 2 - y)
-    index = expected(app, "0007").match(3).index
-    explorer.expect_status("chosen", str(index))
-
-
-@pytest.mark.slow
-def test_heatmap_and_rings_can_be_hidden_and_rings_taken_apart(explorer: ExplorerPage) -> None:
+def test_heatmap_and_rings_can_be_hidden_and_rings_taken_apart_and_without_positions_there_is_no_map(
+    explorer: ExplorerPage,
+) -> None:
     shown = explorer.stage()
+    explorer.key("m")
+    explorer.stage(lambda picture: difference(shown, picture) < 0.005)
+    expect(explorer.field("Map")).to_have_count(0)
     explorer.key("h")
     without_heat = explorer.stage(lambda picture: difference(shown, picture) > 0.01)
     expect(explorer.field("Heatmap")).not_to_be_checked()
@@ -248,32 +246,6 @@ def test_a_second_browser_is_not_disturbed(
     other.expect_answers(before[0] + 1)
 
 
-@pytest.mark.slow
-def test_the_map_says_how_far_off_the_answer_is(mapped_app: RunningApp, new_page: Callable[[], Page]) -> None:
-    explorer = ExplorerPage(new_page())
-    explorer.open(mapped_app.url)
-    laid = geo.Positions(mapped_app.data)
-    dataset = datasets.open_dataset(mapped_app.data)
-    ranking = expected(mapped_app, "0007")
-    truth = laid.of(dataset.queries("drone")[:1])
-    tiles = laid.of(dataset.gallery("satellite"))
-    for slot in (0, 4):
-        metres = geo.metres(truth, [tiles[ranking.match(slot).index]])[0]
-        expect(explorer.rows.nth(slot)).to_contain_text(f"{metres:,.0f} m")
-    expect(explorer.page.locator("#lpn-header")).to_contain_text("median error")
-    pair = explorer.stage()
-    explorer.key("m")
-    expect(explorer.field("Map")).to_be_checked()
-    expect(explorer.field("City")).to_have_count(0)  # this data set has none
-    shown = explorer.stage(lambda picture: difference(pair, picture) > 0.2)
-    explorer.rows.nth(4).click()
-    explorer.expect_status("chosen", str(ranking.match(4).index))
-    explorer.stage(lambda picture: difference(shown, picture) > 0.005)
-    explorer.key("m")
-    expect(explorer.field("Map")).not_to_be_checked()
-    explorer.stage(lambda picture: difference(pair, picture) < difference(pair, shown) / 2)
-
-
 # Where the ground below an object of the stage is seen, in fractions of the stage: viser's own scene, projected by its camera.
 FOOT = """name => {
   const { camera, nodeRefFromName } = window.__viserMutable, node = nodeRefFromName[name];
@@ -325,11 +297,31 @@ def check_moves_of_a_map(explorer: ExplorerPage, box: FloatRect) -> None:
 
 
 @pytest.mark.slow
-def test_the_map_on_the_stage_has_a_scale_bar_north_and_the_position_under_the_cursor(
+def test_the_map_says_how_far_off_the_answer_is_and_has_a_scale_bar_north_and_the_position_under_the_cursor(
     mapped_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
     explorer = ExplorerPage(new_page())
     explorer.open(mapped_app.url)
+    laid = geo.Positions(mapped_app.data)
+    dataset = datasets.open_dataset(mapped_app.data)
+    ranking = expected(mapped_app, "0007")
+    truth = laid.of(dataset.queries("drone")[:1])
+    tiles = laid.of(dataset.gallery("satellite"))
+    for slot in (0, 4):
+        metres = geo.metres(truth, [tiles[ranking.match(slot).index]])[0]
+        expect(explorer.rows.nth(slot)).to_contain_text(f"{metres:,.0f} m")
+    expect(explorer.page.locator("#lpn-header")).to_contain_text("median error")
+    pair = explorer.stage()
+    explorer.key("m")
+    expect(explorer.field("Map")).to_be_checked()
+    expect(explorer.field("City")).to_have_count(0)  # this data set has none
+    shown = explorer.stage(lambda picture: difference(pair, picture) > 0.2)
+    explorer.rows.nth(4).click()
+    explorer.expect_status("chosen", str(ranking.match(4).index))
+    explorer.stage(lambda picture: difference(shown, picture) > 0.005)
+    explorer.key("m")
+    expect(explorer.field("Map")).not_to_be_checked()
+    explorer.stage(lambda picture: difference(pair, picture) < difference(pair, shown) / 2)
     marks = explorer.page.locator("#lpn-stage-map")
     expect(marks).to_have_count(0)
     explorer.key("m")
@@ -429,14 +421,6 @@ def test_the_demo_opens_without_being_told_anything(
     expect(explorer.field("Map")).to_be_checked()
     explorer.stage(lambda picture: len(np.unique(picture.sum(axis=2))) > 100)
     assert not (tmp_path / "cache").exists()  # what is shown was described before
-
-
-@pytest.mark.slow
-def test_without_positions_there_is_no_map(explorer: ExplorerPage) -> None:
-    before = explorer.stage()
-    explorer.key("m")
-    explorer.stage(lambda picture: difference(before, picture) < 0.005)
-    expect(explorer.field("Map")).to_have_count(0)
 
 
 @pytest.mark.slow
