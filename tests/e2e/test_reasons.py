@@ -114,14 +114,6 @@ def _assert_equal(found: object, expected: object) -> None:
     assert found == expected
 
 
-@pytest.mark.slow
-def test_the_stage_shows_evidence_in_place_of_activation(explorer: ExplorerPage) -> None:
-    before = explorer.stage()
-    explorer.key("v")
-    explorer.stage(lambda picture: difference(before, picture) > 0.01)
-    expect(explorer.page.get_by_label("Heat type", exact=True)).to_have_value("Evidence")
-
-
 def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: ExplorerPage) -> None:
     explorer.page.get_by_role("button", name="Failure", exact=True).click()
     expect(explorer.verdict).to_contain_text("Wrong")
@@ -145,7 +137,7 @@ def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Ex
 
 
 @pytest.mark.slow
-def test_a_profile_asked_for_twice_is_computed_to_the_end_and_a_point_taken(
+def test_a_profile_is_computed_to_the_end_and_the_whole_task_is_measured_with_turned_queries(
     explorer: ExplorerPage, app: RunningApp
 ) -> None:
     open_window(explorer)
@@ -166,14 +158,9 @@ def test_a_profile_asked_for_twice_is_computed_to_the_end_and_a_point_taken(
     explorer.key("n")
     explorer.expect_status("name", "0008")
     expect(profile).to_contain_text("Choose what to change")
-
-
-@pytest.mark.slow
-def test_the_whole_task_is_measured_with_turned_queries(explorer: ExplorerPage, app: RunningApp) -> None:
+    # The whole task with turned queries.
     explorer.fill("Rotate", "90")
     explorer.expect_status("angle", "90")
-    open_window(explorer)
-    explorer.page.get_by_role("tab", name="Turn, shift, zoom").click()
     section = explorer.page.locator("#lpn-turned")
     section.get_by_role("button", name="As this query (90°)").click()
     expect(section).to_have_attribute("data-known", "2")
@@ -184,7 +171,6 @@ def test_the_whole_task_is_measured_with_turned_queries(explorer: ExplorerPage, 
     ]
     expect(figures).to_have_text(expected_figures)
     # The sweep of the one query began as well, and its chart has a point for each turn.
-    profile = explorer.page.locator("#lpn-profile")
     expect(profile).to_contain_text("R@1 of the whole task, %")
     expect(profile.locator(".task-point")).to_have_count(2)
     section.get_by_role("button", name="As in Table IV").click()
@@ -193,7 +179,7 @@ def test_the_whole_task_is_measured_with_turned_queries(explorer: ExplorerPage, 
 
 
 @pytest.mark.slow
-def test_a_painted_region_is_searched_by_alone(explorer: ExplorerPage) -> None:
+def test_a_painted_region_is_searched_by_alone_and_chips_answer_to_the_keyboard(explorer: ExplorerPage) -> None:
     open_window(explorer)
     explorer.page.get_by_role("tab", name="Search by a region").click()
     canvas = explorer.page.locator(".lpn-map.canvas")
@@ -219,16 +205,28 @@ def test_a_painted_region_is_searched_by_alone(explorer: ExplorerPage) -> None:
         assert explorer.rows.evaluate_all("rows => rows.map(row => row.dataset.index)") == before
 
     explorer.eventually(restored)
+    # The chips of the evidence answer to the keyboard.
+    explorer.tab("Why")
+    chip = explorer.page.locator("#lpn-why .chips a").nth(2)
+    chip.focus()
+    explorer.page.keyboard.press("Enter")
+    expect(explorer.page.locator("#lpn-why .chips a.chosen")).to_have_text("2")
 
 
 @pytest.mark.slow
-def test_nonsense_from_a_page_changes_nothing(explorer: ExplorerPage) -> None:
+def test_nonsense_from_a_page_changes_nothing_and_the_stage_shows_evidence_in_place_of_activation(
+    explorer: ExplorerPage,
+) -> None:
     before = explorer.sequence()
     for arguments in ('"region", [999999]', '"take", "x"', "undefined, undefined", "[1], {}"):
         explorer.page.evaluate(f"() => lpn.send({arguments})")
     explorer.expect_answers(before + 1)
     explorer.key("n")
     explorer.expect_status("name", "0008")
+    before = explorer.stage()
+    explorer.key("v")
+    explorer.stage(lambda picture: difference(before, picture) > 0.01)
+    expect(explorer.page.get_by_label("Heat type", exact=True)).to_have_value("Evidence")
 
 
 @pytest.mark.slow
@@ -324,12 +322,3 @@ def test_a_window_opened_by_a_link_keeps_to_the_stage(app: RunningApp, contexts:
         assert window["x"] + window["width"] <= canvas["x"] + canvas["width"]
 
     explorer.eventually(fits)
-
-
-@pytest.mark.slow
-def test_chips_answer_to_the_keyboard(explorer: ExplorerPage) -> None:
-    open_window(explorer)
-    chip = explorer.page.locator("#lpn-why .chips a").nth(2)
-    chip.focus()
-    explorer.page.keyboard.press("Enter")
-    expect(explorer.page.locator("#lpn-why .chips a.chosen")).to_have_text("2")
