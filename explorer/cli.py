@@ -246,12 +246,14 @@ class Explore(ExploreSource):
             InputError: if an option lacks the one that it needs, or the demo's files are missing.
         """
         from explorer.opening import open_model
+        from lpn.datasets import open_dataset
 
         for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):
             if given is not None and self.model is None:
                 raise InputError(f"{option} needs --model.")
         kinds, poolings = _of_beside(self.beside, self.beside_kind, self.beside_pooling)
         if self.data is not None and self.model is None:
+            open_dataset(self.data)  # without a model, the error is that of a folder that is no data set
             raise InputError(f"There is no model for {self.data}; give a trained LPN with --model.")
         if self.data is None and not DEMO.is_dir():
             raise InputError(

@@ -118,7 +118,7 @@ def open_dataset(root: str | Path) -> Dataset:
         return Landmarks(root, queries)
     if files := files_below(root):
         return Folder(root, files, whole)
-    if (error := levels.archives_alone(root)) is not None:
+    if (error := levels.archives_alone(root) or levels.videos_alone(root)) is not None:
         raise error
     inside = ", ".join(sorted(printable(child.name) for child in root.iterdir())[:5]) or "nothing"
     raise DataError(f"{root} holds {inside}; expected {_LAYOUTS}.")

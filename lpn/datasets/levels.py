@@ -50,6 +50,7 @@ _ARCHIVE = re.compile(
     r"\.(zip|7z|rar|tar|tgz|tbz2?|txz|tzst|(tar\.)?(gz|bz2|xz|zst))(\.(\d{2,3}|[a-z]{2}))?$|\.[zr]\d\d$|\.part\d+\.rar$",
     re.IGNORECASE,
 )
+_OF_A_VIDEO = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt", ".ass", ".vtt", ".lrf")
 _MODELS = (".pth", ".pt", ".ckpt", ".safetensors", ".onnx")
 # First bytes of zip (also empty and in parts), 7z, rar, gzip, bzip2, xz, and zstandard.
 _MAGIC = (
@@ -94,6 +95,18 @@ def archives_alone(root: Path) -> DataError | None:
         return None
     listed = first_few([printable(name) for name in archives], 3)
     return DataError(f"{printable(str(root))} holds {listed}; unpack first, and give the folder with the pictures.")
+
+
+def videos_alone(root: Path) -> DataError | None:
+    """Return the error about a folder that holds videos, or their subtitles, and no pictures; None for another folder."""
+    videos = sorted(name for name in _names(root) if not hidden_name(name) and name.lower().endswith(_OF_A_VIDEO))
+    if not videos:
+        return None
+    shown = printable(str(root))
+    return DataError(
+        f"{shown} holds {first_few([printable(name) for name in videos], 2)}, which are of a flight and no data set; read the "
+        f"frames with lpn flight {shown} --out FLIGHT, then give that folder to lpn locate or lpn explore flight."
+    )
 
 
 def arrays(root: Path) -> DataError | None:

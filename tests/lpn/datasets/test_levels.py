@@ -159,6 +159,17 @@ def test_an_archive_is_to_be_unpacked_first(
     assert said == f"lpn: {file} is an archive; unpack it first, and give the folder that it makes.\n"
 
 
+def test_videos_of_a_flight_are_no_data_set(tmp_path: Path) -> None:
+    for name in ("DJI_0001.MP4", "DJI_0001.SRT", "DJI_0002.MP4", ".hidden"):
+        (tmp_path / name).touch()
+    with pytest.raises(DataError) as raised:
+        open_dataset(tmp_path)
+    assert str(raised.value) == (
+        f"{tmp_path} holds DJI_0001.MP4, DJI_0001.SRT, and 1 more, which are of a flight and no data set; read the frames with "
+        f"lpn flight {tmp_path} --out FLIGHT, then give that folder to lpn locate or lpn explore flight."
+    )
+
+
 def test_a_file_or_a_folder_of_archives_is_told_too(tmp_path: Path) -> None:
     root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
     assert (
