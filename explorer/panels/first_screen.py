@@ -257,7 +257,6 @@ def page(
         no_place=no_place(analysis),
         nowhere=own is not None and not own.answer.accepted,
         full=0.0 if lead is None else max(float(abs(lead.terms).max()), 1e-9),
-        own_hint=answer_text.own_hint(workspace, rendered),
         part_names=workspace.part_names,
         part_word=workspace.parts_word.removesuffix("s"),
         stories=stories,

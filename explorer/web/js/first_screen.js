@@ -99,11 +99,18 @@
 
   // Say which own pictures suit and where they go, before they are chosen; or close that again.
   lpn.offer = () => {
-    /** @type {HTMLElement} */
-    const offer = document.querySelector("#lpn-first .offer");
-    offer.hidden = !offer.hidden;
-    if (offer.hidden) return;
-    offer.querySelector("button").focus({ preventScroll: true });
+    const open = document.querySelector("#lpn-first .offer");
+    if (open) return open.remove();
+    const offer = document.createElement("section");
+    offer.className = "offer";
+    offer.setAttribute("aria-label", "Your own picture");
+    offer.innerHTML = '<p></p><p><button type="button" data-act="choose">Choose pictures</button><button type="button" class="quiet" data-act="not-now">Not now</button></p>';
+    offer.querySelector("p").textContent = lpn.ownHint;
+    const [choose, leave] = offer.querySelectorAll("button");
+    choose.onclick = () => lpn.upload();
+    leave.onclick = () => lpn.offer();
+    document.querySelector("#lpn-first .acts").after(offer);
+    choose.focus({ preventScroll: true });
     offer.scrollIntoView({ block: "nearest" });
   };
 

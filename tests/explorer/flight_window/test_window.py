@@ -157,4 +157,4 @@ def test_a_resize_while_the_window_is_placed_is_followed(make: Callable[[], Wind
 
 
 def test_a_wrong_answer_of_retrieval_is_told_apart_from_that_of_the_registration(make: Callable[[], WindowOf]) -> None:
-    assert "Retrieval alone is wrong; all together:" in make().text
+    assert "Retrieval alone is wrong." in make().text
