@@ -480,6 +480,12 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         if any(one.other == "tag" for one in contradictions):
             sentence += ", more than the errors of both allow"
         sentence += "."
+    for one in contradictions:
+        if one.other == "map":
+            sentence += (
+                f" Places beside its middle lie {distance(one.metres)} from where the map has them, and "
+                f"{distance(one.allowed)} are allowed."
+            )
     return LaidPhoto(
         overlays.data_uri(drawn, 85),
         sign,

@@ -553,6 +553,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "In doubt is a photo whose GPS tag lies elsewhere (1 here), or one that does not fit the map beside its middle (4 here)."
         in said
     )
+    bent = next(i for i, frame in enumerate(flight.frames) if frame.frame.name == "IMG_9405.webp")
+    unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
+    assert "? Placed by its details, ± 6.1 m on earth , but the map beside its middle disagrees." in unfit
+    assert "Places beside its middle lie 6 m from where the map has them, and 3 m are allowed." in unfit
     # The first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
     of_doubted = flight.frames[doubted]
